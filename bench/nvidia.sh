@@ -55,11 +55,11 @@ step tests python -m pytest -n 2 --durations 20 $tests
 step fuzz python tests/fuzz.py --images $images --configs $configs
 step endurance python bench/endurance.py --minutes $minutes --openings $openings \
     --json "$out/endurance.json"
-# One VGA frame end to end, batches up to 256 frames, the floor and the ratio to it.
+# Sizes, one VGA frame after another, batches of up to 256 frames, the time of each kernel.
 # shellcheck disable=SC2086
-step scaling python bench/scaling.py --device "$device" $scaling --out "$out/scaling-gpu.json"
-step speed python bench/speed.py --quick --out "$out/speed.json"
-step report python bench/report.py --results "$out"
+step scaling python bench/scaling.py --device "$device" $scaling --out "$out"
+step speed python bench/speed.py --quick --out "$out"
+step report python bench/report.py --out "$out"
 if [ ${#failed[@]} -gt 0 ]; then
     echo "FAILED: ${failed[*]}"
     exit 1

@@ -14,16 +14,12 @@ import json
 import os
 import struct
 import subprocess
-import time
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-
-import cmp_cl
 
 Detect = Callable[[np.ndarray], np.ndarray]
 Settings = dict[str, Any]
@@ -49,26 +45,16 @@ class Peer(NamedTuple):
     label: str
     make: Callable[[Settings, Pattern], Detect]
     search: dict[str, list[Any]]
-    version: Callable[[], str]
     slow: bool = False
     labels: bool = False
-    same_as: str | None = None  # another form of this peer, whose settings it shares
 
     def settings(self, markers: int) -> Settings:
         """Return what the search found for that density, or the usual values where it has none."""
         usual = {name: values[0] for name, values in self.search.items()}
         if FOUND_SETTINGS.is_file():
-            found = json.loads(FOUND_SETTINGS.read_text())["settings"]
-            usual |= found.get(self.same_as or NAMES[self.label], {}).get(str(markers), {})
+            found = json.loads(FOUND_SETTINGS.read_text())
+            usual |= found.get(NAMES[self.label], {}).get(str(markers), {})
         return usual
-
-
-def _opencv_version() -> str:
-    return f"opencv {cv2.__version__}"
-
-
-def _version_of(package: str) -> Callable[[], str]:
-    return lambda: f"{package} {version(package)}"
 
 
 # OpenCV
@@ -109,19 +95,6 @@ def _good_features_refined(settings: Settings, pattern: Pattern) -> Detect:
     return detect
 
 
-def _harris(settings: Settings, pattern: Pattern) -> Detect:
-    size = 2 * settings["radius"] + 1
-    window = np.ones((size, size), np.uint8)
-
-    def detect(image: np.ndarray) -> np.ndarray:
-        response = cv2.cornerHarris(image, settings["block"], settings["aperture"], settings["k"])
-        peak = response >= cv2.dilate(response, window)
-        y, x = np.nonzero(peak & (response > settings["quality"] * response.max()))
-        return np.stack([x, y], axis=1).astype(np.float32)
-
-    return detect
-
-
 def _find_chessboard(settings: Settings, pattern: Pattern) -> Detect:
     size = (pattern.markers, pattern.markers)
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH * settings["adaptive"]
@@ -149,93 +122,11 @@ def _find_chessboard_sb(settings: Settings, pattern: Pattern) -> Detect:
 
 # ChESS and Zhang's spectrum, written from the papers
 
-_RING = [(0, -5), (2, -5), (4, -4), (5, -2), (5, 0), (5, 2), (4, 4), (2, 5)]
-RING = _RING + [(-x, -y) for x, y in _RING]  # 16 samples, clockwise from twelve o'clock
-_PAD = 8
-_MARGIN = 7  # px at the border that Bennett's code does not fill
-
-
-def ring_samples(image: np.ndarray, sigma: float) -> list[np.ndarray]:
-    """Return the 16 samples of every pixel, each (H, W) float32, of the smoothed image."""
-    rows, columns = image.shape
-    grey = image.astype(np.float32)
-    if sigma:
-        grey = cv2.GaussianBlur(grey, (0, 0), sigma)
-    wide = cv2.copyMakeBorder(grey, _PAD, _PAD, _PAD, _PAD, cv2.BORDER_REPLICATE)
-    return [wide[_PAD + y : _PAD + y + rows, _PAD + x : _PAD + x + columns] for x, y in RING]
-
-
-def chess_response(image: np.ndarray, sigma: float) -> np.ndarray:
-    """Return sum, difference and mean response (Bennett and Lasenby, 2013)."""
-    ring = ring_samples(image, sigma)
-    total = np.zeros(image.shape, np.float32)
-    difference = np.zeros(image.shape, np.float32)
-    for n in range(4):
-        total += np.abs(ring[n] + ring[n + 8] - ring[n + 4] - ring[n + 12])
-    for n in range(8):
-        difference += np.abs(ring[n] - ring[n + 8])
-    around = sum(ring[1:], ring[0]) / 16
-    cross = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.float32) / 5
-    local = cv2.filter2D(image.astype(np.float32), -1, cross, borderType=cv2.BORDER_REPLICATE)
-    return total - difference - 16 * np.abs(around - local)
-
-
-def spectrum_response(image: np.ndarray, sigma: float, weight: float) -> np.ndarray:
-    """Compare the second harmonic of circular samples with its neighbours in the spectrum.
-
-    |F2| - weight (|F1| + |F3|), after Zhang and Xiong (ICIRA 2017) as the CMP paper uses it.
-    """
-    ring = ring_samples(image, sigma)
-    size = []
-    for k in (1, 2, 3):
-        real = np.zeros(image.shape, np.float32)
-        imaginary = np.zeros(image.shape, np.float32)
-        for n, sample in enumerate(ring):
-            real += np.float32(np.cos(np.pi * k * n / 8)) * sample
-            imaginary += np.float32(np.sin(np.pi * k * n / 8)) * sample
-        size.append(cv2.magnitude(real, imaginary))
-    return size[1] - np.float32(weight) * (size[0] + size[2])
-
-
-def peaks(response: np.ndarray, threshold: float, radius: int) -> np.ndarray:
-    """Return local maxima above a threshold, at the centre of mass of 5 x 5: (N, 2), px."""
-    size = 2 * radius + 1
-    highest = response >= cv2.dilate(response, np.ones((size, size), np.uint8))
-    y, x = np.nonzero(highest & (response > threshold))
-    wide = np.pad(np.maximum(response, 0), 2)
-    mass, moment = np.zeros(len(x)), np.zeros((len(x), 2))
-    for dy in range(-2, 3):
-        for dx in range(-2, 3):
-            weight = wide[y + 2 + dy, x + 2 + dx]
-            mass += weight
-            moment += weight[:, None] * (dx, dy)
-    return np.stack([x, y], axis=1) + moment / np.maximum(mass, 1e-9)[:, None]
-
-
-def _chess(settings: Settings, pattern: Pattern) -> Detect:
-    def detect(image: np.ndarray) -> np.ndarray:
-        response = chess_response(image, settings["sigma"])
-        return peaks(response, settings["threshold"] * response.max(), settings["radius"])
-
-    return detect
-
-
-def _spectrum(settings: Settings, pattern: Pattern) -> Detect:
-    def detect(image: np.ndarray) -> np.ndarray:
-        response = spectrum_response(image, settings["sigma"], settings["weight"])
-        return peaks(response, settings["threshold"] * response.max(), settings["radius"])
-
-    return detect
-
 
 def _ring_peer(settings: Settings, pattern: Pattern) -> Detect:
     from opencl_peers import RingPeer
 
     return RingPeer(settings)
-
-
-def _opencl_version() -> str:
-    return f"bench/ring_peers.cl on {cmp_cl.select_device()}"
 
 
 # chess-corners, PyPI
@@ -328,15 +219,11 @@ _WORKER = """
 import struct, sys, time
 import mrgingham, numpy
 read, write = sys.stdin.buffer, sys.stdout.buffer
-while True:
-    head = read.read(17)
-    if len(head) < 17:
-        break
-    response, rows, columns = struct.unpack("<?qq", head)
+while len(head := read.read(16)) == 16:
+    rows, columns = struct.unpack("<qq", head)
     image = numpy.frombuffer(read.read(rows * columns), numpy.uint8).reshape(rows, columns)
-    find = mrgingham.ChESS_response_5 if response else mrgingham.find_chessboard_corners
     start = time.perf_counter()
-    answer = find(image)
+    answer = mrgingham.find_chessboard_corners(image)
     spent = time.perf_counter() - start
     answer = numpy.ascontiguousarray(answer, dtype=numpy.float64)
     write.write(struct.pack("<dq", spent, answer.size) + answer.tobytes())
@@ -360,50 +247,14 @@ class _Mrgingham:
         )
         self.seconds = 0.0
 
-    def ask(self, image: np.ndarray, *, response: bool) -> np.ndarray:
+    def __call__(self, image: np.ndarray) -> np.ndarray:
         to, back = self._process.stdin, self._process.stdout
         if to is None or back is None:
             raise Unavailable("mrgingham's process has no pipes")
-        to.write(struct.pack("<?qq", response, *image.shape) + image.tobytes())
+        to.write(struct.pack("<qq", *image.shape) + image.tobytes())
         to.flush()
         self.seconds, size = struct.unpack("<dq", back.read(16))
-        return np.frombuffer(back.read(8 * size), np.float64)
-
-
-class _MrginghamCorners(_Mrgingham):
-    def __call__(self, image: np.ndarray) -> np.ndarray:
-        return self.ask(image, response=False).reshape(-1, 2)
-
-
-class _ChessReference(_Mrgingham):
-    """Bennett's own C code for the response, as mrgingham ships it; then our `peaks`."""
-
-    def __init__(self, settings: Settings) -> None:
-        super().__init__()
-        self._settings = settings
-
-    def __call__(self, image: np.ndarray) -> np.ndarray:
-        start = time.perf_counter()
-        sigma = self._settings["sigma"]
-        smooth = cv2.GaussianBlur(image, (0, 0), sigma) if sigma else image
-        before = time.perf_counter() - start
-        raw = self.ask(smooth, response=True).reshape(image.shape)
-        start = time.perf_counter()
-        inside = np.s_[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN]  # the code leaves the border undefined
-        response = np.zeros(image.shape, np.float32)
-        response[inside] = raw[inside]
-        threshold = self._settings["threshold"] * response.max()
-        xy = peaks(response, threshold, self._settings["radius"])
-        self.seconds += before + time.perf_counter() - start
-        return xy
-
-
-def _mrgingham_version() -> str:
-    ask = ["dpkg-query", "-W", "-f", "${Package} ${Version}", "python3-mrgingham"]
-    try:
-        return subprocess.run(ask, capture_output=True, text=True).stdout or "unknown"
-    except OSError:
-        return "unknown"
+        return np.frombuffer(back.read(8 * size), np.float64).reshape(-1, 2)
 
 
 _FEATURES: dict[str, list[Any]] = {
@@ -422,74 +273,32 @@ _SPECTRUM = {**_CHESS, "weight": [1.0, 0.5, 0.75]}
 _LEAN: dict[str, list[Any]] = {"threshold": [100.0, 10.0, 20.0, 30.0, 50.0, 200.0]}
 
 PEERS: dict[str, Peer] = {
-    "good_features": Peer("goodFeaturesToTrack", _good_features, _FEATURES, _opencv_version),
+    "good_features": Peer("goodFeaturesToTrack", _good_features, _FEATURES),
     "good_features_refined": Peer(
         "goodFeaturesToTrack + cornerSubPix",
         _good_features_refined,
         {**_FEATURES, "window": [3, 2, 4, 5], "rounds": [20, 5]},
-        _opencv_version,
-    ),
-    "harris": Peer(
-        "cornerHarris",
-        _harris,
-        {
-            "block": [3, 5, 7],
-            "aperture": [3, 5],
-            "k": [0.04, 0.1, 0.15],
-            "quality": [0.01, 0.05, 0.15],
-            "radius": [3, 2, 4],
-        },
-        _opencv_version,
     ),
     "find_chessboard": Peer(
         "findChessboardCorners",
         _find_chessboard,
         {"adaptive": [True], "normalize": [True, False]},
-        _opencv_version,
         slow=True,
     ),
     "find_chessboard_sb": Peer(
         "findChessboardCornersSB",
         _find_chessboard_sb,
         {"normalize": [False, True], "exhaustive": [False, True], "accuracy": [False, True]},
-        _opencv_version,
         slow=True,
     ),
-    "chess": Peer("ChESS, NumPy", _chess, _CHESS, _opencv_version),
-    "chess_reference": Peer(
-        "ChESS, reference C",
-        lambda settings, pattern: _ChessReference(settings),
-        _CHESS,
-        _mrgingham_version,
-    ),
-    "chess_opencl": Peer("ChESS, OpenCL", _ring_peer, _CHESS, _opencl_version, same_as="chess"),
-    "spectrum": Peer(
-        "Zhang's spectrum, NumPy",
-        _spectrum,
-        _SPECTRUM,
-        _opencv_version,
-    ),
-    "spectrum_opencl": Peer(
-        "Zhang's spectrum, OpenCL",
-        _ring_peer,
-        _SPECTRUM,
-        _opencl_version,
-        same_as="spectrum",
-    ),
-    "chess_corners": Peer(
-        "chess-corners, defaults", _chess_corners(None), {}, _version_of("chess_corners")
-    ),
+    "chess_opencl": Peer("ChESS, OpenCL", _ring_peer, _CHESS),
+    "spectrum_opencl": Peer("Zhang's spectrum, OpenCL", _ring_peer, _SPECTRUM),
+    "chess_corners": Peer("chess-corners, defaults", _chess_corners(None), {}),
     "chess_corners_lean": Peer(
-        "chess-corners, lean, centre of mass",
-        _chess_corners("center_of_mass"),
-        _LEAN,
-        _version_of("chess_corners"),
+        "chess-corners, lean, centre of mass", _chess_corners("center_of_mass"), _LEAN
     ),
     "chess_corners_saddle": Peer(
-        "chess-corners, lean, saddle",
-        _chess_corners("saddle_point"),
-        _LEAN,
-        _version_of("chess_corners"),
+        "chess-corners, lean, saddle", _chess_corners("saddle_point"), _LEAN
     ),
     "calib_targets": Peer(
         "calib-targets, its own grid",
@@ -499,21 +308,14 @@ PEERS: dict[str, Peer] = {
             "strength": [33.0, 0.0],
             "tolerance": [1.0, 1.4, 2.0],
         },
-        _version_of("calib-targets"),
         slow=True,
         labels=True,
     ),
-    "mrgingham": Peer(
-        "mrgingham, corners only",
-        lambda settings, pattern: _MrginghamCorners(),
-        {},
-        _mrgingham_version,
-    ),
+    "mrgingham": Peer("mrgingham, corners only", lambda settings, pattern: _Mrgingham(), {}),
     "libcbdetect": Peer(
         "libcbdetect",
         _libcbdetect,
         {"norm": [False, True], "start": [0.01, 0.003, 0.03], "score": [0.01, 0.003, 0.03]},
-        _version_of("libCBDetect"),
         slow=True,
     ),
 }

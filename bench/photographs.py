@@ -1,6 +1,6 @@
 """Real photographs with truth: recall, precision, and difference from the listed positions.
 
-    python bench/photographs.py         writes results/photographs.json
+    python bench/photographs.py
 
 The pictures lie in ../shared/data beside the repository and are not part of it. Their truth is a
 saddle fitted to the grey image, so that differences below 0.2 px between methods are meaningless.
@@ -9,7 +9,6 @@ soft shapes, which can be taken for cells. Peers have the settings of the densit
 cell, found on rendered scenes.
 """
 
-import json
 import time
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -17,19 +16,11 @@ from typing import Any, NamedTuple
 import cv2
 import methods
 import numpy as np
-from environment import DATA, environment, parser_of, write_result
-from peers import PEERS, Pattern, available, keep_freed_memory
+from environment import DATA, parser_of, write_table
+from peers import Pattern, available, keep_freed_memory
 from scenes import read_listed
 from scipy.spatial import cKDTree
 
-from cmp_cl import (
-    AdaptiveMean,
-    BinaryRings,
-    Detector,
-    DetectorConfig,
-    EdgeLines,
-)
-from cmp_cl.config import window_for_cell
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic.scoring import match
 
@@ -41,6 +32,9 @@ ROOMS = "stereo_opencv"  # the photographs behind the small boards
 ENLARGED = 4
 FIRST_SEED = 21_000  # of the small boards
 AT_ONCE = ("find_chessboard", "find_chessboard_sb")  # ask for whole boards of known size
+
+
+Row = dict[str, Any]
 
 
 class Photograph(NamedTuple):
@@ -189,87 +183,32 @@ def summary(parts: Sequence[Judged]) -> dict[str, Any]:
         "missed": missed,
         "false": false,
         "outside": outside,
-        "recall": 1 - missed / expected,
-        "precision": len(apart) / max(len(apart) + false, 1),
-        "median": float(np.median(apart)) if len(apart) else None,
-        "p95": float(np.percentile(apart, 95)) if len(apart) else None,
-        "scatter": float(np.median(uneven)) if len(uneven) else None,
+        "median": float(np.median(apart)) if len(apart) else float("nan"),
+        "p95": float(np.percentile(apart, 95)) if len(apart) else float("nan"),
+        "scatter": float(np.median(uneven)) if len(uneven) else float("nan"),
     }
 
 
-def own_rows(cell: float) -> dict[str, DetectorConfig]:
-    """Return our configurations for cells of that side, px: the default, and the binary rings: by
-    default, and with the cell's window and both outer radii."""
-    window = AdaptiveMean(window=window_for_cell(cell))
-    return {
-        methods.DEFAULT: DetectorConfig(),
-        methods.FOR_CELL: DetectorConfig.for_cell(cell),
-        f"{methods.FOR_CELL}, EDGE_LINES": DetectorConfig.for_cell(cell).replace(
-            refinement=EdgeLines()
-        ),
-        methods.RINGS: DetectorConfig(detection=BinaryRings()),
-        **{
-            f"{methods.RINGS}, window of 1.3 cells, outer radius {radius}": DetectorConfig(
-                detection=BinaryRings(threshold=window, outer_radius=radius)
-            )
-            for radius in (4, 5)
-        },
-    }
-
-
-def rows(
-    name: str, photographs: Sequence[Photograph], names: Sequence[str]
-) -> list[dict[str, Any]]:
-    """Run every method on the photographs, which are of one size."""
+def rows_of(name: str, photographs: Sequence[Photograph], names: Sequence[str]) -> list[Row]:
+    """Run every method on some photographs of one size."""
     first = photographs[0]
     cell = float(np.median([each.cell for each in photographs]))
-    count = round(len(first.truth) ** 0.5)
     nearest = min(CELLS, key=lambda markers: abs(CELLS[markers] - cell))
+    used = methods.own(Pattern(nearest, views=2), first.image.shape)  # without a grid
+    pattern = Pattern(round(len(first.truth) ** 0.5))
+    used += [methods.peer(each, pattern, nearest) for each in names]
     table = []
-    detectors = []
-    for label, config in own_rows(cell).items():
-        detector = Detector(shape=first.image.shape, config=config)
-        detectors.append((label, repr(config), lambda image, run=detector: run(image).xy))
-    for peer in (PEERS[each] for each in names):
-        settings = peer.settings(nearest)
-        detectors.append((peer.label, json.dumps(settings), peer.make(settings, Pattern(count))))
-    for label, settings, detect in detectors:
+    for method in used:
         spent, judged = [], []
         for photograph in photographs:
-            for _ in range(1 if label in ("libcbdetect",) else 4):
+            for _ in range(1 if method.slow else 4):
                 start = time.perf_counter()
-                xy = np.asarray(detect(photograph.image))
-                spent.append(getattr(detect, "seconds", time.perf_counter() - start) * 1e3)
+                xy = np.asarray(method.detect(photograph.image))
+                spent.append(getattr(method.detect, "seconds", time.perf_counter() - start))
             judged.append(photograph.judge(xy))
-        table.append(
-            {
-                "photograph": name,
-                "photographs": len(photographs),
-                "method": label,
-                "settings": settings,
-                "ms": float(np.median(spent[1:] or spent)),
-                **summary(judged),
-            }
-        )
+        row = {"photograph": name, "photographs": len(photographs), "method": method.name}
+        table.append({**row, "ms": 1e3 * float(np.median(spent[1:] or spent)), **summary(judged)})
     return table
-
-
-def show(table: list[dict[str, Any]]) -> None:
-    print(
-        f"\n{table[0]['photograph']}: {table[0]['expected']} corners, "
-        f"photographs: {table[0]['photographs']}"
-    )
-    print(
-        f"{'method':46}{'missed':>8}{'false':>7}{'outside':>9}{'median':>8}{'p95':>7}{'scatter':>9}"
-        f"{'ms':>9}"
-    )
-    for row in table:
-        median = "-" if row["median"] is None else f"{row['median']:.3f}"
-        p95 = "-" if row["p95"] is None else f"{row['p95']:.3f}"
-        print(
-            f"{row['method']:46}{row['missed']:8}{row['false']:7}{row['outside']:9}"
-            f"{median:>8}{p95:>7}{row['scatter'] or np.nan:9.3f}{row['ms']:9.2f}"
-        )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -278,27 +217,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"there are no photographs: {DATA} is missing")
         return 2
     keep_freed_memory()
-    found, reasons = available()
-    whole = []
+    names = [name for name in available()[0] if name not in AT_ONCE]
     groups = {name: [Photograph.read(name)] for name in PICTURES}
     for folder in BOARDS:
-        groups[folder] = [
-            Photograph.read(f"{folder}/{path.stem}")
-            for path in sorted((DATA / folder).glob("*.json"))
-        ]
+        files = sorted((DATA / folder).glob("*.json"))
+        groups[folder] = [Photograph.read(f"{folder}/{path.stem}") for path in files]
     groups[SMALL] = small_boards()
+    table = []
     for name, photographs in groups.items():
-        table = rows(name, photographs, [peer for peer in found if peer not in AT_ONCE])
-        show(table)
-        whole += table
-    result = {
-        "kind": "photographs",
-        "environment": environment(),
-        "unavailable": reasons,
-        "not_asked": {PEERS[name].label: "finds only boards of a known size" for name in AT_ONCE},
-        "rows": whole,
-    }
-    write_result(result, arguments.out)
+        for row in rows_of(name, photographs, names):
+            table.append(row)
+            counts = f"{row['missed']:7} missed{row['false']:6} false{row['outside']:7} outside"
+            print(f"{name[:24]:26}{row['method']:38}{counts}", flush=True)
+    write_table("photographs", table, arguments.out)
     return 0
 
 

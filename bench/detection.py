@@ -1,0 +1,106 @@
+"""Which corners are found, how accurately and how fast, on rendered gels; ours and peers in turns.
+
+    python bench/detection.py --quick   30 scenes, no slow peers, about two minutes
+    python bench/detection.py           360 scenes, about half an hour
+
+Every method sees the same frames. A frame is right if no corner is missed and none is false.
+A row of results/detection.csv is a method on the scenes of one density, severity and object.
+"""
+
+import itertools
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import methods
+import numpy as np
+from environment import parser_of, write_table
+from peers import PEERS, Pattern, available, keep_freed_memory
+from scenes import TEST_SEED, Frame, rendered
+from tqdm import tqdm
+
+from cmp_cl.synthetic import Indenter, Mode, Scene, random_scene
+from cmp_cl.synthetic.scoring import Score, total
+
+DENSITIES = (20, 30, 40, 44)
+SEVERITIES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
+INDENTERS = [kind for kind in Indenter if kind is not Indenter.NONE]
+
+
+def scenes(markers: int, severities: Sequence[float], repeats: int) -> Iterator[list[Scene]]:
+    """Yield the scenes of one density: `repeats` of each object at each severity."""
+    modes = list(Mode)
+    seed = TEST_SEED + 10_000 * markers
+    for severity, indenter in itertools.product(severities, INDENTERS):
+        some = []
+        for k in range(repeats):
+            seed += 1
+            mode = modes[k % len(modes)] if repeats >= len(modes) else None
+            some.append(
+                random_scene(seed, markers=markers, severity=severity, indenter=indenter, mode=mode)
+            )
+        yield some
+
+
+def figures(scores: Sequence[Score], spent: Sequence[float]) -> dict[str, Any]:
+    """Return the counts, errors (px) and times (ms) of some frames as columns."""
+    whole = total(scores)
+    return {
+        "frames": whole.frames,
+        "right": whole.success,
+        "corners": whole.expected,
+        "missed": whole.missed,
+        "false": whole.false,
+        "found": whole.found,
+        "squares": float(np.sum(whole.errors**2)),
+        "p95": whole.p95,
+        "ms": float(np.median(spent)),
+    }
+
+
+def timed(method: methods.Method, frame: Frame) -> tuple[Score, float]:
+    """Return the score of a method on a frame, and its time, ms."""
+    start = time.perf_counter()
+    xy = method.detect(frame.image)
+    spent = time.perf_counter() - start
+    return frame.score(xy), 1e3 * getattr(method.detect, "seconds", spent)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    arguments = parser_of(__doc__, quick="30 scenes, no slow peers").parse_args(argv)
+    names, reasons = available()
+    for name, reason in reasons.items():
+        print(f"left out: {PEERS[name].label}: {reason}")
+    names = [name for name in names if not (arguments.quick and PEERS[name].slow)]
+    severities = (0.5, 1.0) if arguments.quick else SEVERITIES
+    densities = DENSITIES[:3] if arguments.quick else DENSITIES
+    repeats = 1 if arguments.quick else 3
+    keep_freed_memory()
+    rows = []
+    with tqdm(total=len(densities) * len(severities) * len(INDENTERS)) as progress:
+        for markers in densities:
+            pattern = Pattern(markers)
+            used: list[methods.Method] = []
+            for some in scenes(markers, severities, repeats):
+                frames = [rendered(scene) for scene in some]
+                if not used:
+                    used = methods.own(pattern, frames[0].image.shape)
+                    used += [methods.peer(name, pattern) for name in names]
+                    for method in used:  # some compile or allocate only now
+                        method.detect(frames[0].image)
+                for method in used:
+                    scores, spent = zip(*(timed(method, frame) for frame in frames), strict=True)
+                    which = {
+                        "method": method.name,
+                        "markers": markers,
+                        "severity": some[0].severity,
+                        "indenter": some[0].indenter.value,
+                    }
+                    rows.append(which | figures(scores, spent))
+                progress.update()
+    write_table("detection", rows, arguments.out)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

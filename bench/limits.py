@@ -1,0 +1,236 @@
+"""Where it fails: float32 kernels against the float64 oracle, unusual images, and the levels of
+blur, noise, light, size and deformation at which each method breaks.
+
+    python bench/limits.py --quick      few levels, two minutes
+    python bench/limits.py              about ten minutes
+
+A row of results/limits.csv is a method at one level of one difficulty; results/stiff.csv has the
+single cases and the differences to the oracle, each beside what is expected.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import cv2
+import methods
+import numpy as np
+from environment import parser_of, write_table
+from peers import Pattern, available
+from scenes import TEST_SEED, rendered
+from tqdm import tqdm
+
+from cmp_cl import Corners, DetectorConfig, EdgeLines, Midlines, detect, reference
+from cmp_cl.errors import ConfigError
+from cmp_cl.synthetic import Scene, Surround, random_scene
+from cmp_cl.synthetic.scoring import match, total
+
+SEED = TEST_SEED + 900_000
+CLOSE = 1e-4  # a check so near to its bound may decide either way in float32
+MARKERS = 30
+SHOWN = ("good_features_refined", "chess_opencl", "spectrum_opencl", "chess_corners_saddle")
+Row = dict[str, Any]
+Make = Callable[[float, int], Scene]
+
+
+# where each method breaks
+
+
+def sweeps() -> dict[str, tuple[list[float], Make]]:
+    """Return, for each difficulty, its levels, and the scene of a level and a seed."""
+    mild = {"severity": 0.25, "corrosion": 0.3}
+
+    def base(seed: int, **changes: Any) -> Scene:
+        scene = random_scene(seed, markers=MARKERS, **mild)
+        return dataclasses.replace(scene, surround=Surround.GREY, **changes)
+
+    def small(cell: float, seed: int) -> Scene:
+        markers = max(3, min(100, round(0.92 * 480 / cell) - 1))
+        return dataclasses.replace(
+            random_scene(seed, markers=markers, **mild), surround=Surround.GREY
+        )
+
+    return {
+        "blur, px": ([0.5, 1, 1.5, 2, 2.5, 3, 4, 5], lambda v, s: base(s, blur=v)),
+        "noise, grey levels": ([0, 10, 20, 25, 35, 50, 70], lambda v, s: base(s, noise=v)),
+        "exposure": ([0.05, 0.1, 0.2, 0.5, 1, 2.5, 6, 10], lambda v, s: base(s, exposure=v)),
+        "vignetting": (
+            [1, 1.5, 2.6, 4, 6, 8, 10],
+            lambda v, s: base(s, vignetting=v, light=0.0),
+        ),
+        "cell, px": ([6, 7, 8, 10, 12, 15, 20, 30, 45, 60], small),
+        "severity": (
+            [0, 0.5, 1, 1.25, 1.5, 1.75, 2],
+            lambda v, s: random_scene(s, markers=MARKERS, severity=v),
+        ),
+        "corrosion": ([0, 1, 1.5, 2, 2.5, 3], lambda v, s: base(s, corrosion=v, severity=1.0)),
+    }
+
+
+def breaking(names: Sequence[str], *, quick: bool) -> list[Row]:
+    """Return missed, false and RMSE of every method at every level."""
+    rows = []
+    levels = [(what, v, make) for what, (values, make) in sweeps().items() for v in values]
+    for what, level, make in tqdm(levels[::3] if quick else levels, unit=" levels"):
+        frames = []
+        for k in range(1 if quick else 3):
+            try:
+                frames.append(rendered(make(level, SEED + k)))
+            except ConfigError as error:  # a surface that folds over cannot be rendered
+                tqdm.write(f"{what} {level}: {error}")
+        if not frames:
+            continue
+        pattern = Pattern(frames[0].markers)
+        density = min((20, 30, 40), key=lambda known: abs(known - pattern.markers))
+        used = methods.own(pattern, frames[0].image.shape)
+        used += [methods.peer(name, pattern, density) for name in names]
+        for method in used:
+            score = total(frame.score(method.detect(frame.image)) for frame in frames)
+            rows.append(
+                {
+                    "difficulty": what,
+                    "level": level,
+                    "method": method.name,
+                    "corners": score.expected,
+                    "missed": score.missed,
+                    "false": score.false,
+                    "rmse": score.rmse,
+                }
+            )
+    return rows
+
+
+# single cases
+
+
+def case(name: str, figure: float, expected: str) -> Row:
+    return {"case": name, "figure": float(figure), "expected": expected}
+
+
+def found(picture: np.ndarray, **changes: Any) -> Corners:
+    return detect(np.ascontiguousarray(picture), DetectorConfig(**changes))
+
+
+def against_oracle(scenes: Sequence[Scene]) -> Iterator[Row]:
+    """Yield the largest difference to the float64 oracle, by refinement."""
+    for name, refinement in (("EDGE_STEP", None), ("EDGE_LINES", EdgeLines())):
+        config = DetectorConfig() if refinement is None else DetectorConfig(refinement=refinement)
+        apart, other = [np.zeros(0)], 0
+        for scene in scenes:
+            image = rendered(scene).image
+            seen = detect(image, config)
+            expected, margin = reference.detect_with_margin(image, config)
+            other += not np.array_equal(seen.pixel, expected.pixel)
+            if np.array_equal(seen.pixel, expected.pixel):
+                sure = (seen.method == expected.method) & (margin > CLOSE)
+                apart.append(np.hypot(*(seen.xy.astype(float) - expected.xy.astype(float)).T)[sure])
+        largest = float(np.concatenate(apart).max())
+        yield case(f"{name}, float32 against float64: largest difference, px", largest, "< 0.01")
+        yield case(f"{name}: frames with other corners than the oracle's", other, "0")
+
+
+def along_the_image(image: np.ndarray) -> Iterator[Row]:
+    """Yield by how much positions change where float32 has coarser steps."""
+    at_zero = found(image).xy.astype(float)
+    for offset in (1000, 8000, 15_500):
+        wide = np.full((image.shape[0], image.shape[1] + offset), image[0, 0], np.uint8)
+        wide[:, offset:] = image
+        xy = found(wide).xy.astype(float) - (offset, 0)
+        partner = match(xy, at_zero, 1.0)
+        moved = np.hypot(*(xy[partner >= 0] - at_zero[partner[partner >= 0]]).T)
+        step = float(np.spacing(np.float32(offset + image.shape[1] // 2)))
+        yield case(f"moved right by {offset} px: largest change, px", moved.max(), f"< {step:.1g}")
+
+
+def blank() -> Iterator[Row]:
+    """Yield the corners of images that have none."""
+    draw = np.random.default_rng(SEED)
+    for grey in (0, 128, 255):
+        yield case(f"flat frame of {grey}", len(found(np.full((480, 640), grey, np.uint8))), "0")
+    for sd in (5, 15, 25):
+        noise = draw.normal(128, sd, (480, 640)).clip(0, 255).astype(np.uint8)
+        yield case(f"blank frame, noise of {sd}", len(found(noise)), "0")
+        soft = cv2.GaussianBlur(draw.normal(0, 1, (480, 640)), (0, 0), 2)
+        soft = (128 + sd * soft / soft.std()).clip(0, 255).astype(np.uint8)
+        yield case(f"blank frame, noise of {sd}, correlated over 2 px", len(found(soft)), "< 3")
+    row, column = np.indices((480, 640))
+    for width in (1, 2, 3, 5, 8):
+        stripes = (column // width % 2 * 200 + 20).astype(np.uint8)
+        yield case(f"stripes of {width} px", len(found(stripes)), "0")
+        slanted = (np.floor((0.9 * column + 0.44 * row) / (width + 2)) % 2 * 200 + 20).astype(
+            np.uint8
+        )
+        xy = found(cv2.GaussianBlur(slanted, (0, 0), 0.8)).xy
+        inside = ((xy > 12) & (xy < (627, 467))).all(axis=1)
+        yield case(f"slanted stripes of {width + 2} px, inside", inside.sum(), "0")
+    for shape in ((1, 1), (5, 7), (16, 16)):
+        yield case(f"image of {shape[0]} x {shape[1]}", len(found(np.zeros(shape, np.uint8))), "0")
+
+
+def perfect() -> Iterator[Row]:
+    """Yield the errors on a board without blur, whose edges lie between pixels."""
+    board = (np.kron(np.indices((12, 12)).sum(0) % 2, np.ones((20, 20))) * 200 + 20).astype(
+        np.uint8
+    )
+    want = np.stack(np.meshgrid(np.arange(1, 12), np.arange(1, 12)), -1).reshape(-1, 2) * 20 - 0.5
+    plain = found(board)
+    partner = match(plain.xy, want, 3)
+    apart = np.hypot(*(plain.xy[partner >= 0] - want[partner[partner >= 0]]).T)
+    yield case("perfect board: corners of 121", len(plain), "121")
+    yield case("perfect board: largest error, px", apart.max(), "< 0.01")
+    broken = ~np.isfinite(found(board, refinement=Midlines()).xy)
+    yield case("perfect board, midlines: positions not finite", broken.sum(), "0")
+
+
+def turned(image: np.ndarray) -> Iterator[Row]:
+    """Yield by how much corners change as the image is inverted, mirrored, turned."""
+    at_first, width = found(image).xy.astype(float), image.shape[1]
+    pictures = {
+        "inverted": (255 - image, lambda xy: xy),
+        "mirrored": (image[:, ::-1], lambda xy: np.stack([width - 1 - xy[:, 0], xy[:, 1]], 1)),
+        "turned": (np.rot90(image), lambda xy: np.stack([width - 1 - xy[:, 1], xy[:, 0]], 1)),
+    }
+    for name, (picture, back) in pictures.items():
+        xy = back(found(picture).xy.astype(float))
+        partner = match(xy, at_first, 1.0)
+        lonely = len(at_first) + len(xy) - 2 * np.count_nonzero(partner >= 0)
+        apart = np.hypot(*(xy[partner >= 0] - at_first[partner[partner >= 0]]).T)
+        yield case(f"{name}: corners without a partner", lonely, "< 3")
+        yield case(f"{name}: median difference, px", np.median(apart), "< 0.001")
+
+
+def deep(repeats: int) -> Iterator[Row]:
+    """Yield missed corners of dark frames, of 8 bits and of 12."""
+    for exposure in (0.4, 0.15, 0.06):
+        for bits, full_scale in ((8, None), (12, 4095)):
+            missed = 0
+            for k in range(repeats):
+                scene = random_scene(SEED + k, markers=MARKERS, severity=0.25, corrosion=0.3)
+                scene = dataclasses.replace(scene, exposure=exposure, bits=bits, noise=0.5)
+                frame = rendered(scene)
+                seen = detect(frame.image, DetectorConfig(full_scale=full_scale))
+                missed += frame.score(seen.xy).missed
+            yield case(f"exposure {exposure}, {bits} bits: missed", missed, "0")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    arguments = parser_of(__doc__, quick="few levels, two minutes").parse_args(argv)
+    repeats = 1 if arguments.quick else 3
+    mixed = [
+        random_scene(SEED + k, markers=MARKERS, severity=severity)
+        for k in range(repeats)
+        for severity in (0.25, 1.0, 1.5)
+    ]
+    image = rendered(random_scene(SEED, markers=MARKERS, severity=0.5)).image
+    cases = [*blank(), *perfect(), *turned(image), *deep(repeats)]
+    cases += [*along_the_image(image), *against_oracle(mixed)]
+    for row in cases:
+        print(f"{row['case']:64}{row['figure']:10.4g}   expected {row['expected']}")
+    write_table("stiff", cases, arguments.out)
+    names = [name for name in available()[0] if name in SHOWN]
+    write_table("limits", breaking(names, quick=arguments.quick), arguments.out)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,1 +1,0 @@
-"""The sections of the report: each makes Markdown of the results of one measurement."""

@@ -1,0 +1,139 @@
+"""Positions and displacements before and after the lattice filter, and whether sigma is right.
+
+    python bench/sigma.py --quick       20 frames, a minute
+    python bench/sigma.py               worn, new and noisy prints, about ten minutes
+
+A node counts if the numbering of both frames is right. A share is of coordinates whose error is
+within two stated standard deviations: 95 % if errors are normal and sigma is right. A row of
+results/sigma.csv is a kind of figure on the frames of one wear and severity.
+"""
+
+import dataclasses
+import itertools
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from environment import parser_of, write_table
+from scenes import TEST_SEED, rendered
+from tqdm import tqdm
+
+from cmp_cl import Detector, Grid, GridError
+from cmp_cl.grid.grid import MEASURED
+from cmp_cl.motion import displacement
+from cmp_cl.synthetic import Indenter, Scene, random_scene
+
+SEVERITIES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
+CORROSIONS = (0.0, 0.3, 1.0, 2.0)
+DENSITIES = (20, 30, 40, 44)
+NOISES = (0.5, 8.0)  # grey levels, beside the 2 to 4.5 of other scenes
+INDENTERS = [kind for kind in Indenter if kind is not Indenter.NONE]
+FIRST_SEED = TEST_SEED + 700_000
+
+
+class Errors(NamedTuple):
+    """Errors (N, 2) and their sigma (N,), px."""
+
+    error: np.ndarray
+    sigma: np.ndarray
+
+
+def scenes(quick: bool) -> Iterator[Scene]:
+    """Yield two prints of each wear, density and severity, then prints of other noise."""
+    combined = itertools.product(range(1 if quick else 2), CORROSIONS, DENSITIES, SEVERITIES)
+    for seed, (_, corrosion, markers, severity) in enumerate(combined, FIRST_SEED):
+        if quick and markers != 40:
+            continue
+        indenter = INDENTERS[seed % len(INDENTERS)]
+        yield random_scene(
+            seed, markers=markers, severity=severity, indenter=indenter, corrosion=corrosion
+        )
+    for noise, severity in itertools.product(() if quick else NOISES, SEVERITIES):
+        scene = random_scene(FIRST_SEED + 5000 + int(100 * severity), severity=severity)
+        yield dataclasses.replace(scene, noise=noise)
+
+
+def turned(grid: Grid, truth: np.ndarray) -> int:
+    """Return the quarter turn of the truth (R, C, 2) after which it is numbered as the grid."""
+    apart = [float(np.nanmedian(np.abs(grid.xy - np.rot90(truth, k)))) for k in range(4)]
+    return int(np.argmin(apart))
+
+
+def measured(scene: Scene, detector: Detector) -> dict[str, Errors] | None:
+    """Measure a scene against its frame at rest; None if the numbering is wrong or missing."""
+    shape = (scene.markers, scene.markers)
+    still, pressed = rendered(scene.at_rest()), rendered(scene)
+    try:
+        rest = detector.grid(still.image, shape=shape)[1]
+        now = detector.grid(pressed.image, like=rest)[1]
+    except GridError:
+        return None
+    quarters = turned(rest, still.truth.reshape(*shape, 2))
+    at_rest, truth = (
+        np.rot90(frame.truth.reshape(*shape, 2), quarters) for frame in (still, pressed)
+    )
+    wrong = np.linalg.norm(now.xy - truth, axis=2) > 0.6 * pressed.cell
+    if np.count_nonzero(wrong) > 0.05 * wrong.size:
+        return None
+    field = displacement(rest, now)
+    moved = truth - at_rest
+    good = np.isin(now.status, MEASURED) & np.isin(rest.status, MEASURED) & ~wrong
+    good &= np.isfinite(field.displacement[..., 0])
+    kinds = {
+        "position": (now.xy - truth, now.sigma),
+        "displacement, raw": (now.xy - rest.xy - moved, field.raw.sigma),
+        "displacement": (field.displacement - moved, field.sigma),
+    }
+    return {kind: Errors(error[good], sigma[good]) for kind, (error, sigma) in kinds.items()}
+
+
+def row(kind: str, parts: Sequence[Errors], **group: Any) -> dict[str, Any]:
+    """Return the figures of a kind over some frames, with the spread of the frames' shares."""
+    shares = []
+    for each in parts:
+        ratio = np.abs(each.error) / each.sigma[:, None]
+        shares.append(float(np.mean(ratio[np.isfinite(ratio).all(axis=1)] <= 2)))
+    squares = [float(np.square(each.error).sum(axis=1).mean()) for each in parts]
+    return {
+        "kind": kind,
+        **group,
+        "frames": len(parts),
+        "rms": math.sqrt(np.mean(squares)),
+        "within_2": float(np.mean(shares)),
+        "within_2_sd": float(np.std(shares)),
+    }
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    arguments = parser_of(__doc__, quick="20 frames, a minute").parse_args(argv)
+    detectors: dict[int, Detector] = {}
+    groups: dict[tuple[str, float, float, float], list[Errors]] = defaultdict(list)
+    lost = 0
+    for scene in tqdm(list(scenes(arguments.quick)), unit=" scenes"):
+        detector = detectors.setdefault(scene.markers, Detector(shape=scene.shape))
+        found = measured(scene, detector)
+        lost += found is None
+        noise = scene.noise if scene.noise in NOISES else math.nan
+        for kind, errors in (found or {}).items():
+            groups[kind, scene.corrosion, scene.severity, noise].append(errors)
+    names = ("corrosion", "severity", "noise")
+    table = [
+        row(kind, parts, **dict(zip(names, values, strict=True)))
+        for (kind, *values), parts in groups.items()
+    ]
+    for each in table:
+        print(
+            " ".join(
+                f"{name} {value:.4g}" if name != "kind" else f"{value:18}"
+                for name, value in each.items()
+            )
+        )
+    print(f"{lost} scenes were not numbered")
+    write_table("sigma", table, arguments.out)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
