@@ -325,7 +325,7 @@ class StereoRig:
         return xyz + step[..., 0], error, own, shared, (by_image @ bent[..., None])[..., 0]
 
     def project(self, xyz: Array) -> tuple[Array, Array]:
-        """Project points (N, 3) in the frame of the left camera to both views, (N, 2) px each.
+        """Project points xyz (N, 3) in the frame of the left camera to both views, (N, 2) px.
 
         Points in front of the last face of the window are NaN. Raises FieldError for other points.
         """
