@@ -1,43 +1,114 @@
 #include "field.clh"
 
-/* The strain of a surface in its tangent plane at rest, and its standard deviation. A plane is
- * fitted to the (2 STRAIN_REACH + 1)^2 nodes around each node; cmp_cl/field/strain.py has the
- * equations. */
+/* The strain of a plane or of a surface in its tangent plane at rest, and its covariance:
+ * cmp_cl/reference/strain.py has the equations. A plane is fitted to the nodes of the window of
+ * (2 STRAIN_REACH + 1)^2 nodes around each node. */
 
-#define K 3
 #define LEAST_NODES 6
 #define LEAST_DETERMINANT 1e-6f
+#define LAGS 3 /* of second differences: with themselves, with the next row, the next column */
+#define MOST_SHARED 0.25f
+#define WIDE (2 * STRAIN_REACH + 1)
 
-/* The variances of the slopes of the filtered displacement, per node step and coordinate. The
- * filter's weights and the noise are taken as constant over the window, with their mean there.
- * Then a slope is one combination of the nodes, and its variance a quadratic form of the weights of
- * the pairs: gram_value and gram_slope hold, for each position along an axis, the products of the
- * filters behind the mean of a window and behind its slope. One work-item a row. */
+/* Second differences along the rows of second differences along the columns, over the deviation of
+ * the noise, for one row; `known` is 1 where all nine nodes have a vote. */
+void second_differences(__global const float *plane, __global const uchar *votes,
+                        __global const float *variance, const int row, float *found,
+                        float *known) {
+  EACH_COLUMN found[c] = known[c] = 0;
+  if (row < 1 || row >= ROWS - 1) return;
+  for (int c = 1; c < COLUMNS - 1; ++c) {
+    float sum = 0;
+    int count = 0;
+    for (int v = -1; v <= 1; ++v)
+      for (int u = -1; u <= 1; ++u) {
+        const int j = (row + v) * COLUMNS + c + u;
+        sum += (v ? 1.0f : -2.0f) * (u ? 1.0f : -2.0f) * plane[j];
+        count += votes[j];
+      }
+    const float size = sqrt(variance[row * COLUMNS + c]);
+    known[c] = count == 9 && size > 0;
+    found[c] = known[c] > 0 ? sum / size : 0.0f;
+  }
+}
+
+/* Sums over a row of the products of second differences that lie one of the lags apart, and how
+ * many there are. One work-item a row. */
+__kernel void roughness(__global const float *data, __global const uchar *votes,
+                        __global const float *variance, __global float *sums) {
+  const int row = get_global_id(0);
+  if (row >= ROWS) return;
+  float sum[2 * LAGS], here[COLUMNS], below[COLUMNS], known[COLUMNS], known_below[COLUMNS];
+  for (int s = 0; s < 2 * LAGS; ++s) sum[s] = 0;
+  for (int k = 0; k < K; ++k) {
+    second_differences(data + k * NODES, votes, variance, row, here, known);
+    second_differences(data + k * NODES, votes, variance, row + 1, below, known_below);
+    EACH_COLUMN {
+      sum[0] += here[c] * here[c];
+      sum[1] += here[c] * below[c];
+      sum[LAGS] += known[c];
+      sum[LAGS + 1] += known[c] * known_below[c];
+    }
+    for (int c = 1; c < COLUMNS; ++c) {
+      sum[2] += here[c - 1] * here[c];
+      sum[LAGS + 2] += known[c - 1] * known[c];
+    }
+  }
+  for (int s = 0; s < 2 * LAGS; ++s) sums[row * 2 * LAGS + s] = sum[s];
+}
+
+/* The correlation of the noise of a node with that of the next one in its column, and in its row.
+ * With noise of variance v and correlations a and b, the means of the products are (36 - 48 a - 48
+ * b) v, (42 a + 32 b - 24) v for the next row and (32 a + 42 b - 24) v for the next column. */
+float2 shared_with_neighbours(__global const float *sums) {
+  float mean[LAGS];
+  for (int lag = 0; lag < LAGS; ++lag) {
+    float sum = 0, count = 0;
+    for (int row = 0; row < ROWS; ++row) {
+      sum += sums[row * 2 * LAGS + lag];
+      count += sums[row * 2 * LAGS + LAGS + lag];
+    }
+    if (count == 0) return (float2)(0, 0);
+    mean[lag] = sum / count;
+  }
+  const float v = (mean[1] + mean[2] + 37 * mean[0] / 24) / 7.5f;
+  const float both = (36 * v - mean[0]) / 48, apart = (mean[1] - mean[2]) / 10;
+  if (!(v > 0)) return (float2)(0, 0);
+  return clamp((float2)(both + apart, both - apart) / (2 * v), 0.0f, MOST_SHARED);
+}
+
+/* The variances of the slopes of the filtered displacement over whole windows, per node step and
+ * coordinate; NaN where they are unknown. The weights of the pairs of filters, times the deviation
+ * of the noise, are replaced by their mean over the votes of the window. A slope is then one
+ * combination of the nodes, and its variance a quadratic form of these weights. Its matrices are
+ * the products of the filters behind the mean and behind the slope of a window along an axis:
+ * planes 0 of gram_*; planes 1 hold the products of nodes that are neighbours. One work-item a
+ * row. */
 __kernel void slopes(__global const float *weights, __global const float *variance,
-                     __global const float *gain, __global const uchar *valid,
-                     __global const float *gram_value_down, __global const float *gram_slope_down,
-                     __global const float *gram_value_along,
+                     __global const float *gain, __global const uchar *votes,
+                     __global const float *sums, __global const float *gram_mean_down,
+                     __global const float *gram_slope_down,
+                     __global const float *gram_mean_along,
                      __global const float *gram_slope_along, __global float *by_column,
                      __global float *by_row) {
   const int row = get_global_id(0);
   if (row >= ROWS) return;
   const int top = max(row - STRAIN_REACH, 0), bottom = min(row + STRAIN_REACH, ROWS - 1);
-  float scale[2 * STRAIN_REACH + 1][COLUMNS], share[COLUMNS], mean[PAIRS][COLUMNS];
+  float scale[WIDE][COLUMNS], share[COLUMNS], mean[PAIRS][COLUMNS];
   float line[COLUMNS + 2 * STRAIN_REACH];
-  for (int c = 0; c < STRAIN_REACH; ++c) line[c] = line[COLUMNS + STRAIN_REACH + c] = 0;
-  EACH_COLUMN line[STRAIN_REACH + c] = 0;
+  for (int c = 0; c < COLUMNS + 2 * STRAIN_REACH; ++c) line[c] = 0;
   for (int r = top; r <= bottom; ++r)
     EACH_COLUMN {
       const int i = r * COLUMNS + c;
       const float size = sqrt(variance[i] / gain[i]);
-      const int counts = valid[i] && size >= 0;
+      const int counts = votes[i] && size >= 0;
       scale[r - top][c] = counts ? size : 0.0f;
       line[STRAIN_REACH + c] += counts;
     }
   EACH_COLUMN {
     float count = 0;
-    for (int t = 0; t <= 2 * STRAIN_REACH; ++t) count += line[c + t];
-    share[c] = 1 / count;
+    for (int t = 0; t < WIDE; ++t) count += line[c + t];
+    share[c] = count > 0 ? 1 / count : NAN;
   }
   for (int pair = 0; pair < PAIRS; ++pair) {
     EACH_COLUMN line[STRAIN_REACH + c] = 0;
@@ -46,88 +117,96 @@ __kernel void slopes(__global const float *weights, __global const float *varian
       EACH_COLUMN line[STRAIN_REACH + c] += scale[r - top][c] * from[c];
     }
     EACH_COLUMN mean[pair][c] = 0;
-    for (int t = 0; t <= 2 * STRAIN_REACH; ++t) EACH_COLUMN mean[pair][c] += line[c + t];
+    for (int t = 0; t < WIDE; ++t) EACH_COLUMN mean[pair][c] += line[c + t];
     EACH_COLUMN mean[pair][c] *= share[c];
   }
+  const float2 shared = shared_with_neighbours(sums);
   for (int turn = 0; turn < 2; ++turn) {
     __global const float *down =
-        (turn ? gram_slope_down : gram_value_down) + row * FILTERS_DOWN * FILTERS_DOWN;
-    __global const float *along = turn ? gram_value_along : gram_slope_along;
-    float total[COLUMNS];
+        (turn ? gram_slope_down : gram_mean_down) + row * FILTERS_DOWN * FILTERS_DOWN;
+    __global const float *along = turn ? gram_mean_along : gram_slope_along;
+    float total[COLUMNS], product[FILTERS_ALONG * FILTERS_ALONG][COLUMNS];
     EACH_COLUMN total[c] = 0;
+    for (int p = 0; p < FILTERS_ALONG * FILTERS_ALONG; ++p) {
+      __global const float *alone = along + p * COLUMNS;
+      __global const float *beside = alone + FILTERS_ALONG * FILTERS_ALONG * COLUMNS;
+      EACH_COLUMN product[p][c] = alone[c] + shared.y * beside[c];
+    }
     for (int a = 0; a < FILTERS_DOWN; ++a) {
       float mixed[FILTERS_ALONG][COLUMNS];
       for (int b = 0; b < FILTERS_ALONG; ++b) {
         EACH_COLUMN mixed[b][c] = 0;
         for (int other = 0; other < FILTERS_DOWN; ++other) {
-          const float product = down[a * FILTERS_DOWN + other];
-          EACH_COLUMN mixed[b][c] += product * mean[other * FILTERS_ALONG + b][c];
+          const int p = a * FILTERS_DOWN + other;
+          const float factor = down[p] + shared.x * down[ROWS * FILTERS_DOWN * FILTERS_DOWN + p];
+          EACH_COLUMN mixed[b][c] += factor * mean[other * FILTERS_ALONG + b][c];
         }
       }
       for (int b = 0; b < FILTERS_ALONG; ++b) {
         float along_too[COLUMNS];
         EACH_COLUMN along_too[c] = 0;
-        for (int other = 0; other < FILTERS_ALONG; ++other) {
-          __global const float *product = along + (b * FILTERS_ALONG + other) * COLUMNS;
-          EACH_COLUMN along_too[c] += product[c] * mixed[other][c];
-        }
+        for (int other = 0; other < FILTERS_ALONG; ++other)
+          EACH_COLUMN along_too[c] += product[b * FILTERS_ALONG + other][c] * mixed[other][c];
         EACH_COLUMN total[c] += along_too[c] * mean[a * FILTERS_ALONG + b][c];
       }
     }
-    EACH_COLUMN (turn ? by_row : by_column)[row * COLUMNS + c] = fmax(total[c], 0.0f);
+    EACH_COLUMN (turn ? by_row : by_column)[row * COLUMNS + c] = total[c] < 0 ? 0 : total[c];
   }
 }
 
-/* The variance of one . g1 + two . g2, with g1 and g2 the errors of the slopes by axis. spread: 11
- * 12 22 of the covariance of the axes per coordinate; alike: xx xy xz yy yz zz of the coordinates,
- * with a mean diagonal of 1. */
-float variance_along(const float3 one, const float3 two, const float *spread,
-                     const float *alike) {
-  const float3 x = (float3)(alike[0], alike[1], alike[2]);
-  const float3 y = (float3)(alike[1], alike[3], alike[4]);
-  const float3 z = (float3)(alike[2], alike[4], alike[5]);
-  const float3 of_one = (float3)(dot(x, one), dot(y, one), dot(z, one));
-  const float3 of_two = (float3)(dot(x, two), dot(y, two), dot(z, two));
-  return fmax(dot(one, of_one) * spread[0] + 2 * dot(one, of_two) * spread[1] +
-                  dot(two, of_two) * spread[2],
-              0.0f);
+/* Add the covariance of E11 E22 E12 due to the errors of one moment: xx xy xz yy yz zz. axis_1,
+ * axis_2: derivatives of the three by the slope along each axis. inverse: from the steps, by column
+ * and by row, to the axes. by_step: variances of the slopes by step. covariance: of the
+ * coordinates, scaled to a mean diagonal of 1. */
+void add_covariance(const float3 *axis_1, const float3 *axis_2, const float (*inverse)[2],
+                    const float *by_step, const float3 *covariance, float *result) {
+  for (int step = 0; step < 2; ++step) {
+    float3 one[3], two[3];
+    for (int e = 0; e < 3; ++e) {
+      one[e] = inverse[0][step] * axis_1[e] + inverse[1][step] * axis_2[e];
+      two[e] = by_step[step] * (float3)(dot(covariance[0], one[e]), dot(covariance[1], one[e]),
+                                        dot(covariance[2], one[e]));
+    }
+    int p = 0;
+    for (int d = 0; d < 3; ++d)
+      for (int e = d; e < 3; ++e) result[p++] += dot(one[d], two[e]);
+  }
 }
 
-/* Divide a covariance by its mean diagonal. */
-void scaled_to_one(__global const float *covariance, const int i, float *alike) {
-  const float mean =
-      (covariance[i] + covariance[3 * NODES + i] + covariance[5 * NODES + i]) / 3;
-  for (int p = 0; p < 6; ++p) alike[p] = covariance[p * NODES + i] / mean;
+/* The covariance of the coordinates of a node, scaled to a mean diagonal of 1; return that mean. */
+float scaled_to_one(__global const float *covariance, const int i, float3 *result) {
+  float full[3][3] = {{0, 0, 0}, {0, 0, 0}, {0, 0, 0}};
+  int p = 0;
+  for (int j = 0; j < K; ++j)
+    for (int k = j; k < K; ++k) full[j][k] = full[k][j] = covariance[p++ * NODES + i];
+  const float mean = (full[0][0] + full[1][1] + full[2][2]) / K;
+  for (int j = 0; j < 3; ++j) result[j] = (float3)(full[j][0], full[j][1], full[j][2]) / mean;
+  return mean;
 }
 
-/* The covariance of the errors of the slopes along the axes of the plane, per coordinate. inverse:
- * 11 21 22 of the matrix from steps between nodes to the axes. */
-void spread_of(const float by_column, const float by_row, const float *inverse, float *spread) {
-  spread[0] = inverse[0] * inverse[0] * by_column;
-  spread[1] = inverse[0] * inverse[1] * by_column;
-  spread[2] = inverse[1] * inverse[1] * by_column + inverse[2] * inverse[2] * by_row;
-}
-
-/* Green-Lagrange strain E11 E22 E12 and its standard deviations; NaN where there is none. rest: the
- * position at rest, from the middle of the lattice. One work-item a node. */
+/* Green-Lagrange strain E11 E22 E12 and its covariance, xx xy xz yy yz zz; NaN where there is none.
+ * rest: the position at rest, from the middle of the lattice. by_column, by_row: as in `slopes`.
+ * One work-item a node. */
 __kernel void strain(__global const float *rest, __global const float *displacement,
                      __global const uchar *valid, __global const float *covariance,
                      __global const float *by_column, __global const float *by_row,
                      __global const float *rest_covariance,
                      __global const float *rest_by_column, __global const float *rest_by_row,
-                     __global float *result, __global float *deviation) {
+                     __global float *result, __global float *result_covariance) {
   const int i = get_global_id(0);
   if (i >= NODES) return;
   const int row = i / COLUMNS, column = i % COLUMNS;
-  for (int k = 0; k < 3; ++k) result[k * NODES + i] = deviation[k * NODES + i] = NAN;
+  for (int k = 0; k < 3; ++k) result[k * NODES + i] = NAN;
+  for (int p = 0; p < 6; ++p) result_covariance[p * NODES + i] = NAN;
   if (!valid[i]) return;
+  const int top = max(row - STRAIN_REACH, 0), bottom = min(row + STRAIN_REACH, ROWS - 1);
+  const int left = max(column - STRAIN_REACH, 0), right = min(column + STRAIN_REACH, COLUMNS - 1);
   float n = 0, x = 0, y = 0, xx = 0, xy = 0, yy = 0;
-  float sum[2][2][K], all[2][K]; /* at rest and now: of x and y times the values; of the values */
+  float sum[2][2][3], all[2][3]; /* at rest and now: of x and y times the values; of the values */
   for (int m = 0; m < 2; ++m)
-    for (int k = 0; k < K; ++k) sum[m][0][k] = sum[m][1][k] = all[m][k] = 0;
-  for (int r = max(row - STRAIN_REACH, 0); r <= min(row + STRAIN_REACH, ROWS - 1); ++r)
-    for (int c = max(column - STRAIN_REACH, 0); c <= min(column + STRAIN_REACH, COLUMNS - 1);
-         ++c) {
+    for (int k = 0; k < 3; ++k) sum[m][0][k] = sum[m][1][k] = all[m][k] = 0;
+  for (int r = top; r <= bottom; ++r)
+    for (int c = left; c <= right; ++c) {
       const int j = r * COLUMNS + c;
       if (!valid[j]) continue;
       const float u = (float)(c - column), v = (float)(r - row);
@@ -152,20 +231,28 @@ __kernel void strain(__global const float *rest, __global const float *displacem
   const float cxx = n * xx - x * x, cxy = n * xy - x * y, cyy = n * yy - y * y;
   const float determinant = cxx * cyy - cxy * cxy; /* n times that of the normal equations */
   if (n < LEAST_NODES || !(determinant > LEAST_DETERMINANT * n)) return;
-  float slope[2][2][K]; /* at rest and now, by column and by row */
-  for (int m = 0; m < 2; ++m)
-    for (int k = 0; k < K; ++k) {
-      const float a = n * sum[m][0][k] - x * all[m][k], b = n * sum[m][1][k] - y * all[m][k];
-      slope[m][0][k] = (cyy * a - cxy * b) / determinant;
-      slope[m][1][k] = (cxx * b - cxy * a) / determinant;
-    }
-#define VECTOR(m, axis) (float3)(slope[m][axis][0], slope[m][axis][1], slope[m][axis][2])
-  const float3 a1 = VECTOR(0, 0), a2 = VECTOR(0, 1), b1 = VECTOR(1, 0), b2 = VECTOR(1, 1);
+  float3 slope[2][2]; /* at rest and now, by column and by row */
+  for (int m = 0; m < 2; ++m) {
+    const float3 total = (float3)(all[m][0], all[m][1], all[m][2]);
+    const float3 by_x = n * (float3)(sum[m][0][0], sum[m][0][1], sum[m][0][2]) - x * total;
+    const float3 by_y = n * (float3)(sum[m][1][0], sum[m][1][1], sum[m][1][2]) - y * total;
+    slope[m][0] = (cyy * by_x - cxy * by_y) / determinant;
+    slope[m][1] = (cxx * by_y - cxy * by_x) / determinant;
+  }
+  const float3 a1 = slope[0][0], a2 = slope[0][1];
   if (!(length(cross(a1, a2)) > 1e-9f * (dot(a1, a1) + dot(a2, a2)))) return;
+#if K == 2
+  const float area = a1.x * a2.y - a1.y * a2.x;
+  const float inverse[2][2] = {{a2.y / area, -a1.y / area}, {-a2.x / area, a1.x / area}};
+  const float3 q1 = (float3)(1, 0, 0), q2 = (float3)(0, 1, 0), turned = 0;
+#else
   const float l11 = length(a1), l21 = dot(a1, a2) / l11, l22 = sqrt(dot(a2, a2) - l21 * l21);
-  const float inverse[3] = {1 / l11, -l21 / (l11 * l22), 1 / l22};
-  const float3 q1 = inverse[0] * a1, q2 = inverse[1] * a1 + inverse[2] * a2;
-  const float3 f1 = inverse[0] * b1, f2 = inverse[1] * b1 + inverse[2] * b2;
+  const float inverse[2][2] = {{1 / l11, 0}, {-l21 / (l11 * l22), 1 / l22}};
+  const float3 q1 = inverse[0][0] * a1, q2 = inverse[1][0] * a1 + inverse[1][1] * a2;
+  const float3 turned = q2; /* an error of the slope along axis 1 turns the axes */
+#endif
+  const float3 f1 = inverse[0][0] * slope[1][0] + inverse[0][1] * slope[1][1];
+  const float3 f2 = inverse[1][0] * slope[1][0] + inverse[1][1] * slope[1][1];
   const float e11 = (dot(f1, f1) - 1) / 2, e22 = (dot(f2, f2) - 1) / 2, e12 = dot(f1, f2) / 2;
   result[i] = e11;
   result[NODES + i] = e22;
@@ -173,16 +260,28 @@ __kernel void strain(__global const float *rest, __global const float *displacem
   const float3 off_1 = f1 - (2 * e11 + 1) * q1 - 2 * e12 * q2;
   const float3 off_2 = f2 - 2 * e12 * q1 - (2 * e22 + 1) * q2;
   const float3 none = 0;
-  float alike[6], rest_alike[6], spread[3], rest_spread[3];
-  scaled_to_one(covariance, i, alike);
-  scaled_to_one(rest_covariance, i, rest_alike);
-  spread_of(by_column[i], by_row[i], inverse, spread);
-  spread_of(rest_by_column[i], rest_by_row[i], inverse, rest_spread);
-#define DEVIATION(now_1, now_2, rest_1, rest_2)               \
-  sqrt(variance_along(now_1, now_2, spread, alike) +          \
-       variance_along(rest_1, rest_2, rest_spread, rest_alike))
-  deviation[i] = DEVIATION(f1, none, off_1 + 2 * e12 * q2, none);
-  deviation[NODES + i] = DEVIATION(none, f2, -2 * e12 * q2, off_2);
-  deviation[2 * NODES + i] =
-      DEVIATION(f2 / 2, f1 / 2, off_2 / 2 + (e22 - e11) * q2, off_1 / 2);
+  const float3 now_1[3] = {f1, none, f2 / 2}, now_2[3] = {none, f2, f1 / 2};
+  const float3 before_1[3] = {off_1 + 2 * e12 * turned, -2 * e12 * turned,
+                              off_2 / 2 + (e22 - e11) * turned};
+  const float3 before_2[3] = {none, off_2, off_1 / 2};
+  /* Of independent errors of variance 1, over the valid nodes and over the whole window. */
+  const float own[2] = {n * cyy / determinant, n * cxx / determinant};
+  const float high = bottom - top + 1, wide = right - left + 1;
+  const float whole[2] = {12 / (high * wide * (wide * wide - 1)),
+                          12 / (wide * high * (high * high - 1))};
+  float3 alike[3], rest_alike[3];
+  const float mean = scaled_to_one(covariance, i, alike);
+  const float rest_mean = scaled_to_one(rest_covariance, i, rest_alike);
+  const float from[2] = {by_column[i], by_row[i]};
+  const float rest_from[2] = {rest_by_column[i], rest_by_row[i]};
+  float by_step[2], rest_by_step[2], found[6] = {0, 0, 0, 0, 0, 0};
+  for (int step = 0; step < 2; ++step) { /* without a filter, the errors count as independent */
+    const float more = own[step] / whole[step];
+    by_step[step] = isnan(from[step]) ? own[step] * mean : more * from[step];
+    rest_by_step[step] =
+        isnan(rest_from[step]) ? own[step] * rest_mean : more * rest_from[step];
+  }
+  add_covariance(now_1, now_2, inverse, by_step, alike, found);
+  add_covariance(before_1, before_2, inverse, rest_by_step, rest_alike, found);
+  for (int p = 0; p < 6; ++p) result_covariance[p * NODES + i] = found[p];
 }

@@ -203,17 +203,13 @@ def test_a_direction_that_noise_decides_has_the_sigma_of_an_unknown_one():
     assert np.median(found.direction_sigma) == pytest.approx(math.pi / math.sqrt(12))
 
 
-@pytest.mark.parametrize("radius", [1, 2, 3])
-def test_a_homogeneous_deformation_has_its_strain_everywhere(radius):
+def test_a_homogeneous_deformation_has_its_strain_everywhere():
     flat = gel(9, 11, depth=0)
     gradient = np.array([[1.10, 0.06], [-0.02, 0.93]])
     now = flat.copy()
     now[..., :2] = flat[..., :2] @ gradient.T
     for moments in ((rotated(flat), rotated(rotated(now))), (flat[..., :2], now[..., :2])):
-        strain = green_lagrange(*moments, radius=radius)
-        inner = ~np.isnan(strain[..., 0])
-        assert inner.sum() == (9 * 11 - (4 if radius == 1 else 0))
-        np.testing.assert_allclose(strain[inner] - green(gradient), 0, atol=1e-10)
+        np.testing.assert_allclose(green_lagrange(*moments) - green(gradient), 0, atol=1e-10)
 
 
 def test_a_rigid_motion_has_no_strain_and_a_rolled_plane_hardly_any():
@@ -223,8 +219,8 @@ def test_a_rigid_motion_has_no_strain_and_a_rolled_plane_hardly_any():
     rolled = np.stack(
         [20 * np.sin(flat[..., 0] / 20), flat[..., 1], 20 * np.cos(flat[..., 0] / 20)], axis=-1
     )
-    strain = green_lagrange(flat, rolled, radius=1)[1:-1, 1:-1]
-    assert np.nanmax(np.abs(strain)) < 2e-3
+    strain = green_lagrange(flat, rolled)[2:-2, 2:-2]
+    assert np.nanmax(np.abs(strain)) < 5e-3
     assert np.nanmax(np.abs(strain[..., 1])) < 1e-12
 
 
@@ -292,9 +288,6 @@ def test_moments_that_do_not_match_are_refused():
         displacement(points(gel(3, 4)), points(gel(3, 4), unit="um"))
     with pytest.raises(FieldError, match="scale is for the grids"):
         displacement(points(gel(3, 4)), points(gel(3, 4)), scale=PlaneScale.pixels())
-    for radius in (0, 51, 2.0, True):
-        with pytest.raises(ConfigError, match="radius"):
-            pressed().with_strain(radius)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.4])

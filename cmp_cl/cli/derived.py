@@ -1,7 +1,6 @@
 """Results that `cmp-cl run` derives from the positions on request: lengths, strain, contact."""
 
 import argparse
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -58,13 +57,8 @@ def constants(arguments: argparse.Namespace) -> dict[str, NDArray[Any]]:
     return {} if deeper_than is None else {"deeper_than": np.array(deeper_than)}
 
 
-def derived(
-    measured: Measured, arguments: argparse.Namespace
-) -> tuple[Measured, dict[str, NDArray[Any]]]:
-    """Return a measured frame with the requested strain, and its arrays for a series with all that
-    is requested."""
-    if arguments.strain:
-        measured = dataclasses.replace(measured, field=measured.field.with_strain())
+def arrays_of(measured: Measured, arguments: argparse.Namespace) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a measured frame for a series, with those that the options ask for."""
     arrays = measured.arrays
     if arguments.contact is not None:
         contact = contact_of(measured.field, deeper_than=arguments.contact)
@@ -76,7 +70,7 @@ def derived(
             "contact_area": np.array(contact.area),
             "contact_depth": np.array(contact.deepest),
         }
-    return measured, arrays
+    return arrays
 
 
 def units(length: str) -> dict[str, str]:

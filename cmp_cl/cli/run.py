@@ -256,6 +256,7 @@ class _Settings:
             "device": self.device,
             "track": asked.track,
             "raw": asked.raw,
+            "strain": asked.strain,
         }
         try:
             if self.rig is None:
@@ -332,7 +333,8 @@ def run(arguments: argparse.Namespace) -> int:
                         )
                     continue
                 start = time.perf_counter()
-                measured, arrays = derived.derived(measure(image), arguments)
+                measured = measure(image)
+                arrays = derived.arrays_of(measured, arguments)
                 spent = (time.perf_counter() - start) * 1e3
                 if frame.index == arguments.rest_frame:  # the numbers are those of this frame
                     measured = dataclasses.replace(measured, ambiguous=False)

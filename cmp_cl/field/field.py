@@ -1,15 +1,16 @@
 """The displacement of the nodes between two moments, and their strain."""
 
 import dataclasses
+import functools
 import math
 from os import PathLike
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError, check_kind, check_range
-from cmp_cl.field.strain import leverage, strain_of, surface_normals
+from cmp_cl.errors import FieldError, check_kind
+from cmp_cl.field.strain import principal_of, strain_of, surface_normals
 from cmp_cl.field.writers import mesh_of, save
 from cmp_cl.points import PointStatus, largest_deviation
 
@@ -23,7 +24,7 @@ _IN_FILES = ("position", "displacement", "sigma", "position_sigma", *_STRAIN)
 class Smoothed(Protocol):
     """What a field must know of the lattice filter, for the sigma of its strain."""
 
-    def slope_variance(self, radius: int, *, smoothed: bool) -> Array:
+    def slope_variance(self, *, smoothed: bool) -> Array:
         """Return the variances of the slopes, (R, C, 2) in `unit` squared, see `Filtered`."""
 
 
@@ -43,18 +44,14 @@ class DisplacementField:
     lattice: what the lattice filter found for the position and the displacement, for the sigma of
         a strain; None if unknown.
 
-    The rest is None until `with_strain` adds it:
+    strain: (R, C, 3) float64, Green-Lagrange strain E11, E22, E12, see `field.green_lagrange`; None
+        if it was not asked for. In the plane, 1 and 2 are x and y; in space, 1 runs along the rows
+        and 2 is perpendicular to it in the tangent plane at rest. NaN where too few neighbours are
+        valid.
+    strain_covariance: (R, C, 3, 3) float64, of these three.
 
-    strain: (R, C, 3) float64, Green-Lagrange strain E11, E22, E12. In the plane, 1 and 2 are x and
-        y; in space, 1 runs along the rows and 2 is perpendicular to it in the tangent plane at
-        rest. NaN where too few neighbours are valid.
-    strain_sigma: (R, C, 3) float64, standard deviations of the strain.
-    principal: (R, C, 2) float64, the larger and the smaller principal strain. Where the two differ
-        by less than their sigma, the difference may be noise alone.
-    principal_sigma: (R, C, 2) float64, their standard deviations.
-    direction: (R, C) float64 in [-pi/2, pi/2], rad, of the larger one, from axis 1 towards axis 2.
-    direction_sigma: (R, C) float64, rad; pi / sqrt(12), that of an unknown direction, where half
-        the difference of the principal strains is below 3 of its standard deviations.
+    `with_strain` adds the strain. What follows from it is there if it is: strain_sigma, principal,
+    principal_sigma, direction and direction_sigma.
     """
 
     position: Array
@@ -67,11 +64,7 @@ class DisplacementField:
     raw: "DisplacementField | None" = None
     lattice: tuple[Smoothed, Smoothed] | None = None
     strain: Array | None = None
-    strain_sigma: Array | None = None
-    principal: Array | None = None
-    principal_sigma: Array | None = None
-    direction: Array | None = None
-    direction_sigma: Array | None = None
+    strain_covariance: Array | None = None
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -89,32 +82,70 @@ class DisplacementField:
         """Return the same for the position at rest, (R, C) float64."""
         return largest_deviation(self.position_covariance)
 
-    def with_strain(self, radius: int = 2) -> "DisplacementField":
-        """Return the same field with its strain, fitted over (2 radius + 1)^2 nodes.
+    @property
+    def strain_sigma(self) -> Array | None:
+        """Return the standard deviations of the strain, (R, C, 3) float64."""
+        if self.strain_covariance is None:
+            return None
+        variance = np.diagonal(self.strain_covariance, axis1=2, axis2=3)
+        sigma: Array = np.sqrt(np.maximum(variance, 0))
+        return sigma
 
-        See `cmp_cl.field.green_lagrange` for the strain, and `cmp_cl.field.strain.strain_of` for
-        its sigma. Noise and the filter's weights are taken as constant within the window.
+    @property
+    def principal(self) -> Array | None:
+        """Return the larger and the smaller principal strain, (R, C, 2) float64.
 
-        Raises ConfigError if radius is not a whole number from 1 to 50.
+        Where the two differ by less than their sigma, the difference may be noise alone.
         """
-        check_range("radius", radius, 1, 50, kind=int)
-        covariances = self.position_covariance, self.covariance
-        gain = leverage(self.valid, radius)
-        of_whole = leverage(np.ones_like(self.valid), radius)
-        variances = []
-        for number, covariance in enumerate(covariances):
-            variance = np.trace(covariance, axis1=2, axis2=3) / covariance.shape[2]
-            alone = variance[..., None] * gain
-            if self.lattice is not None:
-                smoothed = self.raw is not None
-                found = self.lattice[number].slope_variance(radius, smoothed=smoothed)
-                # Nodes that are missing make a slope less certain.
-                alone = np.where(np.isfinite(found), found * gain / of_whole, alone)
-            variances.append(alone)
-        now = self.position + self.displacement
-        strains = strain_of(self.position, now, covariances, (variances[0], variances[1]), radius)
-        added: dict[str, Any] = {**strains}
-        return dataclasses.replace(self, **added)
+        return self._principal[0]
+
+    @property
+    def principal_sigma(self) -> Array | None:
+        """Return the standard deviations of the principal strains, (R, C, 2) float64."""
+        return self._principal[1]
+
+    @property
+    def direction(self) -> Array | None:
+        """Return the direction of the larger principal strain, (R, C) float64 in [-pi/2, pi/2],
+        rad, from axis 1 towards axis 2."""
+        return self._principal[2]
+
+    @property
+    def direction_sigma(self) -> Array | None:
+        """Return the standard deviation of the direction, (R, C) float64, rad.
+
+        It is pi / sqrt(12), that of an unknown direction, where half the difference of the
+        principal strains is below 3 of its standard deviations.
+        """
+        return self._principal[3]
+
+    @functools.cached_property
+    def _principal(self) -> tuple[Array, Array, Array, Array] | tuple[None, None, None, None]:
+        if self.strain is None or self.strain_covariance is None:
+            return None, None, None, None
+        return principal_of(self.strain, self.strain_covariance)
+
+    def with_strain(self) -> Self:
+        """Return the same field with its strain, fitted over 5 x 5 nodes, and its covariance.
+
+        Noise and the filter's weights are taken as constant within these nodes. Without `lattice`
+        the errors of the nodes are taken as independent.
+        """
+        if self.strain is not None:
+            return self
+        unknown = np.full((*self.status.shape, 2), np.nan)
+        of_rest, of_change = (
+            (unknown, unknown)
+            if self.lattice is None
+            else (each.slope_variance(smoothed=self.raw is not None) for each in self.lattice)
+        )
+        strain, covariance = strain_of(
+            self.position,
+            self.position + self.displacement,
+            (self.position_covariance, self.covariance),
+            (of_rest, of_change),
+        )
+        return dataclasses.replace(self, strain=strain, strain_covariance=covariance)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the field as .npz, .csv or .vtp, by suffix, whole or not at all.
@@ -158,7 +189,7 @@ class DisplacementField:
 
     def strains(self) -> dict[str, Array]:
         """Return the strain, the principal strains, their direction and sigmas by name; empty
-        without `with_strain`."""
+        without a strain."""
         named = {name: getattr(self, name) for name in _STRAIN}
         return {name: values for name, values in named.items() if values is not None}
 

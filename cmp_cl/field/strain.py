@@ -1,4 +1,4 @@
-"""Strain of a plane or of a surface from its nodes, with its sigma, and normals of a surface."""
+"""Strain of a plane or of a surface from its nodes, its covariance, and normals of a surface."""
 
 import functools
 import math
@@ -6,41 +6,39 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError, as_numbers, check_range
+from cmp_cl.errors import FieldError, as_numbers
+from cmp_cl.grid.filter.polynomials import STRAIN_REACH
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 _LEAST_NODES = 6  # fewest nodes of a window to which a plane is fitted
 _AXES = {2: [(0, 1)], 3: [(0, 1), (0, 2), (1, 2)]}  # pairs of coordinates
-_NORMAL_RADIUS = 2  # nodes: a normal comes from 5 x 5 nodes, as a strain does
 _UNKNOWN = math.pi / math.sqrt(12)  # rad, standard deviation of a completely unknown direction
 _DISTINCT = 3.0  # standard deviations: noise alone exceeds them in 1 % of cases (Rayleigh)
 
 
-def green_lagrange(rest: Array, now: Array, *, radius: int = 2) -> Array:
+def green_lagrange(rest: Array, now: Array) -> Array:
     """Return the Green-Lagrange strain of a plane, or of a surface in its tangent plane at rest.
 
     rest, now: (R, C, 2) or (R, C, 3) positions of the same nodes, NaN where missing. Around each
     node a plane in (column, row) is fitted to both by least squares, over the valid ones of the
-    (2 radius + 1)^2 nodes, to give the tangent vectors A = (a1, a2) at rest and B now. With A = Q U
-    in orthonormal axes Q, E = (U^-T B^T B U^-1 - I) / 2. In a plane, the axes are x and y. On a
+    5 x 5 nodes, to give the tangent vectors A = (a1, a2) at rest and B now. With A = Q U in
+    orthonormal axes Q, E = (U^-T B^T B U^-1 - I) / 2. In a plane, the axes are x and y. On a
     surface, axis 1 runs along the rows, and axis 2 is perpendicular to it, towards the columns. A
     rigid motion gives 0.
 
     Returns (R, C, 3) E11, E22, E12 (half the engineering shear); NaN if the node is missing, if its
     window has fewer than 6 nodes, or if these lie on a line.
 
-    Raises ConfigError if radius is not a whole number from 1 to 50, FieldError if rest or now has
-    another shape.
+    Raises FieldError if rest or now has another shape.
     """
     rest, now = as_numbers("rest", rest, FieldError), as_numbers("now", now, FieldError)
     if rest.ndim != 3 or rest.shape[2] not in (2, 3) or now.shape != rest.shape:
         raise FieldError(
             f"rest and now must be (R, C, 2) or (R, C, 3), not {rest.shape} and {now.shape}"
         )
-    check_range("radius", radius, 1, 50, kind=int)
-    good, _, along, _ = _frames(rest, now, radius)
+    good, _, along, _ = _frames(rest, now)
     strain = np.full((*good.shape, 3), np.nan)
     strain[good] = _components(along)
     return strain
@@ -51,23 +49,21 @@ def strain_of(
     now: Array,
     covariances: tuple[Array, Array],
     slope_variances: tuple[Array, Array],
-    radius: int,
-) -> dict[str, Array]:
-    """Return the strain of `green_lagrange`, the principal strains, and their sigmas, by name.
+) -> tuple[Array, Array]:
+    """Return the strain of `green_lagrange`, (R, C, 3), and its covariance, (R, C, 3, 3).
 
     rest, now: (R, C, D). covariances: (R, C, D, D), of the position at rest and of the
-    displacement; the correlation of their coordinates is used. slope_variances: (R, C, 2), the
-    variances of their slopes per step along a row and along a column, by coordinate.
+    displacement. slope_variances: (R, C, 2), the variances of their slopes per step along a row and
+    along a column, by coordinate, over windows without a hole; where one is NaN, the errors of the
+    nodes are taken as independent.
 
     Let Q be the axes at rest, F the current tangents along them, and dA and dG the errors of the
     slopes of the position at rest and of the displacement, along the same axes. To first order
     dE = sym(F^T dG + (F - Q F^T F)^T dA). On a surface, the error of axis 1 also turns the axes, by
-    Q2 . dA1, which changes the components.
-
-    Returns strain, strain_sigma (R, C, 3), principal, principal_sigma (R, C, 2), direction and
-    direction_sigma (R, C), as in `DisplacementField`.
+    Q2 . dA1, which changes the components. The errors of the coordinates correlate as their
+    covariance says; those of the two slopes are independent.
     """
-    good, axes, along, inverse = _frames(rest, now, radius)
+    good, axes, along, inverse = _frames(rest, now)
     found = _components(along)
     e11, e22, e12 = found.T[..., None]
     one, two = along[:, 0], along[:, 1]
@@ -81,36 +77,36 @@ def strain_of(
         [-2 * e12 * turned, off[:, 1]],
         [off[:, 1] / 2 + (e22 - e11) * turned, off[:, 0] / 2],
     ]
-    covariance = np.zeros((len(found), 3, 3))
+    valid: Bools = np.all(np.isfinite(rest + now), axis=2)
+    own = _leverage(valid)[good]
+    more = own / _leverage(np.ones_like(valid))[good]  # missing nodes make a slope less certain
+    total = np.zeros((len(found), 3, 3))
     for derivative, of_values, of_slopes in zip(
         (by_rest, by_displacement), covariances, slope_variances, strict=True
     ):
+        mean = np.trace(of_values[good], axis1=1, axis2=2) / rest.shape[2]
+        by_step = np.where(np.isnan(of_slopes[good]), own * mean[:, None], more * of_slopes[good])
         # (N, 3 strains, D, 2 axes) to (N, 3 strains, 2 steps, D)
         by_axis = np.array(derivative).transpose(2, 0, 3, 1)
-        by_step = (by_axis @ inverse[:, None]).swapaxes(2, 3)
-        by_step *= np.sqrt(of_slopes[good])[:, None, :, None]
-        mean = np.trace(of_values[good], axis1=1, axis2=2) / rest.shape[2]
+        weights = (by_axis @ inverse[:, None]).swapaxes(2, 3) * np.sqrt(by_step)[:, None, :, None]
         with np.errstate(invalid="ignore", divide="ignore"):
             alike = of_values[good] / mean[:, None, None]
         together = len(found), 3, 2 * rest.shape[2]
-        one, two = (each.reshape(together) for each in (by_step, by_step @ alike[:, None]))
-        covariance += two @ one.transpose(0, 2, 1)
-    values = _with_principal(found, covariance)
-    result = {}
-    for name, value in values.items():
-        whole = np.full((*good.shape, *value.shape[1:]), np.nan)
-        whole[good] = value
-        result[name] = whole
-    return result
+        one, two = (each.reshape(together) for each in (weights, weights @ alike[:, None]))
+        total += two @ one.transpose(0, 2, 1)
+    strain, covariance = np.full((*good.shape, 3), np.nan), np.full((*good.shape, 3, 3), np.nan)
+    strain[good], covariance[good] = found, total
+    return strain, covariance
 
 
-def _with_principal(strain: Array, covariance: Array) -> dict[str, Array]:
-    """Return N strains (N, 3), their principal strains, and the standard deviations of all.
+def principal_of(strain: Array, covariance: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the principal strains and their standard deviations, (R, C, 2), and the direction of
+    the larger one and its standard deviation, rad, (R, C).
 
-    covariance: (N, 3, 3). Where half the difference of the principal strains is below three of its
-    standard deviations, the direction counts as unknown.
+    strain: (R, C, 3). covariance: (R, C, 3, 3). Where half the difference of the principal strains
+    is below three of its standard deviations, the direction counts as unknown.
     """
-    e11, e22, e12 = strain.T
+    e11, e22, e12 = np.moveaxis(strain, 2, 0)
     mean, half = (e11 + e22) / 2, np.hypot((e11 - e22) / 2, e12)
     direction = np.arctan2(e12, (e11 - e22) / 2) / 2
     cosine, sine = np.cos(direction), np.sin(direction)
@@ -120,19 +116,17 @@ def _with_principal(strain: Array, covariance: Array) -> dict[str, Array]:
         [sine**2, cosine**2, -2 * sine * cosine],
         [-sine * cosine, sine * cosine, cosine**2 - sine**2],
     ]
-    rows = np.array(by_strain).transpose(2, 0, 1)
-    deviation = np.sqrt(((rows @ covariance) * rows).sum(axis=2).clip(0))
-    mixed = deviation[:, 2]
+    rows = np.array(by_strain).transpose(2, 3, 0, 1)
+    deviation = np.sqrt(((rows @ covariance) * rows).sum(axis=3).clip(0))
+    mixed = deviation[..., 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         turn = np.where(half > _DISTINCT * mixed, mixed / (2 * half), _UNKNOWN)
-    return {
-        "strain": strain,
-        "strain_sigma": np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).clip(0)),
-        "principal": np.stack([mean + half, mean - half], axis=1),
-        "principal_sigma": deviation[:, :2],
-        "direction": direction,
-        "direction_sigma": np.where(np.isnan(mixed), np.nan, turn),
-    }
+    return (
+        np.stack([mean + half, mean - half], axis=2),
+        deviation[..., :2],
+        direction,
+        np.where(np.isnan(direction), np.nan, turn),
+    )
 
 
 def _components(along: Array) -> Array:
@@ -141,13 +135,13 @@ def _components(along: Array) -> Array:
     return strain[:, [0, 1, 0], [0, 1, 1]]
 
 
-def _frames(rest: Array, now: Array, radius: int) -> tuple[Bools, Array, Array, Array]:
+def _frames(rest: Array, now: Array) -> tuple[Bools, Array, Array, Array]:
     """Return the nodes that have a strain, (R, C), and for these N nodes the axes at rest, the
     current tangents along them, (N, 2, D) each, and the matrices (N, 2, 2) from steps between nodes
     to the axes."""
     both = np.concatenate([rest, now], axis=2)
     valid = np.isfinite(both).all(axis=2)
-    slopes = slopes_of(both, valid, radius)
+    slopes = _slopes_of(both, valid)
     size = rest.shape[2]
     at_rest = slopes[..., :size]
     one, two = at_rest[..., 0, :], at_rest[..., 1, :]
@@ -160,16 +154,16 @@ def _frames(rest: Array, now: Array, radius: int) -> tuple[Bools, Array, Array, 
     return good, inverse @ first, inverse @ slopes[good][..., size:], inverse
 
 
-def slopes_of(values: Array, valid: Bools, radius: int) -> Array:
+def _slopes_of(values: Array, valid: Bools) -> Array:
     """Return the slopes per step along a row and along a column, (R, C, 2, K), of the plane that
     fits the valid nodes of the window around each node best; NaN where no plane is determined.
 
-    values: (R, C, K). valid: (R, C). radius: of the window, nodes.
+    values: (R, C, K). valid: (R, C).
     """
-    down, along = (_window(n, radius) for n in valid.shape)
+    down, along = (_window(n) for n in valid.shape)
     data = np.where(valid[..., None], values, 0).transpose(2, 0, 1)
     sums = [down[p] @ data @ along[q].T for p, q in ((0, 0), (0, 1), (1, 0))]
-    inverse = _inverse_moments(valid, radius)
+    inverse = _inverse_moments(valid)
     slopes: Array = inverse[:, :, 1:] @ np.stack(sums).transpose(2, 3, 0, 1)
     return slopes
 
@@ -187,7 +181,7 @@ def surface_normals(positions: Array) -> Array:
     if positions.ndim != 3 or positions.shape[2] != 3:
         raise FieldError(f"positions must be (R, C, 3), not {positions.shape}")
     valid: NDArray[np.bool_] = np.all(np.isfinite(positions), axis=2)
-    along, down = np.moveaxis(slopes_of(positions, valid, _NORMAL_RADIUS), 2, 0)
+    along, down = np.moveaxis(_slopes_of(positions, valid), 2, 0)
     normal = np.cross(along, down)
     length = np.linalg.norm(normal, axis=2)
     flat = length <= 1e-9 * np.linalg.norm(along, axis=2) * np.linalg.norm(down, axis=2)
@@ -197,26 +191,26 @@ def surface_normals(positions: Array) -> Array:
     return np.where(valid[..., None], np.where(away[..., None], -unit, unit), np.nan)
 
 
-def leverage(valid: Bools, radius: int) -> Array:
-    """Return the variances of the slopes of `slopes_of` for independent errors of variance 1, (R,
+def _leverage(valid: Bools) -> Array:
+    """Return the variances of the slopes of `_slopes_of` for independent errors of variance 1, (R,
     C, 2)."""
-    inverse = _inverse_moments(valid, radius)
+    inverse = _inverse_moments(valid)
     return np.stack([inverse[..., 1, 1], inverse[..., 2, 2]], axis=2)
 
 
 @functools.lru_cache(maxsize=64)
-def _window(n: int, radius: int) -> Array:
+def _window(n: int) -> Array:
     """Return three matrices (3, n, n): the offset from node to node to the power 0, 1 and 2, within
     the window; 0 outside."""
     offset = np.arange(n) - np.arange(n)[:, None]
-    inside = np.abs(offset) <= radius
+    inside = np.abs(offset) <= STRAIN_REACH
     return np.stack([inside * offset.astype(np.float64) ** power for power in range(3)])
 
 
-def _inverse_moments(valid: Bools, radius: int) -> Array:
+def _inverse_moments(valid: Bools) -> Array:
     """Return the inverse (R, C, 3, 3) of the normal equations of a plane a + b column + c row in
     the window around each node; NaN where they determine none."""
-    down, along = (_window(n, radius) for n in valid.shape)
+    down, along = (_window(n) for n in valid.shape)
     there = valid.astype(np.float64)
     one, c, r, cc, rc, rr = (
         down[p] @ there @ along[q].T for p, q in ((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0))

@@ -157,6 +157,7 @@ class OneView(Measurement):
     full_scale: the camera's largest grey level; None is that of the configuration or of the type.
     device: a Device, a text for `select_device`, or None for the default device.
     raw: leave out the lattice filter, see `cmp_cl.displacement`.
+    strain: give every field its strain, see `DisplacementField.with_strain`.
 
     With a cell, constants has the homography too, (3, 3), from px to the plane.
 
@@ -177,9 +178,10 @@ class OneView(Measurement):
         device: Device | str | None = None,
         track: bool = False,
         raw: bool = False,
+        strain: bool = False,
     ) -> None:
         super().__init__()
-        self._raw = raw
+        self._raw, self._strain = raw, strain
         search = _Search(select_device(device), shape, config, full_scale, track)
         with contextlib.ExitStack() as stack:
             self._pattern = _Pattern(rest, search, region)
@@ -209,7 +211,7 @@ class OneView(Measurement):
         corners, grid = self._pattern.find(frame)
         field = displacement(self._pattern.rest, grid, scale=self._scale, raw=self._raw)
         return Measured(
-            field=field,
+            field=field.with_strain() if self._strain else field,
             ambiguous=grid.ambiguous,
             views=(frame,),
             corners=(corners,),
@@ -244,11 +246,12 @@ class TwoViews(Measurement):
         device: Device | str | None = None,
         track: bool = False,
         raw: bool = False,
+        strain: bool = False,
     ) -> None:
         check_kind("rig", rig, StereoRig, ConfigError)
         check_kind("split", split, BinocularSplit, ConfigError)
         super().__init__()
-        self._raw = raw
+        self._raw, self._strain = raw, strain
         self._rig = rig
         self._split = split
         self._lock = threading.Lock()  # one frame at a time
@@ -350,8 +353,9 @@ class TwoViews(Measurement):
         views = self._split(frame)
         left_corners, left = self._left.find(views[0])
         right_corners, right = self._right.find(views[1])
+        field = self._between(left, right)
         return Measured(
-            field=self._between(left, right),
+            field=field.with_strain() if self._strain else field,
             ambiguous=left.ambiguous or right.ambiguous,
             views=views,
             corners=(left_corners, right_corners),
@@ -378,6 +382,7 @@ class TwoViews(Measurement):
             rest=self.rest,
             rig=self._rig,
             edge_radii=(self._left.rest.edge_radius, self._right.rest.edge_radius),
+            strain=self._strain,
         )
         self._detectors.callback(plan.release)
         return plan

@@ -14,15 +14,14 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.field import DisplacementField
-from cmp_cl.field.strain import leverage
 from cmp_cl.grid.filter import Filtered, filter_at_rest, filter_grid
+from cmp_cl.grid.filter.polynomials import STRAIN_REACH
 from cmp_cl.grid.grid import MEASURED, Grid
 from cmp_cl.motion.memory import Memory
 from cmp_cl.motion.nodes import put
 from cmp_cl.motion.tables import (
     NOISE_GAUSSIAN,
     RISK_GAUSSIAN,
-    STRAIN_REACH,
     axis_tables,
 )
 from cmp_cl.opencl.device import Device, DeviceKind
@@ -35,6 +34,7 @@ LARGEST_ERROR = 3.0  # px, of the reprojection, as in `StereoRig.triangulate`
 ROUNDS = 3  # rounds of the search for outliers
 _COEFFICIENTS = 12  # of distortion, in kernels/space.cl
 _ESTIMATES, _MASKS = 5, 4  # of the noise, as in kernels/filter.cl
+_ROUGH = 6  # sums over a row, in kernels/strain.cl
 _PAIRS_OF_AXES = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of a symmetric matrix
 Array = NDArray[np.float64]
 
@@ -136,10 +136,7 @@ class FieldPlan:
         before = np.where(before > 0, before, np.nan)
         wear = np.maximum(np.square(self._at_rest.noise) - before, 0)
         middle = np.nanmean(self._position, axis=(0, 1))
-        valid = np.isfinite(self._position[..., 0])
-        whole = self._at_rest.slope_variance(STRAIN_REACH, smoothed=True)
-        gain = leverage(valid, STRAIN_REACH) / leverage(np.ones_like(valid), STRAIN_REACH)
-        by_column, by_row = np.moveaxis(whole * gain, 2, 0)
+        by_column, by_row = np.moveaxis(self._at_rest.slope_variance(smoothed=True), 2, 0)
         bend = np.zeros_like(rest.xyz) if rest.bend_shift is None else rest.bend_shift
         tables = {
             f"{name}_{axis}": getattr(each, name)
@@ -148,10 +145,10 @@ class FieldPlan:
         }
         return {
             **tables,
-            "gram_value_down": self._down.gram_value,
-            "gram_slope_down": self._down.gram_slope,
-            "gram_value_along": np.moveaxis(self._along.gram_value, 0, 2),
-            "gram_slope_along": np.moveaxis(self._along.gram_slope, 0, 2),
+            "gram_mean_down": self._down.grams.mean.astype(np.float32),
+            "gram_slope_down": self._down.grams.slope.astype(np.float32),
+            "gram_mean_along": np.moveaxis(self._along.grams.mean, 1, 3).astype(np.float32),
+            "gram_slope_along": np.moveaxis(self._along.grams.slope, 1, 3).astype(np.float32),
             "rows_noise": NOISE_GAUSSIAN,
             "rows_risk": RISK_GAUSSIAN,
             "left": camera_numbers(rig.K1, rig.D1, np.eye(3), np.zeros(3)).astype(real),
@@ -202,6 +199,7 @@ class FieldPlan:
             name: ((count, *self.shape), np.float32) for name, count in planes.items()
         }
         layout["sums"] = (self.shape[0], _ESTIMATES * 6 + 1), np.float32
+        layout["rough"] = (self.shape[0], _ROUGH), np.float32
         layout["unsupported"] = (self._pairs, *self.shape), np.uint8
         for name in ("valid", "measured", "votes"):
             layout[name] = self.shape, np.uint8
@@ -216,7 +214,7 @@ class FieldPlan:
             "sigma": 1,
             "raw_sigma": 1,
             "own": 1,
-            **({"strain": 3, "strain_sigma": 3} if self._strained else {}),
+            **({"strain": 3, "strain_covariance": 6} if self._strained else {}),
         }
         layout: dict[str, tuple[tuple[int, ...], Any]] = {
             name: ((count, *self.shape), np.float32) for name, count in planes.items()
@@ -273,18 +271,19 @@ class FieldPlan:
         ]
         if self._strained:
             listed += [
+                self._of_rows("roughness", 1, "data", "votes", "variance", "rough"),
                 self._of_rows(
                     "slopes",
                     1,
-                    *("weights", "mixed_variance", "left_share", "valid"),
-                    *("gram_value_down", "gram_slope_down"),
-                    *("gram_value_along", "gram_slope_along", "by_column", "by_row"),
+                    *("weights", "mixed_variance", "left_share", "votes", "rough"),
+                    *("gram_mean_down", "gram_slope_down"),
+                    *("gram_mean_along", "gram_slope_along", "by_column", "by_row"),
                 ),
                 self._of_nodes(
                     "strain",
                     *("rest_position", "displacement", "valid", "covariance"),
                     *("by_column", "by_row", "rest_covariance"),
-                    *("rest_by_column", "rest_by_row", "strain", "strain_sigma"),
+                    *("rest_by_column", "rest_by_row", "strain", "strain_covariance"),
                 ),
             ]
         return listed
@@ -383,17 +382,14 @@ class FieldPlan:
             position_covariance=np.where(there[..., None], self._raw_covariance, np.nan),
             **both,
         )
-        strain, strain_sigma = (
-            _nodes(results[name]) if self._strained else None for name in ("strain", "strain_sigma")
-        )
         return DisplacementField(
             position=np.where(there, self._position, np.nan),
             displacement=_nodes(results["displacement"]),
             covariance=_matrices(results["covariance"]),
             position_covariance=np.where(there[..., None], self._position_covariance, np.nan),
             raw=raw,
-            strain=strain,
-            strain_sigma=strain_sigma,
+            strain=_nodes(results["strain"]) if self._strained else None,
+            strain_covariance=(_matrices(results["strain_covariance"]) if self._strained else None),
             **both,
         )
 
@@ -416,9 +412,9 @@ class _Change:
             self.values, measured=self.measured, bends=True, most_noise=self.most_noise
         )
 
-    def slope_variance(self, radius: int, *, smoothed: bool) -> Array:
+    def slope_variance(self, *, smoothed: bool) -> Array:
         """Return the variances of the slopes, (R, C, 2), see `Filtered.slope_variance`."""
-        return self._filtered.slope_variance(radius, smoothed=smoothed)
+        return self._filtered.slope_variance(smoothed=smoothed)
 
 
 def fits(rig: StereoRig) -> bool:

@@ -9,8 +9,9 @@ from cmp_cl.grid.filter.polynomials import (
     BENDING_FILTERS,
     NOISE_REACH,
     RISK_REACH,
-    Axis,
+    Grams,
     axis_of,
+    grams_of,
     polynomial,
 )
 
@@ -18,7 +19,6 @@ Single = NDArray[np.float32]
 
 TAPS = 15  # of the widest filter, as in kernels/filter.cl
 NOISE_NODES, RISK_NODES = 10, 8  # nodes on each side in the Gaussian means, as there
-STRAIN_REACH = 2  # nodes on each side of a node to which the planes of the strain are fitted
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -29,8 +29,7 @@ class AxisTables:
     in the window of each node. own, gain: (F, n), of the node itself, and the sum of the squares.
     pilot, pilot_own, pilot_side: the same for the pilot. bend: (n, 3, S), the weights of the value
     of the line and of the first and second derivative of the parabola fitted to S nodes.
-    gram_value, gram_slope: (n, F, F), the products of the filters behind the mean and behind the
-    slope of the window of the strain.
+    grams: the products of the filters behind the mean and the slope of the window of a strain.
     """
 
     sides: NDArray[np.int32]
@@ -41,8 +40,7 @@ class AxisTables:
     pilot_own: Single
     pilot_side: int
     bend: Single
-    gram_value: Single
-    gram_slope: Single
+    grams: Grams
 
 
 def axis_tables(n: int) -> AxisTables:
@@ -55,7 +53,6 @@ def axis_tables(n: int) -> AxisTables:
     if bend_side:
         for order, (degree, derivative) in enumerate(((1, 0), (2, 1), (2, 2))):
             bend[:, order] = _windows(polynomial(n, bend_side, degree, derivative), bend_side)
-    value, slope = _grams(axis)
     return AxisTables(
         sides=np.array(sides, np.int32),
         filters=np.stack(
@@ -67,8 +64,7 @@ def axis_tables(n: int) -> AxisTables:
         pilot_own=axis.pilot_own,
         pilot_side=pilot_side,
         bend=bend,
-        gram_value=value,
-        gram_slope=slope,
+        grams=grams_of(n, bends=True),
     )
 
 
@@ -90,22 +86,3 @@ def _windows(matrix: NDArray[np.floating], side: int, taps: int | None = None) -
     found = np.zeros((n, taps or size), np.float32)
     found[:, :size] = np.take_along_axis(matrix, first[:, None] + np.arange(size), axis=1)
     return found
-
-
-def _grams(axis: Axis) -> tuple[Single, Single]:
-    """Return the products of filters behind the mean and the slope of a window, (n, F, F) each.
-
-    With the weights m of the mean and d of the slope of a line fitted to the window of a node, they
-    are (m S_a) . (m S_b) and (d S_a) . (d S_b), S_a the rows of filter a at the window's nodes.
-    """
-    filters = axis.filters.astype(np.float64)
-    count, n, _ = filters.shape
-    value, slope = np.empty((n, count, count)), np.empty((n, count, count))
-    for node in range(n):
-        window = np.arange(max(node - STRAIN_REACH, 0), min(node + STRAIN_REACH + 1, n))
-        off = window - window.mean()
-        rows = filters[:, window]
-        mean = rows.mean(axis=1)
-        line = np.einsum("j,ajt->at", off / max(np.square(off).sum(), 1.0), rows)
-        value[node], slope[node] = mean @ mean.T, line @ line.T
-    return value.astype(np.float32), slope.astype(np.float32)

@@ -51,9 +51,9 @@ class Filtered:
             whole[box] = np.where(part[..., None, None], covariance, whole[box])
         return whole
 
-    def slope_variance(self, radius: int, *, smoothed: bool) -> Array:
+    def slope_variance(self, *, smoothed: bool) -> Array:
         """Return the variances by coordinate of the slopes per step along a row and along a column,
-        (R, C, 2) float64, fitted to all of the (2 radius + 1)^2 values around each node.
+        (R, C, 2) float64, fitted to all 5 x 5 values around each node.
 
         smoothed: whether the values are the filtered ones, or those before the filter.
 
@@ -64,7 +64,7 @@ class Filtered:
         whole = np.full((*self.sigma.shape, 2), np.nan)
         for mixture in self._mixtures:
             box, part = mixture.box, mixture.part & np.isfinite(self.sigma[mixture.box])
-            found = mixture.slope_variance(radius, self.sigma[box], smoothed=smoothed)
+            found = mixture.slope_variance(smoothed=smoothed)
             whole[box] = np.where(part[..., None], found, whole[box])
         return whole
 

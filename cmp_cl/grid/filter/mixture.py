@@ -77,37 +77,31 @@ class Mixture:
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(mean > 0, sums / mean, alike)
 
-    def slope_variance(self, radius: int, sigma: Array, *, smoothed: bool) -> Array:
-        """Return (R, C, 2) float64, see `Filtered.slope_variance`; sigma: (R, C), of the values.
+    def slope_variance(self, *, smoothed: bool) -> Array:
+        """Return (R, C, 2) float64, see `Filtered.slope_variance`.
 
-        A slope over the window is a quadratic form of the weights W (A, B) of the pairs of filters:
-        its variance is s2 tr(G W H W'), with G and H the products of the slopes, or of the means,
-        of the filters along the columns and along the rows. They count what neighbours share of
-        their errors. That part passes the pilot, so that s2 is too small.
+        A slope is a quadratic form of the weights W (A, B) of the pairs of filters, times the
+        deviation of the noise: its variance is tr(G W H W'), with G and H the products of the
+        slopes, or of the means, of the filters along the columns and along the rows.
         """
         shared = shared_with_neighbours(self.data, self.votes, self.raw_variance)
-        down, along = (
-            grams_of(n, radius, part, bends=self.bends)
+        (down_mean, down_slope), (along_mean, along_slope) = (
+            grams_of(n, bends=self.bends).of_noise(part)
             for n, part in zip(self.votes.shape, shared, strict=True)
         )
-        s2 = self.raw_variance / (1 - PASSED * sum(shared))
-        ways = (down.mean, along.slope), (down.slope, along.mean)
+        ways = (down_mean, along_slope), (down_slope, along_mean)
         found: list[Array]
         if smoothed:
-            weights = self._weights_around(radius, sigma / np.sqrt(s2 * self.gain))
-            found = [(g[:, None] @ weights @ h * weights).sum(axis=(2, 3)) for g, h in ways]
-        else:  # the first filter changes nothing
-            found = [np.outer(g[:, 0, 0], h[:, 0, 0]) for g, h in ways]
-        return np.stack(found, axis=2) * s2[..., None]
-
-    def _weights_around(self, radius: int, excess: Array) -> Array:
-        """Return the weights averaged over the window around each node, (R, C, A, B).
-
-        excess: (R, C), sigma over what the noise explains of it; NaN where unknown.
-        """
-        mean = window_mean(self.weights * excess, np.isfinite(excess), radius)
-        around: Array = mean.transpose(2, 3, 0, 1)
-        return around
+            size = np.sqrt(self.variance / self.gain)
+            mean = window_mean(self.weights * size, self.votes & np.isfinite(size))
+            around = mean.transpose(2, 3, 0, 1)
+            found = [(g[:, None] @ around @ h * around).sum(axis=(2, 3)) for g, h in ways]
+            return np.stack(found, axis=2)
+        # The first filter changes nothing. What neighbours share passes the pilot, so that the
+        # variance of the noise is too small by that.
+        s2 = self.raw_variance / (1 - PASSED * sum(shared))
+        found = [np.outer(g[:, 0, 0], h[:, 0, 0]) * s2 for g, h in ways]
+        return np.stack(found, axis=2)
 
 
 def mixed(

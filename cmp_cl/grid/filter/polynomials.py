@@ -15,6 +15,7 @@ AXIS_FILTERS = ((0, 0), (2, 1), (2, 3), (4, 3), (7, 3))  # half width in nodes, 
 BENDING_FILTERS = ((0, 0), (2, 1), (2, 3), (3, 3), (4, 3), (7, 3))  # for sharply bent values
 LEAST_SUPPORT = 0.75  # least share of a window's nodes that are measured
 NOISE_REACH = 2.0  # nodes, standard deviation of the Gaussian that averages the noise
+STRAIN_REACH = 2  # nodes on each side of a node to which the planes of a strain are fitted
 RISK_REACH = 1.5  # nodes, standard deviation of the Gaussian that averages the risk
 
 
@@ -126,56 +127,49 @@ def pairs_of(rows: int, columns: int, *, bends: bool = False) -> Pairs:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Grams:
-    """The products of the filters of an axis, summed over the window around each node, (n, A, A).
+    """What the filters of an axis have in common over the window of a strain around each node.
 
-    mean: of the means over the window of what each filter gives; slope: of its slopes. For errors
-    of variance 1 that are independent, or of which neighbours share a part.
+    mean: (2, n, A, A), the products of the weights of the nodes behind the mean over the window of
+        what each filter gives: of a node with itself, and with its two neighbours. slope: the same
+        for the slope of a line fitted to the window.
     """
 
     mean: Array
     slope: Array
 
+    def of_noise(self, shared: float) -> tuple[Array, Array]:
+        """Return those of the mean and of the slope, (n, A, A), for noise of variance 1.
+
+        shared: the correlation of the noise of neighbours.
+        """
+        return self.mean[0] + shared * self.mean[1], self.slope[0] + shared * self.slope[1]
+
 
 @functools.lru_cache(maxsize=64)
-def _of_windows(n: int, radius: int, *, bends: bool) -> tuple[Array, Array]:
-    """Return the mean and the slope over the window around each node of what each filter gives, as
-    weights of the n nodes, (n, A, n) each. Windows are cut at the ends."""
+def grams_of(n: int, *, bends: bool) -> Grams:
+    """Return the products of the filters along n nodes. Windows are cut at the ends."""
     filters = axis_of(n, bends=bends).filters.astype(np.float64)
     mean, slope = np.zeros((2, n, n))
     for node in range(n):
-        window = np.arange(max(node - radius, 0), min(node + radius + 1, n))
+        window = np.arange(max(node - STRAIN_REACH, 0), min(node + STRAIN_REACH + 1, n))
         offset = window - window.mean()
         mean[node, window] = 1 / len(window)
         slope[node, window] = offset / max(np.square(offset).sum(), 1)
-    of_mean, of_slope = (np.einsum("iw,awj->iaj", each, filters) for each in (mean, slope))
-    return of_mean, of_slope
+    apart = np.abs(np.arange(n)[:, None] - np.arange(n))
+    found = []
+    for over_window in (mean, slope):
+        weights = np.einsum("iw,awj->iaj", over_window, filters)
+        found.append(
+            np.stack([weights @ (apart == lag) @ weights.transpose(0, 2, 1) for lag in (0, 1)])
+        )
+    return Grams(*found)
 
 
-def grams_of(n: int, radius: int, shared: float, *, bends: bool) -> Grams:
-    """Return the products of the filters along n nodes for windows of that radius.
-
-    shared: the correlation of the errors of neighbours.
-    """
-    alone = _products(n, radius, 0, bends=bends)
-    beside = _products(n, radius, 1, bends=bends)
-    return Grams(*(one + shared * other for one, other in zip(alone, beside, strict=True)))
-
-
-@functools.lru_cache(maxsize=64)
-def _products(n: int, radius: int, lag: int, *, bends: bool) -> tuple[Array, Array]:
-    """Return the products of the weights of `_of_windows`, with those `lag` nodes apart."""
-    apart = np.abs(np.arange(n)[:, None] - np.arange(n)) == lag
-    mean, slope = (
-        each @ apart @ each.transpose(0, 2, 1) for each in _of_windows(n, radius, bends=bends)
-    )
-    return mean, slope
-
-
-def window_mean(values: Array | Single, valid: Bools, radius: int) -> Array:
-    """Return the means of values (..., R, C) over the valid nodes of the window around each node,
-    NaN without any."""
+def window_mean(values: Array | Single, valid: Bools) -> Array:
+    """Return the means of values (..., R, C) over the valid nodes of the window of a strain around
+    each node, NaN without any."""
     down, along = (
-        (np.abs(np.arange(n)[:, None] - np.arange(n)) <= radius).astype(np.float64)
+        (np.abs(np.arange(n)[:, None] - np.arange(n)) <= STRAIN_REACH).astype(np.float64)
         for n in valid.shape
     )
     sums = down @ np.where(valid, values, 0) @ along.T
