@@ -36,7 +36,6 @@ from cmp_cl import (
     calibrate,
     select_device,
 )
-from cmp_cl.cli.demo import wrongly_numbered
 from cmp_cl.cli.progress import Progress
 from cmp_cl.field import DisplacementField
 from cmp_cl.grid import filter_positions
@@ -85,6 +84,12 @@ class Shot(NamedTuple):
     @property
     def frame(self) -> GreyImage:
         return binocular_frame(self.left, self.right)
+
+
+def wrongly_numbered(grid: Grid, view: Rendered) -> int:
+    """Count the nodes that are more than half a cell from their true position."""
+    off = np.linalg.norm(grid.xy - view.truth, axis=2)
+    return int(np.count_nonzero(off > 0.5 * view.cell))
 
 
 def scene_of(seed: int, indenter: Indenter, mode: Mode, severity: float) -> Scene:

@@ -135,7 +135,7 @@ def grid() -> Figure:
 
 
 def gallery(folder: Path) -> None:
-    """Draw corners, grid, arrows and surface of gels, by indenter."""
+    """Draw corners of gels by indenter, and sheets by motion."""
     folder.mkdir(parents=True, exist_ok=True)
     for indenter in (Indenter.BALL, Indenter.TORUS, Indenter.CUBE, Indenter.WEDGE):
         scene = gel(indenter=indenter, severity=1.0)
@@ -146,7 +146,7 @@ def gallery(folder: Path) -> None:
 
 
 def gallery_of_two_views(folder: Path, mode: Mode) -> None:
-    """Draw arrows and surface of a gel that two cameras see."""
+    """Draw the sheet of a gel that two cameras see."""
     rig = cmp_cl.StereoRig(*default_rig((480, 480)))
     scene = Scene(markers=20, shape=(480, 480), mode=mode, severity=0.7, seed=SEED)
     grids = []
@@ -161,9 +161,8 @@ def gallery_of_two_views(folder: Path, mode: Mode) -> None:
         )
     rest, now = (rig.triangulate(*pair) for pair in grids)
     field = cmp_cl.displacement(rest, now)
-    figure = viz.arrow_figure(views[0], grids[0][0], grids[1][0], field=field)
-    viz.save_figure(folder / f"arrows-{mode.value}.png", figure, dpi=70)
-    viz.save_figure(folder / f"surface-{mode.value}.png", viz.surface_figure(field), dpi=70)
+    figure = viz.sheet_figure(viz.Moment.of(field), title=f"a {mode.value}")
+    viz.save_figure(folder / f"{mode.value}.png", figure, dpi=70)
 
 
 def main() -> int:

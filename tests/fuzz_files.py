@@ -41,7 +41,8 @@ from cmp_cl import (
 from cmp_cl.series import Description, SeriesWriter, read_series
 from cmp_cl.series.mcap import mcap_images
 from cmp_cl.synthetic import default_rig
-from cmp_cl.viz.plots import NEEDED, Quantity, Recorded, map_figure, sheet_figure
+from cmp_cl.viz import Quantity, map_figure, sheet_figure
+from cmp_cl.viz.moments import NEEDED, Recorded
 
 LIMIT_S = 20
 LIMIT_KB = 1 << 20  # resident memory of a child
@@ -184,7 +185,6 @@ def read_video(path: Path) -> None:
 def read_one_series(path: Path) -> None:
     """Read the arrays of a series, and draw every plot of them."""
     recorded = Recorded.of(read_series(path, NEEDED))
-    recorded.node_of(None)
     summary = recorded.summary()
     for quantity in Quantity:
         with contextlib.suppress(CmpClError):

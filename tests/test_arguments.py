@@ -51,7 +51,7 @@ from cmp_cl.synthetic import (
     render_stereo,
 )
 from cmp_cl.synthetic.scoring import score
-from cmp_cl.viz import arrow_figure, corner_overlay, grid_overlay, save_figure, surface_figure
+from cmp_cl.viz import Moment, corner_overlay, grid_overlay, save_figure, sheet_figure
 
 GRID = grid_of(np.moveaxis(10.0 * np.mgrid[:5, :6], 0, -1))
 IMAGE = np.zeros((60, 70), np.uint8)
@@ -97,8 +97,7 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
         (lambda: BinocularSplit((0, 0, 9, 9), (9, 0, 9, 9), "no"), "mirror_left", "bool"),
         (lambda: OneView(IMAGE, config="a", full_scale=255), "config", "DetectorConfig"),
         (lambda: contact_of(FIELD, deeper_than=None), "deeper_than", "Real"),
-        (lambda: arrow_figure(IMAGE, GRID, None), "now", "Grid"),
-        (lambda: surface_figure(None), "field", "DisplacementField"),
+        (lambda: Moment.of(None), "field", "DisplacementField"),
         (lambda: render(None), "scene", "Scene"),
         (lambda: trusted(GRID, "a"), "max_sigma", "Real"),
         (lambda: CameraSettings(size=(9, "a")), "each of size", "int"),
@@ -142,7 +141,10 @@ def test_an_argument_of_another_type_is_named(call, name, expected):
         (lambda: fitting_paper("a9", BOARD_5X6), "paper must be one of a5, a4, a3, letter, not"),
         (lambda: Checkerboard(shape=5, cell=2), "shape must be (rows, columns), each at least 1"),
         (lambda: Checkerboard(shape=(5, 6), cell=2, paper=()), "paper must be a tuple of two"),
-        (lambda: save_figure("a.png", surface_figure(FIELD), dpi=0), "dpi must be a number in"),
+        (
+            lambda: save_figure("a.png", sheet_figure(Moment.of(FIELD)), dpi=0),
+            "dpi must be a number in",
+        ),
         (lambda: score(1, [(0, 0)], 5), "found must be (N, 2), not ()"),
         (lambda: score([], [(0, 0)], "a"), "cell must be a positive number, not 'a'"),
         (lambda: media.find_inputs(None), "paths must be several names of files, not None"),

@@ -1,6 +1,7 @@
-"""Pictures: every corner is marked at its position, in the colour of its method."""
+"""Pictures: each shows every corner, node and value where it is, with its unit."""
 
 import dataclasses
+import os
 import subprocess
 import sys
 
@@ -9,18 +10,29 @@ import numpy as np
 import pytest
 from stereo_data import field_of, gel, grid_of
 
+from cmp_cl.cli.main import main
 from cmp_cl.corners import Corners, Method
-from cmp_cl.errors import FieldError
+from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.grid import NodeStatus
+from cmp_cl.series import SeriesWriter, read_series
 from cmp_cl.viz import (
     METHOD_COLOURS,
     STATUS_COLOURS,
-    RerunLog,
-    arrow_figure,
+    Moment,
+    Quantity,
+    Viewer,
     corner_overlay,
     grid_overlay,
+    map_figure,
     save_figure,
-    surface_figure,
+    sheet_figure,
+)
+from cmp_cl.viz.moments import Recorded
+from cmp_cl.viz.video import OverlayVideo
+
+needs_matplotlib = pytest.mark.skipif(
+    subprocess.run([sys.executable, "-c", "import matplotlib"], capture_output=True).returncode,
+    reason="matplotlib is not installed",
 )
 
 
@@ -41,11 +53,13 @@ def corners_at(xy, method):
     )
 
 
-@pytest.mark.parametrize("method", Method)
-def test_the_centre_of_the_marks_is_the_corner(method):
+# images with marks
+
+
+def test_the_centre_of_a_mark_is_the_corner():
     image = np.full((100, 200), 128, np.uint8)
     xy = [[40.25, 50.5], [159.6, 20.0]]
-    picture = corner_overlay(image, corners_at(xy, method))
+    picture = corner_overlay(image, corners_at(xy, Method.MIDLINE))
     factor = 1000 // 200
     assert picture.shape == (100 * factor + 36, 1000, 3)
     rows, columns = np.nonzero((picture[: 100 * factor] != 128).any(axis=2))
@@ -59,11 +73,11 @@ def test_the_centre_of_the_marks_is_the_corner(method):
         np.testing.assert_allclose(centre, expected, atol=0.15)
 
 
-def test_colours_and_legend_tell_the_methods_apart():
-    assert len(set(METHOD_COLOURS.values())) == len(Method)
-    image = np.full((400, 900), 128, np.uint8)
+def test_colours_and_legend_tell_methods_and_statuses_apart():
+    for colours, kind in ((METHOD_COLOURS, Method), (STATUS_COLOURS, NodeStatus)):
+        assert len(set(colours.values())) == len(colours) == len(kind)
     xy = [[100 + 120 * method, 200] for method in Method]
-    picture = corner_overlay(image, corners_at(xy, list(Method)))
+    picture = corner_overlay(np.full((400, 900), 128, np.uint8), corners_at(xy, list(Method)))
     for method in Method:
         marked = (picture == METHOD_COLOURS[method]).all(axis=2)
         assert marked[:-36].any(), method.name
@@ -72,11 +86,15 @@ def test_colours_and_legend_tell_the_methods_apart():
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 5), (1, 1), (3, 2000), (2500, 10)])
 def test_an_image_of_any_size_can_be_drawn(shape):
-    image = np.zeros(shape, np.uint8)
-    picture = corner_overlay(image, corners_at([], Method.KEPT))
+    picture = corner_overlay(np.zeros(shape, np.uint8), corners_at([], Method.KEPT))
     assert picture.dtype == np.uint8
     assert picture.shape[0] >= shape[0] + 36
     assert picture.shape[1] >= shape[1]
+
+
+def test_an_empty_grid_can_be_drawn():
+    picture = grid_overlay(np.zeros((40, 40), np.uint16), grid_of(np.full((2, 2, 2), np.nan)))
+    assert not picture[: picture.shape[1]].any()
 
 
 def test_an_image_of_any_depth_is_stretched_to_be_seen_and_left_as_it_was():
@@ -141,152 +159,278 @@ def test_corners_off_the_grid_are_faint_rings():
         grid_overlay(image, grid_of(lattice()), corners=found)
 
 
-def test_no_two_statuses_share_a_colour():
-    assert STATUS_COLOURS.keys() == set(NodeStatus)
-    assert len(set(STATUS_COLOURS.values())) == len(NodeStatus)
+# figures
 
 
-def test_an_empty_grid_can_be_drawn():
-    picture = grid_overlay(np.zeros((40, 40), np.uint16), grid_of(np.full((2, 2, 2), np.nan)))
-    assert picture.shape[2] == 3
-    assert not picture[: picture.shape[1]].any()
+def record(path, *, views, frames=5):
+    """Write a series of 8 x 10 nodes that stretch by 1 % a frame along x, without (2, 3)."""
+    row, column = np.mgrid[:8, :10]
+    rest = np.stack([5.0 * column, 5.0 * row, 0 * row + 40.0], axis=-1)[..., : views + 1]
+    with SeriesWriter(path, rest=rest, unit="px" if views == 1 else "mm") as series:
+        for number in range(frames):
+            shift = 0 * rest
+            shift[..., 0] = 0.01 * number * rest[..., 0]
+            if views == 2:
+                shift[4, 5, 2] = -0.5 * number
+            shift[2, 3] = np.nan
+            moved = {"xy": rest + shift} if views == 1 else {"displacement": shift}
+            sigma = np.full((8, 10), 0.02)
+            series.append(index=3 + number, time_ms=40.0 * number, sigma=sigma, **moved)
+    return path
 
 
-def test_arrows_go_from_rest_to_now(tmp_path):
+@pytest.fixture(params=[1, 2])
+def recorded(request, tmp_path):
+    return Recorded.of(read_series(record(tmp_path / "press.npz", views=request.param)))
+
+
+def shown(figure):
+    """Return what each map of a figure shows, by the label of its bar: values, ends, colours."""
+    found = {}
+    for axes in figure.axes:
+        for bar in axes.child_axes:
+            drawn = [each for each in axes.collections if each.colorbar is not None]
+            for each in drawn:
+                found[bar.get_ylabel()] = each.get_array(), each.get_clim(), each.get_cmap().name
+    return found
+
+
+@needs_matplotlib
+def test_maps_have_the_recorded_values_with_their_units(recorded):
+    last = recorded.moment(recorded.frame_of(7))
+    figure = map_figure(last, Quantity.DISPLACEMENT)
+    values, ends, colours = shown(figure)[f"displacement / {recorded.unit}"]
+    assert values.count() == 7 * 9 - 4  # the cells around the missing node have no value
+    assert values[8] == pytest.approx(0.04 * 42.5)
+    assert (ends[0], colours) == (0, "plasma")
+    arrows = figure.axes[0].collections[1]
+    enlarged = float(figure.axes[0].get_title().split("arrows ")[1].split(" x")[0])
+    assert arrows.scale == pytest.approx(1 / enlarged, rel=0.05)
+    assert figure.texts[0].get_text() == "frame 7"
+    both = shown(map_figure(last, Quantity.STRAIN))
+    larger, ends, colours = both["larger principal strain / %"]
+    assert larger.compressed()[-9 if recorded.unit == "px" else 0] == pytest.approx(4.08, abs=0.01)
+    assert ends[0] == -ends[1]
+    assert colours == "RdBu_r"
+    smaller, other_ends, _ = both["smaller principal strain / %"]
+    assert other_ends == ends
+    assert smaller.compressed()[0] == pytest.approx(0, abs=0.01)
+    sigma = shown(map_figure(last, Quantity.SIGMA))[f"standard deviation / {recorded.unit}"]
+    assert set(sigma[0].compressed()) == {0.02}
+    if recorded.unit == "mm":
+        height, ends, colours = shown(map_figure(last, Quantity.HEIGHT))["height / mm"]
+        assert height.max() == pytest.approx(0.5)  # towards the cameras, the mean of a cell
+        assert ends[0] == -ends[1]
+    else:
+        with pytest.raises(FieldError, match="--stereo"):
+            map_figure(last, Quantity.HEIGHT)
+
+
+@needs_matplotlib
+def test_the_frame_that_moves_most_is_on_the_sheet_with_the_curves_of_all(recorded, tmp_path):
+    summary = recorded.summary()
+    assert summary.moment.index == 7
+    assert summary.largest[0] == 0
+    assert summary.largest[4] == pytest.approx(1.8 if recorded.unit == "px" else np.sqrt(5))
+    assert summary.median[4] == pytest.approx(0.9, abs=0.1)
+    figure = sheet_figure(summary.moment, summary)
+    titles = " ".join(axes.get_title() for axes in figure.axes)
+    wanted = "displacement, standard deviation, larger, smaller, over time"
+    wanted += ", height, surface" if recorded.unit == "mm" else ""
+    assert all(word in titles for word in wanted.split(", "))
+    curve = figure.axes[-1]
+    assert curve.get_xlabel() == "time / s"
+    np.testing.assert_allclose(curve.lines[0].get_xydata()[-1], [0.16, summary.largest[4]])
+    two = dataclasses.replace(recorded, index=recorded.index[:2], time_ms=recorded.time_ms[:2],
+                              shift=recorded.shift[:2], sigma=recorded.sigma[:2])  # fmt: skip
+    titles = [axes.get_title() for axes in sheet_figure(two.moment(1), two.summary()).axes]
+    assert not [title for title in titles if "over time" in title]  # two frames make no curve
+    save_figure(tmp_path / "a picture.png", figure)
+    assert cv2.imread(str(tmp_path / "a picture.png")).std() > 20
+
+
+@needs_matplotlib
+def test_arrows_on_the_image_go_from_rest_to_now():
     rest, now = lattice(), lattice() + np.array([3, -4])
     now[1, 1] = np.nan
+    moment = Moment(rest=rest, shift=now - rest, sigma=np.full((4, 5), np.nan), unit="px", index=0)
     image = np.full((100, 140), 128, np.uint8)
-    figure = arrow_figure(image, grid_of(rest), grid_of(now))
+    figure = sheet_figure(moment, view=(image, grid_of(rest), grid_of(now)), rows=[("a", "1 mm")])
     arrows = figure.axes[0].collections[0]
     assert arrows.N == 19
     assert (arrows.angles, arrows.scale_units, arrows.scale) == ("xy", "xy", 1)
-    np.testing.assert_allclose(arrows.U, 3, atol=1e-5)
-    np.testing.assert_allclose(arrows.V, -4, atol=1e-5)
+    np.testing.assert_allclose([arrows.U, arrows.V], np.repeat([[3], [-4]], 19, axis=1), atol=1e-5)
     np.testing.assert_allclose(arrows.get_array(), 5, atol=1e-5)
     assert figure.axes[0].child_axes[0].get_ylabel() == "displacement / px"
-    save_figure(tmp_path / "a picture.png", figure)
-    picture = cv2.imread(str(tmp_path / "a picture.png"))
-    assert picture.shape[1] == 1080
-    assert (picture != 255).any()
 
 
-def test_arrows_are_coloured_by_the_displacement_in_space():
-    field = field_of(gel(4, 5, depth=0), gel(4, 5, depth=0) + np.array([0, 3, 4]))
-    image = np.zeros((100, 140), np.uint8)
-    figure = arrow_figure(image, grid_of(lattice()), grid_of(lattice()), field=field)
-    np.testing.assert_allclose(figure.axes[0].collections[0].get_array(), 5)
-    assert figure.axes[0].child_axes[0].get_ylabel() == "displacement / mm"
-    with pytest.raises(FieldError, match="one shape"):
-        arrow_figure(image, grid_of(lattice()), grid_of(lattice(3, 5)))
-
-
-def test_the_surface_shows_every_whole_cell_and_the_displacement(tmp_path):
+@needs_matplotlib
+def test_the_surface_shows_every_whole_cell_and_its_height(tmp_path):
     now = gel(9, 8)
     now[3, 3] = np.nan
-    figure = surface_figure(field_of(gel(9, 8, depth=0), now))
+    moment = Moment.of(field_of(gel(9, 8, depth=0), now))
+    figure = sheet_figure(moment)
     save_figure(tmp_path / "surface.png", figure)
-    surface, arrows = figure.axes[0].collections
+    (axes,) = (each for each in figure.axes if each.get_title() == "surface")
+    surface, arrows = axes.collections
     assert len(surface.get_facecolor()) == 8 * 7 - 4
     assert 0 < len(arrows.get_segments()) <= 3 * 9 * 8
-    height = np.nanmax(46 - now[..., 2])
-    assert figure.axes[0].get_zlim()[1] == pytest.approx(height, rel=0.01)
+    assert axes.get_zlim()[1] == pytest.approx(np.nanmax(46 - now[..., 2]), rel=0.01)
 
 
-def test_a_field_that_makes_no_surface_is_refused():
-    nothing = np.full((3, 4, 3), np.nan)
-    with pytest.raises(FieldError, match="0 nodes"):
-        surface_figure(field_of(nothing, nothing))
-    with pytest.raises(FieldError, match="line"):
-        surface_figure(field_of(gel(1, 5, depth=0), gel(1, 5)))
+@needs_matplotlib
+@pytest.mark.parametrize(
+    ("now", "why"), [(np.full((3, 4, 3), np.nan), "0 nodes"), (gel(1, 5), "line")]
+)
+def test_a_field_that_makes_no_map_is_refused(now, why):
+    rest = now - [0, 0, 1]
+    with pytest.raises(FieldError, match=why):
+        map_figure(Moment.of(field_of(rest, now)), Quantity.HEIGHT)
 
 
-def test_a_field_without_displacement_can_be_drawn(tmp_path):
-    field = field_of(gel(3, 4, depth=0), gel(3, 4, depth=0))
-    save_figure(tmp_path / "still.png", surface_figure(field))
-    still = grid_of(lattice())
-    save_figure(tmp_path / "arrows.png", arrow_figure(np.zeros((9, 9), np.uint8), still, still))
-    for name in ("still.png", "arrows.png"):
-        assert cv2.imread(str(tmp_path / name)).std() > 5
+def test_a_file_that_is_no_series_of_nodes_is_refused():
+    good = {
+        "index": np.arange(2),
+        "time_ms": np.arange(2.0),
+        "rest": np.zeros((3, 3, 2)),
+        "xy": np.zeros((2, 3, 3, 2)),
+    }
+    for name, why in {"xy": "no displacement or xy", "rest": "no rest"}.items():
+        with pytest.raises(FieldError, match=why):
+            Recorded.of({key: value for key, value in good.items() if key != name})
+    for change, why in (({"index": np.arange(0)}, "no frame"), ({"rest": np.zeros(3)}, "rest is")):
+        with pytest.raises(FieldError, match=why):
+            Recorded.of(good | change)
 
 
-def test_a_recording_for_rerun_appears_as_a_whole(tmp_path):
-    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
-    path = tmp_path / "press.rrd"
-    now = gel(4, 5)
-    now[1, 1] = np.nan
-    with pytest.raises(KeyboardInterrupt), RerunLog(path) as log:  # noqa: PT012
-        for index in range(3):
-            log.frame(
-                index=index,
-                time_ms=index * 33.3,
-                image=np.zeros((100, 140), np.uint8),
-                grid=grid_of(lattice()),
-                field=field_of(gel(4, 5, depth=0), now),
-            )
-        assert not path.exists()
-        raise KeyboardInterrupt
-    assert path.read_bytes()[:3] == b"RRF"
-    assert path.stat().st_size > 3000
-    assert [entry.name for entry in tmp_path.iterdir()] == ["press.rrd"]
+# the command
 
 
-def recorded(path, column):
-    """Return the logged values of that component, in the order of the frames."""
-    chunk = pytest.importorskip("rerun.chunk", reason="this rerun-sdk reads no recordings")
-    found = []
-    for part in chunk.RrdReader(path).stream():
-        batch = part.to_record_batch()
-        if column in batch.schema.names:
-            found += zip(batch["frame"].to_pylist(), batch[column].to_pylist(), strict=True)
-    return [value for _, value in sorted(found)]
+@needs_matplotlib
+def test_the_command_writes_a_picture_or_says_why_not(tmp_path, capsys):
+    series, out = str(record(tmp_path / "press.npz", views=1)), str(tmp_path / "press.png")
+    for options in ([], ["--what", "strain", "--frame", "5"]):
+        assert main(["plot", series, "--out", out, *options]) == 0
+        assert "of 5 frames" in capsys.readouterr().out
+        assert cv2.imread(out).std() > 10
+    for wrong, why in (
+        (["--what", "height"], "--stereo"),
+        (["--frame", "99"], "no frame 99: those from 3 to 7"),
+        (["--out", str(tmp_path / "a.gif"), "--frame", "3"], "leave out --frame"),
+        (["--out", series], "must end in .png"),
+    ):
+        (tmp_path / "press.png").write_bytes(b"old")
+        assert main(["plot", series, "--out", out, *wrong]) == 2
+        err = capsys.readouterr().err
+        assert why in err
+        assert err.count("\n") == 1
+        assert (tmp_path / "press.png").read_bytes() == b"old"
+    with SeriesWriter(tmp_path / "live.npz", rest=lattice()) as live:
+        live.append(index=0, time_ms=np.nan, xy=1.5 * lattice())
+        assert main(["plot", str(tmp_path / "live.npz.part"), "--out", out]) == 0
 
 
-def test_a_recording_for_rerun_has_compressed_images_and_lines_that_end_at_gaps(tmp_path):
-    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
-    path = tmp_path / "press.rrd"
-    noise = np.random.default_rng(0).normal(128, 40, (480, 640))
-    view = cv2.GaussianBlur(noise, (0, 0), 2).astype(np.uint8)
-    gap, nothing = lattice(), lattice()
-    gap[1, 2] = np.nan
-    nothing[:] = np.nan
-    with RerunLog(path) as log:
-        log.frame(index=0, time_ms=np.nan, image=view, grid=grid_of(gap))
-        log.frame(index=1, time_ms=np.nan, image=view, grid=grid_of(nothing))
-        log.frame(index=2, time_ms=np.nan, image=view.astype(np.uint16) * 257)
-    assert path.stat().st_size < 5 * view.size / 2  # 4 as pixels
-    pictures = [
-        cv2.imdecode(np.array(blob[0], np.uint8), cv2.IMREAD_UNCHANGED)
-        for blob in recorded(path, "EncodedImage:blob")
-    ]
-    for picture in pictures[:2]:
-        assert np.abs(picture.astype(int) - view).max() < 12
-    np.testing.assert_array_equal(pictures[2], view.astype(np.uint16) * 257)
-    lines, none = recorded(path, "LineStrips2D:strips")
-    assert sorted(map(len, lines)) == [2, 2, 2, 4, 4, 4, 4, 5, 5, 5]
-    assert none == []
+@needs_matplotlib
+@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+def test_an_animation_has_every_frame_on_one_scale(tmp_path, suffix):
+    series, out = record(tmp_path / "press.npz", views=2), tmp_path / f"press{suffix}"
+    assert main(["plot", str(series), "--out", str(out), "--what", "height"]) == 0
+    capture = cv2.VideoCapture(str(out))
+    pictures = []
+    while (read := capture.read())[0]:
+        pictures.append(read[1].astype(int))
+    capture.release()
+    assert len(pictures) == 5
+    green = np.array([each[..., 1].sum() for each in pictures])  # from white at 0 to dark red
+    assert np.diff(green).max() < -100_000
 
 
-def test_a_recording_for_rerun_has_nodes_by_displacement_their_number_and_the_rate(tmp_path):
-    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
-    path = tmp_path / "press.rrd"
-    moved = np.linspace(0, 2, 20).reshape(4, 5)
-    moved[1, 1] = np.nan
-    with RerunLog(path) as log:
-        log.frame(index=0, time_ms=0, grid=grid_of(lattice()), moved=moved, unit="mm", rate=50.0)
-    assert recorded(path, "Scalars:scalars") == [[20], [50]]
-    ((scale,),) = recorded(path, "TextDocument:text")
-    assert "to 2 mm (yellow)" in scale
-    (colours,) = recorded(path, "Points2D:colors")
-    red = [colour >> 24 for colour in colours]
-    assert colours[6] == 0x808080FF  # unknown
-    assert red[0] < 20
-    assert red[19] > 230
+def test_without_matplotlib_the_extra_is_named(recorded, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(ConfigError, match=r"cmp-cl\[plot\]"):
+        map_figure(recorded.moment(0), Quantity.DISPLACEMENT)
 
 
 def test_importing_the_modules_imports_no_extra():
     code = (
-        "import sys, cmp_cl.viz, cmp_cl.space, cmp_cl.field; "
-        "print([name for name in ('matplotlib', 'rerun', 'pyvista') if name in sys.modules])"
+        "import sys, cmp_cl.viz, cmp_cl.space, cmp_cl.field, cmp_cl.cli.main; "
+        "print([name for name in ('matplotlib', 'rerun', 'av', 'h5py') if name in sys.modules])"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
     assert result.stdout.strip() == b"[]"
+
+
+# videos and the live view
+
+
+def write_video(path, frames=3):
+    xy = np.stack(np.meshgrid(np.arange(40, 281, 24.0), np.arange(30, 211, 20.0)), axis=-1)
+    xy[4, 5] = np.nan
+    moved = np.linalg.norm(xy - [160, 120], axis=-1) / 100
+    with OverlayVideo(path, fps=10, unit="mm") as writer:
+        for number in range(frames):
+            image = np.full((240, 320), 90 + number, np.uint8)
+            writer.frame(image, grid_of(xy), moved, text=f"frame {number}")
+    return xy
+
+
+def test_a_video_shows_nodes_by_their_displacement(tmp_path):
+    path = tmp_path / "press.mp4"
+    path.touch(mode=0o600)
+    xy = write_video(path)
+    capture = cv2.VideoCapture(str(path))
+    read, picture = capture.read()
+    assert read
+    assert capture.get(cv2.CAP_PROP_FPS) == pytest.approx(10)
+    assert picture.shape[1] == 640  # small images are enlarged
+
+    def colour(node):
+        x, y = np.rint((xy[node] + 0.5) * 2 - 0.5).astype(int)
+        return picture[y - 1 : y + 2, x - 1 : x + 2].reshape(-1, 3).mean(axis=0)
+
+    near, far = colour((4, 4)), colour((0, 0))
+    assert near[0] > near[1] + 40  # dark blue, BGR
+    assert far[2] > 150  # yellow
+    assert far[1] > 150
+    assert picture[480:].std() > 10  # the bar
+    assert sum(capture.read()[0] for _ in range(3)) == 2
+    assert os.name == "nt" or path.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_video_that_cannot_be_written_is_refused_and_leaves_the_old_file(tmp_path):
+    with pytest.raises(ConfigError, match=r"\.mp4"):
+        OverlayVideo(tmp_path / "press.gif")
+    with pytest.raises(OSError, match="nothere"):
+        OverlayVideo(tmp_path / "nothere" / "press.mp4")
+    (tmp_path / "press.mp4").write_bytes(b"old")
+    grid = grid_of(np.zeros((2, 2, 2)))
+    with OverlayVideo(tmp_path / "press.mp4") as writer, pytest.raises(FieldError, match="2"):
+        writer.frame(np.zeros((50, 50), np.uint8), grid, np.zeros((3, 3)))
+    assert (tmp_path / "press.mp4").read_bytes() == b"old"
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_the_viewer_gets_image_nodes_rate_and_surface(tmp_path, monkeypatch):
+    rerun = pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    chunk = pytest.importorskip("rerun.chunk", reason="this rerun-sdk reads no recordings")
+    path = tmp_path / "press.rrd"
+    monkeypatch.setattr(rerun.RecordingStream, "spawn", lambda stream: stream.save(path))
+    rest, now = gel(4, 5, depth=0), gel(4, 5, depth=0) + np.linspace(0, 2, 20).reshape(4, 5, 1)
+    now[1, 1] = np.nan
+    image = np.full((100, 140), 90, np.uint8)
+    with Viewer() as viewer:
+        for index in range(2):
+            viewer.frame(index=index, time_ms=np.nan, image=image.astype(["u1", "u2"][index]),
+                         grid=grid_of(lattice()), field=field_of(rest, now), rate=50.0)  # fmt: skip
+    found = {}
+    for part in chunk.RrdReader(path).stream():
+        batch = part.to_record_batch()
+        for column in batch.schema.names:
+            found.setdefault(column, []).extend(batch[column].to_pylist())
+    assert [20] in found["Scalars:scalars"]
+    assert [50] in found["Scalars:scalars"]
+    assert "to 3.46 mm (yellow)" in found["TextDocument:text"][0][0]
+    colours = found["Points2D:colors"][0]
+    assert colours[6] == 0x808080FF  # unknown
+    assert colours[0] >> 24 < 20 < 230 < colours[19] >> 24
+    assert "Mesh3D:vertex_positions" in found

@@ -1,32 +1,23 @@
 """`cmp-cl plot`: pictures and animations of a series that `cmp-cl run` wrote."""
 
 import argparse
-import re
 from typing import Any
 
 from cmp_cl.cli.arguments import check_files, check_suffix
 from cmp_cl.cli.messages import counted, shown
 from cmp_cl.cli.progress import Progress
-from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl.errors import ConfigError
 from cmp_cl.series import read_series
-from cmp_cl.viz import save_figure
-from cmp_cl.viz.plots import (
-    ANIMATIONS,
-    NEEDED,
-    Quantity,
-    Recorded,
-    animate,
-    curve_figure,
-    map_figure,
-    sheet_figure,
-)
+from cmp_cl.viz import Quantity, map_figure, save_figure, sheet_figure
+from cmp_cl.viz.moments import NEEDED, Recorded
+from cmp_cl.viz.plots import ANIMATIONS, animate
 
 
 def add_parser(commands: Any) -> None:
     """Add `plot` to the commands of an argparse parser."""
     parser = commands.add_parser(
         "plot",
-        help="draw what a series shows: displacement, strain, height, sigma, a node's curve",
+        help="draw what a series shows: displacement, strain, height, sigma",
         description="Draws a series of cmp-cl run: by default one sheet with the maps of the "
         "frame of the largest displacement, and its curves over time. A name that ends in .gif or "
         ".mp4 is an animation of one map over all frames. With one view, lengths are in px or in "
@@ -43,9 +34,9 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument(
         "--what",
-        choices=[*(quantity.value for quantity in Quantity), "curve"],
-        help="one map (strain is two, the principal strains), or the curve of a node over time, in "
-        "place of the sheet; default of an animation: displacement",
+        choices=[quantity.value for quantity in Quantity],
+        help="one map in place of the sheet (strain is two, the principal strains); default of an "
+        "animation: displacement",
     )
     parser.add_argument(
         "--frame",
@@ -53,20 +44,7 @@ def add_parser(commands: Any) -> None:
         type=int,
         help="number of the frame; default: that of the largest displacement",
     )
-    parser.add_argument(
-        "--node",
-        metavar="ROW,COLUMN",
-        type=_node,
-        help="node of --what curve, counted from 0,0; default: the one that moves most",
-    )
     parser.set_defaults(run=run)
-
-
-def _node(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d{1,5}),(\d{1,5})", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a node such as 3,7")
-    return int(match[1]), int(match[2])
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -74,11 +52,8 @@ def run(arguments: argparse.Namespace) -> int:
     check_suffix("--out", arguments.out, ".png", *ANIMATIONS)
     check_files([arguments.series], [arguments.out])
     moving = arguments.out.lower().endswith(ANIMATIONS)
-    curve = arguments.what == "curve"
-    if moving and (curve or arguments.frame is not None):
-        raise ConfigError("an animation shows one map over all frames, no curve and no --frame")
-    if arguments.node is not None and not curve:
-        raise ConfigError("--node needs --what curve")
+    if moving and arguments.frame is not None:
+        raise ConfigError("an animation shows all frames: leave out --frame, or name a .png")
     recorded = Recorded.of(read_series(arguments.series, NEEDED))
     frames = counted(len(recorded.index), "frame")
     if moving:
@@ -87,22 +62,16 @@ def run(arguments: argparse.Namespace) -> int:
             count = animate(arguments.out, recorded, quantity, step=progress.step)
         print(f"wrote {shown(arguments.out)}: {count} of {frames}")
         return 0
-    if curve:
-        node = recorded.node_of(arguments.node)
-        figure, what = curve_figure(recorded, node=node), "node {},{}".format(*node)
-    else:
-        summary = recorded.summary()
-        moment = summary.moment
-        if arguments.frame is not None:
-            moment = recorded.moment(recorded.frame_of(arguments.frame))
-        if moment is None:
-            raise FieldError("the series has no frame")
-        figure = (
-            sheet_figure(moment, summary)
-            if arguments.what is None
-            else map_figure(moment, Quantity(arguments.what))
-        )
-        what = f"frame {moment.index}"
+    summary = recorded.summary()
+    assert summary.moment is not None  # a `Recorded` has a frame
+    moment = summary.moment
+    if arguments.frame is not None:
+        moment = recorded.moment(recorded.frame_of(arguments.frame))
+    figure = (
+        sheet_figure(moment, summary)
+        if arguments.what is None
+        else map_figure(moment, Quantity(arguments.what))
+    )
     save_figure(arguments.out, figure)
-    print(f"wrote {shown(arguments.out)}: {what} of {frames}")
+    print(f"wrote {shown(arguments.out)}: frame {moment.index} of {frames}")
     return 0

@@ -1,20 +1,19 @@
-"""Overlays, figures, videos and recordings of the results."""
+"""Overlays, figures, videos and a live view of the results."""
 
-from cmp_cl.viz.figures import (
-    arrow_figure,
-    save_figure,
-    surface_figure,
-)
+from cmp_cl.viz.moments import Moment, Quantity
 from cmp_cl.viz.overlays import METHOD_COLOURS, STATUS_COLOURS, corner_overlay, grid_overlay
-from cmp_cl.viz.recording import RerunLog
+from cmp_cl.viz.plots import map_figure, save_figure, sheet_figure
+from cmp_cl.viz.viewer import Viewer
 
 __all__ = [
     "METHOD_COLOURS",
     "STATUS_COLOURS",
-    "RerunLog",
-    "arrow_figure",
+    "Moment",
+    "Quantity",
+    "Viewer",
     "corner_overlay",
     "grid_overlay",
+    "map_figure",
     "save_figure",
-    "surface_figure",
+    "sheet_figure",
 ]

@@ -31,6 +31,10 @@ STATUS_COLOURS = {
     NodeStatus.INTERPOLATED: (255, 80, 255),
     NodeStatus.VIRTUAL: (255, 255, 255),
 }
+PLASMA: NDArray[np.uint8] = np.asarray(  # (256, 3), RGB, from dark blue to yellow
+    cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_PLASMA)[:, 0, ::-1],
+    np.uint8,
+)
 _OFF_GRID = (150, 150, 190)  # of corners off the grid
 _FRACTION_BITS = 4
 
@@ -74,12 +78,16 @@ def _enlarged(image: GreyImage, cell: float) -> tuple[NDArray[np.uint8], int]:
     """Return the image in BGR, enlarged as `corner_overlay` says, and the factor."""
     longest = max(*image.shape, 1)
     factor = max(1, min(max(round(32 / cell), math.ceil(1000 / longest)), 2400 // longest))
-    grey = image
-    if image.dtype != np.uint8:
-        white = max(int(image.max()), 1) if image.size else 1
-        grey = (image.astype(np.float32) * (255 / white)).round().astype(np.uint8)
-    blocks = grey.repeat(factor, axis=0).repeat(factor, axis=1)
+    blocks = eight_bits(image).repeat(factor, axis=0).repeat(factor, axis=1)
     return np.repeat(blocks[:, :, None], 3, axis=2), factor
+
+
+def eight_bits(image: GreyImage) -> NDArray[np.uint8]:
+    """Return an image as uint8; 16 bits are stretched to the brightest pixel."""
+    if image.dtype == np.uint8:
+        return image.astype(np.uint8, copy=False)
+    white = max(int(image.max(initial=0)), 1)
+    return np.asarray(np.rint(image * np.float32(255 / white)), np.uint8)
 
 
 def _circle(

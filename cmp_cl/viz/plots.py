@@ -1,31 +1,28 @@
-"""Pictures of a series: maps of a quantity at one frame, curves over time, animations."""
+"""Figures of a series: maps of a frame, one sheet of everything, and animations."""
 
-import dataclasses
-import enum
+import functools
 import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from os import PathLike
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl.errors import ConfigError, FieldError, check_kind, check_range
 from cmp_cl.extras import extra
-from cmp_cl.field import green_lagrange
-from cmp_cl.files import suffix_of, write_bytes
+from cmp_cl.files import suffix_of, whole_file, write_bytes
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage
-from cmp_cl.viz.figures import (
-    DIVERGING,
-    SEQUENTIAL,
-    colour_bar,
+from cmp_cl.viz.moments import (
+    Array,
+    Map,
+    Moment,
+    Quantity,
+    Recorded,
+    Summary,
     corners_of_cells,
-    draw_arrows,
-    draw_surface,
     plane_of,
-    spread,
-    top_of,
 )
 from cmp_cl.viz.video import Mp4
 
@@ -33,219 +30,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
-Series = Mapping[str, NDArray[Any]]
-
-NEEDED = "index", "time_ms", "rest", "displacement", "xy", "sigma", "unit"  # arrays of a series
 ANIMATIONS = ".gif", ".mp4"  # suffixes
-_ARROWS = 16  # along the longer side of a map
+_SEQUENTIAL, _DIVERGING = "plasma", "RdBu_r"  # the colours of amounts, and of signed values
+_ROUNDING = 1e-12  # smaller values, such as the strain of the frame at rest, are errors of rounding
+_ARROWS, _ARROWS_ON_IMAGE, _ARROWS_IN_SPACE = 16, 26, 14  # along the longer side of a pattern
+_SHORTEST_ARROW = 0.05  # of the longest one; shorter ones are dots on the surface
 _PANEL, _CURVE = 3.9, 3.2  # in, side of a map and height of the curve of a sheet
 _LEFT, _BESIDE, _BELOW, _ABOVE = 0.75, 1.75, 0.95, 0.4  # in, for labels and colour bars
 _LEAST_OF_CURVE = 3  # frames; fewer make no curve
 _MOST_ANIMATED = 300  # frames of an animation
 _SLOWEST, _FASTEST = 2.0, 50.0  # frames per second of an animation
-
-
-class Quantity(enum.Enum):
-    """The quantity of a node that a map shows.
-
-    DISPLACEMENT: its length, with some arrows. STRAIN: both principal Green-Lagrange strains in the
-    plane or in the surface, %. HEIGHT: the displacement towards the cameras, out of the plane that
-    fits the rest positions best; two views only. SIGMA: the standard deviation of the displacement
-    (two views) or of the position now (one view).
-    """
-
-    DISPLACEMENT = "displacement"
-    STRAIN = "strain"
-    HEIGHT = "height"
-    SIGMA = "sigma"
-
-
-@dataclasses.dataclass(frozen=True)
-class _Map:
-    """The values (R, C) of a map, its title, its unit, and whether they have a sign."""
-
-    title: str
-    values: Array
-    unit: str
-    signed: bool = False
-
-    @property
-    def cells(self) -> Array:
-        """Return the value of each cell, the mean of its four nodes, (R - 1, C - 1)."""
-        return np.asarray(np.mean(corners_of_cells(self.values), axis=0))
-
-
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Moment:
-    """What is drawn of one frame.
-
-    rest: (R, C, 2) or (R, C, 3) in `unit`. shift: the displacement, of the same shape. sigma:
-    (R, C), NaN where unknown. index: the number of the frame.
-    """
-
-    rest: Array
-    shift: Array
-    sigma: Array
-    unit: str
-    index: int
-
-    @property
-    def in_space(self) -> bool:
-        return bool(self.rest.shape[2] == 3)
-
-    def plane(self) -> tuple[Array, Array]:
-        """Return the positions at rest (R, C, 2) to draw on, and (3, 3) axes of that plane.
-
-        Raises FieldError if fewer than three nodes are valid, or all lie on a line.
-        """
-        if not self.in_space:
-            return self.rest, np.eye(3)
-        axes, origin = plane_of(self.rest)
-        return ((self.rest - origin) @ axes.T)[..., :2], axes
-
-    def quantities(self) -> list[Quantity]:
-        """Return the quantities that the frame has."""
-        found = [Quantity.DISPLACEMENT]
-        found += [Quantity.HEIGHT] if self.in_space else []
-        found += [Quantity.SIGMA] if np.isfinite(self.sigma).any() else []
-        return [*found, Quantity.STRAIN]
-
-    def maps(self, quantity: Quantity) -> list[_Map]:
-        """Return the maps of a quantity; raises FieldError for the height of one view."""
-        if quantity is Quantity.DISPLACEMENT:
-            return [_Map("displacement", np.linalg.norm(self.shift, axis=2), self.unit)]
-        if quantity is Quantity.SIGMA:
-            return [_Map("standard deviation", self.sigma, self.unit)]
-        if quantity is Quantity.STRAIN:
-            larger, smaller = self._principal_strains()
-            return [
-                _Map("larger principal strain", 100 * larger, "%", signed=True),
-                _Map("smaller principal strain", 100 * smaller, "%", signed=True),
-            ]
-        if not self.in_space:
-            raise FieldError("one view shows no height: record two views, with --stereo")
-        return [_Map("height", self.shift @ self.plane()[1][2], self.unit, signed=True)]
-
-    def _principal_strains(self) -> tuple[Array, Array]:
-        rest = np.where(np.isnan(self.shift), np.nan, self.rest)
-        first, second, shear = np.moveaxis(green_lagrange(rest, rest + self.shift), -1, 0)
-        middle, half = (first + second) / 2, np.hypot((first - second) / 2, shear)
-        return middle + half, middle - half
-
-
-class Summary:
-    """What the sheet of a series shows: its frame of the largest displacement, and two curves.
-
-    rest: (R, C, 2 or 3) in `unit`. moment: that frame, None before the first one. index, time_ms,
-    largest, median: of each frame, its number, its time, and the displacement of its nodes.
-    """
-
-    def __init__(self, rest: Array, unit: str) -> None:
-        self._rest, self._unit = rest, unit
-        self.moment: Moment | None = None
-        self._most = 0.0
-        self.index: list[int] = []
-        self.time_ms: list[float] = []
-        self.largest: list[float] = []
-        self.median: list[float] = []
-
-    def add(self, index: int, time_ms: float, shift: NDArray[Any], sigma: NDArray[Any]) -> None:
-        """Add a frame: its number, its time, the displacement (R, C, 2 or 3), sigma (R, C)."""
-        length = np.linalg.norm(shift.astype(np.float64), axis=2)
-        known = length[~np.isnan(length)]
-        largest = float(known.max()) if len(known) else np.nan
-        if self.moment is None or largest > self._most:
-            self._most = max(self._most, np.nan_to_num(largest))
-            self.moment = Moment(
-                rest=self._rest,
-                shift=shift.astype(np.float64),
-                sigma=sigma.astype(np.float64),
-                unit=self._unit,
-                index=index,
-            )
-        self.index.append(index)
-        self.time_ms.append(time_ms)
-        self.largest.append(largest)
-        self.median.append(float(np.median(known)) if len(known) else np.nan)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Recorded:
-    """A series of nodes, from the arrays that `cmp_cl.series.read_series` reads.
-
-    rest: (R, C, 2) or (R, C, 3) in `unit`. shift: (F, R, C, 2 or 3). sigma: (F, R, C), NaN
-    where the series has none. index, time_ms: (F,).
-    """
-
-    rest: Array
-    shift: NDArray[Any]
-    sigma: NDArray[Any]
-    index: NDArray[np.int64]
-    time_ms: Array
-    unit: str
-
-    @classmethod
-    def of(cls, series: Series) -> "Recorded":
-        """Take the arrays of a series; raises FieldError without frames, rest or positions."""
-        missing = [name for name in ("index", "time_ms", "rest") if name not in series]
-        if missing or not ("displacement" in series or "xy" in series):
-            what = missing or ["displacement or xy"]
-            raise FieldError(f"the series has no {' and no '.join(what)}")
-        if not len(series["index"]):
-            raise FieldError("the series has no frame")
-        rest = np.asarray(series["rest"], np.float64)
-        shift = series["displacement"] if "displacement" in series else series["xy"] - rest
-        if shift.shape[1:] != rest.shape:
-            raise FieldError(f"rest is {rest.shape} and the displacement {shift.shape}")
-        return cls(
-            rest=rest,
-            shift=shift,
-            sigma=series.get("sigma", np.broadcast_to(np.nan, shift.shape[:3])),
-            index=np.asarray(series["index"], np.int64),
-            time_ms=np.asarray(series["time_ms"], np.float64),
-            unit=str(series.get("unit", "px")),
-        )
-
-    def summary(self) -> Summary:
-        """Return the summary of all frames."""
-        found = Summary(self.rest, self.unit)
-        for each in zip(self.index, self.time_ms, self.shift, self.sigma, strict=True):
-            found.add(*each)
-        return found
-
-    def moment(self, frame: int) -> Moment:
-        """Return the frame at that place in the series."""
-        return Moment(
-            rest=self.rest,
-            shift=self.shift[frame].astype(np.float64),
-            sigma=self.sigma[frame].astype(np.float64),
-            unit=self.unit,
-            index=int(self.index[frame]),
-        )
-
-    def frame_of(self, index: int) -> int:
-        """Return the place in the series of the frame of that number; raises FieldError."""
-        found = np.flatnonzero(self.index == index)
-        if not len(found):
-            raise FieldError(
-                f"there is no frame {index}: those from {self.index.min()} to {self.index.max()} "
-                "are recorded"
-            )
-        return int(found[0])
-
-    def node_of(self, node: tuple[int, int] | None) -> tuple[int, int]:
-        """Return the node; None means that of the largest displacement. Raises FieldError."""
-        shape = self.rest.shape[:2]
-        if node is None:
-            length = np.zeros(shape)
-            for shift in self.shift:
-                length = np.fmax(length, np.linalg.norm(shift, axis=2))
-            row, column = np.unravel_index(int(np.argmax(length)), shape)
-            return int(row), int(column)
-        if not (0 <= node[0] < shape[0] and 0 <= node[1] < shape[1]):
-            raise FieldError(f"there is no node {node}: the pattern has {shape[0]} x {shape[1]}")
-        return node
 
 
 def new_figure(size: tuple[float, float]) -> "Figure":
@@ -255,45 +49,32 @@ def new_figure(size: tuple[float, float]) -> "Figure":
     return Figure(figsize=size, layout="constrained")
 
 
-# figures
+def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) -> None:
+    """Write a figure as PNG, whole or not at all.
+
+    figure: of matplotlib. dpi: pixels per inch, 10 to 10 000. Raises FieldError if figure is of
+    another type, ConfigError for another dpi, OSError.
+    """
+    from matplotlib.figure import Figure
+
+    check_kind("figure", figure, Figure, FieldError)
+    check_range("dpi", dpi, 10, 10_000)
+    with whole_file(path) as file:
+        figure.savefig(file, format="png", dpi=dpi)
 
 
-def map_figure(moment: Moment, quantity: Quantity) -> "Figure":
-    """Draw a quantity of every cell on the pattern at rest, with a colour bar in its unit.
+def map_figure(moment: Moment, quantity: Quantity, *, top: float | None = None) -> "Figure":
+    """Draw a quantity of a moment, cell by cell on the pattern at rest, with a colour bar.
 
     The value of a cell is the mean of its four nodes. Signed values have a scale that is white
-    at 0. Raises FieldError, and ConfigError without matplotlib.
+    at 0. top: the end of the scale; None means the largest value. Raises FieldError, and
+    ConfigError without matplotlib.
     """
-    return _maps_figure(moment, quantity)[0]
-
-
-def _maps_figure(
-    moment: Moment, quantity: Quantity, top: float | None = None
-) -> tuple["Figure", list["_Drawn"]]:
     maps = moment.maps(quantity)
+    top = _top_of_maps(maps) if top is None else top
     figure, places, _ = _page(1, len(maps), f"frame {moment.index}")
-    axes = [figure.add_subplot(place) for place in places]
-    return figure, _draw_maps(axes, moment, maps, top)
-
-
-def curve_figure(recorded: Recorded, *, node: tuple[int, int] | None = None) -> "Figure":
-    """Draw the displacement of a node over time, with a band of one standard deviation.
-
-    node: (row, column); None means the one of the largest displacement. Raises FieldError, also
-    with fewer than three frames; ConfigError without matplotlib.
-    """
-    if len(recorded.index) < _LEAST_OF_CURVE:
-        raise FieldError(f"{len(recorded.index)} frames make no curve, {_LEAST_OF_CURVE} do")
-    figure = new_figure((8.0, 4.5))
-    axes = figure.add_subplot()
-    row, column = recorded.node_of(node)
-    time, label = _time_axis(recorded.index, recorded.time_ms)
-    shift, sigma = recorded.shift[:, row, column], recorded.sigma[:, row, column]
-    for part, name in enumerate("xyz"[: shift.shape[1]]):
-        (line,) = axes.plot(time, shift[:, part], ".-", lw=1, ms=3, label=name)
-        low, high = shift[:, part] - sigma, shift[:, part] + sigma
-        axes.fill_between(time, low, high, color=line.get_color(), alpha=0.2, lw=0)
-    _finish_curve(axes, label, recorded.unit, f"node in row {row}, column {column}")
+    for place, shown in zip(places, maps, strict=True):
+        _draw_map(figure.add_subplot(place), moment, shown, top)
     return figure
 
 
@@ -307,38 +88,44 @@ def sheet_figure(
 ) -> "Figure":
     """Draw a frame on one sheet: its maps, its surface, and the curves of the series.
 
-    summary: of the series; without it, or with fewer than three frames, there are no curves.
-    view: the image now, with its grid at rest and now, for arrows on it. rows: names and values of
-    a table. With a table or a view there is no map of sigma.
+    moment: the frame. summary: of the series; without it, or with fewer than three frames, there
+    are no curves. title: of the sheet; "" is the number of the frame. view: the image now, with its
+    grid at rest and now, for arrows on it. rows: names and values of a table. With a table or a
+    view there is no map of sigma.
 
     Raises FieldError if there are too few nodes for a map, ConfigError without matplotlib.
     """
-    panels: list[Callable[[Any, Any], object]] = []
+    panels: list[Callable[[Figure, Any], object]] = []
     if view is not None:
         panels.append(lambda figure, at: _draw_view(figure.add_subplot(at), *view))
     known = np.isfinite(moment.rest + moment.shift).all(axis=2)
     if moment.in_space and np.count_nonzero(known) > 2:
-        panels.append(lambda figure, at: _draw_surface(figure, at, moment))
+        panels.append(
+            lambda figure, at: _draw_surface(figure.add_subplot(at, projection="3d"), moment)
+        )
     left_out = {Quantity.SIGMA} if rows or view else set()
     left_out |= {Quantity.DISPLACEMENT} if view and moment.in_space else set()
     for quantity in moment.quantities():
         if quantity not in left_out:
-            panels += [_panel(moment, quantity, n) for n in range(len(moment.maps(quantity)))]
+            maps = moment.maps(quantity)
+            top = _top_of_maps(maps)
+            panels += [functools.partial(_draw_panel, moment, shown, top) for shown in maps]
     if rows:
         panels.append(lambda figure, at: _draw_table(figure.add_subplot(at), rows))
-    with_curve = summary is not None and len(summary.index) >= _LEAST_OF_CURVE
+    curves = summary if summary and len(summary.index) >= _LEAST_OF_CURVE else None
     across = 3 if len(panels) % 2 or len(panels) > 4 else 2
     down = -(-len(panels) // across)
-    figure, places, below = _page(down, across, title or f"frame {moment.index}", with_curve)
+    title = title or f"frame {moment.index}"
+    figure, places, below = _page(down, across, title, with_curve=curves is not None)
     for draw, place in zip(panels, places, strict=False):
         draw(figure, place)
-    if with_curve:
-        _draw_curves(figure.add_subplot(below), cast(Summary, summary), moment.unit)
+    if curves is not None:
+        _draw_curves(figure.add_subplot(below), curves, moment.unit)
     return figure
 
 
 def _page(
-    down: int, across: int, title: str, with_curve: bool = False
+    down: int, across: int, title: str, *, with_curve: bool = False
 ) -> tuple["Figure", list[Any], Any]:
     """Return a figure with places for square panels and their colour bars, and one for a curve."""
     wide = _PANEL * across + _BESIDE * across
@@ -361,26 +148,126 @@ def _page(
     return figure, [grid[row, column] for row in range(down) for column in range(across)], below
 
 
-def _panel(moment: Moment, quantity: Quantity, number: int) -> Callable[[Any, Any], object]:
-    """Return a function that draws one of the maps of a quantity, on the scale of all of them."""
+def _draw_panel(moment: Moment, shown: Map, top: float, figure: "Figure", at: Any) -> None:
+    _draw_map(figure.add_subplot(at), moment, shown, top)
 
-    def draw(figure: Any, at: Any) -> None:
-        maps = moment.maps(quantity)
-        top = top_of(np.stack([each.cells for each in maps]))
-        _Drawn(figure.add_subplot(at), moment, maps[number], top)
 
-    return draw
+def _draw_map(axes: "Axes", moment: Moment, shown: Map, top: float) -> None:
+    """Draw a map on the pattern at rest; top: the end of its scale."""
+    from matplotlib.collections import PolyCollection
+
+    nodes, directions = moment.plane()
+    cells = np.stack(corners_of_cells(nodes), axis=2)
+    whole = ~np.isnan(cells).any(axis=(2, 3))
+    values = shown.cells[whole]
+    drawn = PolyCollection(
+        list(cells[whole]),
+        array=np.ma.masked_invalid(values),
+        cmap=_DIVERGING if shown.signed else _SEQUENTIAL,
+        clim=(-top if shown.signed else 0.0, top),
+        edgecolors="face",
+        linewidths=0.2,
+    )
+    axes.add_collection(drawn)
+    points = nodes[~np.isnan(nodes[..., 0])]
+    low, high = points.min(axis=0), points.max(axis=0)
+    edge = 0.03 * float((high - low).max() or 1.0)
+    names = ("along rows", "along columns") if moment.in_space else ("x", "y")
+    title = shown.title if np.isfinite(values).any() else f"{shown.title}: no cell has a value"
+    if shown.title == "displacement":
+        factor = 2 * float((high - low).max()) / _ARROWS / top  # the longest has two distances
+        some = _spread(~np.isnan(shown.values) & ~np.isnan(nodes[..., 0]), _ARROWS)
+        shift = (moment.shift @ directions[: nodes.shape[2], : moment.shift.shape[2]].T)[some]
+        axes.quiver(
+            *nodes[some].T, *shift.T,
+            angles="xy", scale_units="xy", scale=1 / factor,
+            color="white", edgecolor="black", linewidth=0.3, width=4e-3,
+        )  # fmt: skip
+        title += f", arrows {factor:.2g} x"
+    axes.set(
+        xlim=(low[0] - edge, high[0] + edge),
+        ylim=(high[1] + edge, low[1] - edge),
+        aspect="equal",
+        facecolor="0.9",
+        xlabel=f"{names[0]} / {moment.unit}",
+        ylabel=f"{names[1]} / {moment.unit}",
+        title=title,
+    )
+    _colour_bar(axes, drawn, f"{shown.title} / {shown.unit}")
 
 
 def _draw_view(axes: "Axes", image: GreyImage, rest: Grid, now: Grid) -> None:
-    draw_arrows(axes, image, rest, now)
-    axes.set_title("moved since rest, in the image")
+    """Draw arrows on the image from the nodes at rest to the nodes now, to scale."""
+    shift = (now.xy - rest.xy).astype(np.float64)
+    length = np.linalg.norm(shift, axis=2)
+    some = _spread(~np.isnan(length), _ARROWS_ON_IMAGE)
+    axes.imshow(image, cmap="gray", interpolation="nearest", alpha=0.7)
+    arrows = axes.quiver(
+        *rest.xy[some].T, *shift[some].T, length[some],
+        angles="xy", scale_units="xy", scale=1, width=4e-3, cmap=_SEQUENTIAL,
+        clim=(0, _top_of(length)),
+    )  # fmt: skip
+    rows, columns = image.shape
+    axes.set(
+        xlim=(-0.5, columns - 0.5),
+        ylim=(rows - 0.5, -0.5),
+        xlabel="x / px",
+        ylabel="y / px",
+        title="moved since rest, in the image",
+    )
+    _colour_bar(axes, arrows, "displacement / px")
 
 
-def _draw_surface(figure: "Figure", at: Any, moment: Moment) -> None:
-    axes: Any = figure.add_subplot(at, projection="3d")
-    draw_surface(axes, moment.rest, moment.shift, moment.unit)
-    axes.set_title("surface")
+def _draw_surface(axes: Any, moment: Moment) -> None:
+    """Draw the surface now, coloured by displacement, with some arrows from rest.
+
+    The axes run along the rows, along the columns, and towards the cameras out of the plane that
+    fits the positions at rest best. The height is stretched to a fifth of the width.
+    """
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.ticker import MaxNLocator
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    directions, origin = plane_of(np.where(np.isnan(moment.shift), np.nan, moment.rest))
+    rest, shift = (moment.rest - origin) @ directions.T, moment.shift @ directions.T
+    now = rest + shift
+    valid = ~np.isnan(now[..., 0])
+    length = np.linalg.norm(shift, axis=2)
+    colours = ScalarMappable(Normalize(0, _top_of(length)), _SEQUENTIAL)
+
+    cells = np.stack(corners_of_cells(now), axis=2)
+    whole = ~np.isnan(cells).any(axis=(2, 3))
+    faces = colours.to_rgba(np.mean(corners_of_cells(length), axis=0)[whole])
+    axes.computed_zorder = False  # the arrows are drawn after the surface
+    axes.add_collection3d(
+        Poly3DCollection(cells[whole], facecolors=faces, edgecolors=faces, linewidths=0.2, zorder=1)
+    )
+    some = _spread(valid, _ARROWS_IN_SPACE) & (length > _SHORTEST_ARROW * _top_of(length))
+    axes.quiver(
+        *rest[some].T, *shift[some].T,
+        color="black", linewidths=0.7, alpha=0.8, arrow_length_ratio=0.25, zorder=2,
+    )  # fmt: skip
+    points = np.concatenate([rest[valid], now[valid]])
+    low, high = points.min(axis=0), points.max(axis=0)
+    span = np.maximum(high - low, 1e-3 * (high - low).max())
+    low, high = (low + high - span) / 2, (low + high + span) / 2
+    stretch = max(1.0, 0.2 * float(span[:2].max() / span[2]))
+    axes.set(
+        xlim=(low[0], high[0]),
+        ylim=(high[1], low[1]),
+        zlim=(low[2], high[2]),
+        xlabel=f"along rows / {moment.unit}",
+        ylabel=f"along columns / {moment.unit}",
+        zlabel=f"height / {moment.unit} (x {stretch:.2g})",
+        title="surface",
+    )
+    axes.zaxis.set_major_locator(MaxNLocator(3))
+    axes.set_box_aspect(span * [1, 1, stretch], zoom=1.0)
+    axes.view_init(elev=32, azim=-60)
+    beside = axes.inset_axes((0.2, 0.0, 0.6, 0.035))
+    label = f"displacement / {moment.unit}"
+    axes.figure.colorbar(colours, cax=beside, label=label, orientation="horizontal")
 
 
 def _draw_table(axes: "Axes", rows: Sequence[tuple[str, str]]) -> None:
@@ -398,98 +285,39 @@ def _draw_table(axes: "Axes", rows: Sequence[tuple[str, str]]) -> None:
 
 
 def _draw_curves(axes: "Axes", summary: Summary, unit: str) -> None:
-    time, label = _time_axis(np.array(summary.index), np.array(summary.time_ms))
+    """Draw the largest and the median displacement over time, or over frames without times."""
+    time, label = np.array(summary.time_ms) / 1e3, "time / s"
+    if not np.isfinite(time).all():
+        time, label = np.array(summary.index, np.float64), "frame"
     axes.plot(time, summary.largest, ".-", lw=1, ms=3, label="largest of all nodes")
     axes.plot(time, summary.median, ".-", lw=1, ms=3, label="median of all nodes")
     axes.set_ylim(bottom=0)
-    _finish_curve(axes, label, unit, "displacement over time")
-
-
-def _time_axis(index: NDArray[Any], time_ms: Array) -> tuple[Array, str]:
-    """Return the times in s if all are known, else the numbers of the frames; and the label."""
-    if np.isfinite(time_ms).all():
-        return time_ms / 1e3, "time / s"
-    return index.astype(np.float64), "frame"
-
-
-def _finish_curve(axes: "Axes", label: str, unit: str, title: str) -> None:
-    axes.set(xlabel=label, ylabel=f"displacement / {unit}", title=title)
+    axes.set(xlabel=label, ylabel=f"displacement / {unit}", title="displacement over time")
     axes.grid(alpha=0.3)
     axes.legend()
 
 
-def _draw_maps(
-    axes: Sequence["Axes"], moment: Moment, maps: list[_Map], top: float | None = None
-) -> list["_Drawn"]:
-    """Draw maps on one scale; top: its end, None for the largest value."""
-    top = top_of(np.stack([each.cells for each in maps])) if top is None else top
-    return [_Drawn(each, moment, shown, top) for each, shown in zip(axes, maps, strict=True)]
+def _colour_bar(axes: "Axes", drawn: Any, label: str) -> None:
+    beside = axes.inset_axes((1.03, 0.05, 0.04, 0.9))
+    axes.figure.colorbar(drawn, cax=beside, label=label)
 
 
-class _Drawn:
-    """A map drawn into axes, whose values can change. top: the end of its scale."""
-
-    def __init__(self, axes: "Axes", moment: Moment, shown: _Map, top: float) -> None:
-        from matplotlib.collections import PolyCollection
-
-        self._axes = axes
-        nodes, self._directions = moment.plane()
-        cells = np.stack(corners_of_cells(nodes), axis=2)
-        self._whole = ~np.isnan(cells).any(axis=(2, 3))
-        self._cells: PolyCollection = PolyCollection(
-            list(cells[self._whole]),
-            cmap=DIVERGING if shown.signed else SEQUENTIAL,
-            edgecolors="face",
-            linewidths=0.2,
-        )
-        self._cells.set_clim(-top if shown.signed else 0.0, top)
-        axes.add_collection(self._cells)
-        self._nodes = nodes
-        self._arrows: Any = None
-        self._length = top
-        points = nodes[~np.isnan(nodes[..., 0])]
-        low, high = points.min(axis=0), points.max(axis=0)
-        edge = 0.03 * float((high - low).max() or 1.0)
-        names = ("along rows", "along columns") if moment.in_space else ("x", "y")
-        axes.set(
-            xlim=(low[0] - edge, high[0] + edge),
-            ylim=(high[1] + edge, low[1] - edge),
-            aspect="equal",
-            facecolor="0.9",
-            xlabel=f"{names[0]} / {moment.unit}",
-            ylabel=f"{names[1]} / {moment.unit}",
-        )
-        label = f"{shown.title} / {shown.unit}"
-        colour_bar(axes, self._cells, label)
-        self.show(moment, shown)
-
-    def show(self, moment: Moment, shown: _Map) -> None:
-        """Show the values of a frame."""
-        mean = shown.cells[self._whole]
-        self._cells.set_array(np.ma.masked_invalid(mean))
-        unknown = "" if np.isfinite(mean).any() else ": no cell has a value"
-        enlarged = ""
-        if shown.title == "displacement":
-            enlarged = f", arrows {self._draw_arrows(moment):.2g} x"
-        self._axes.set_title(f"{shown.title}{enlarged}{unknown}")
-
-    def _draw_arrows(self, moment: Moment) -> float:
-        """Draw some arrows, enlarged so that the longest is two of their distances long; return
-        the factor."""
-        shift = moment.shift @ self._directions[: moment.shift.shape[2], : moment.shift.shape[2]].T
-        some = spread(~np.isnan(shift[..., 0]) & ~np.isnan(self._nodes[..., 0]), _ARROWS)
-        if self._arrows is not None:
-            self._arrows.remove()
-        step = np.nanmax(np.ptp(self._nodes[~np.isnan(self._nodes[..., 0])], axis=0)) / _ARROWS
-        self._arrows = self._axes.quiver(
-            *self._nodes[some].T, *shift[some][:, :2].T,
-            angles="xy", scale_units="xy", scale=self._length / (2 * step),
-            color="white", edgecolor="black", linewidth=0.3, width=4e-3,
-        )  # fmt: skip
-        return float(2 * step / self._length)
+def _spread(valid: NDArray[np.bool_], most: int) -> NDArray[np.bool_]:
+    """Return (R, C), True at valid nodes of which at most about `most` lie along a side."""
+    step = -(-max(valid.shape) // most)
+    some = np.zeros_like(valid)
+    some[step // 2 :: step, step // 2 :: step] = True
+    return some & valid
 
 
-# animations
+def _top_of(values: Array) -> float:
+    """Return the upper end of a colour scale: the largest size of a known value."""
+    top = float(np.nan_to_num(np.abs(values)).max(initial=0))
+    return top if top > _ROUNDING else 1.0
+
+
+def _top_of_maps(maps: Sequence[Map]) -> float:
+    return _top_of(np.stack([each.cells for each in maps]))
 
 
 def animate(
@@ -531,17 +359,10 @@ def _pictures(
     """Yield a picture (H, W, 3), RGB, of each of the frames at these places."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    tops = []
+    cells = (each.cells for n in places for each in recorded.moment(n).maps(quantity))
+    top = _top_of(np.array([np.nan_to_num(np.abs(each)).max(initial=0) for each in cells]))
     for place in places:
-        values = np.stack([each.cells for each in recorded.moment(place).maps(quantity)])
-        tops.append(float(np.nan_to_num(np.abs(values)).max(initial=0)))
-    figure, drawn = _maps_figure(recorded.moment(places[0]), quantity, top_of(np.array(tops)))
-    canvas: Any = FigureCanvasAgg(figure)
-    for place in places:
-        moment = recorded.moment(place)
-        for each, shown in zip(drawn, moment.maps(quantity), strict=True):
-            each.show(moment, shown)
-        figure.texts[0].set_text(f"frame {moment.index}")
+        canvas: Any = FigureCanvasAgg(map_figure(recorded.moment(place), quantity, top=top))
         canvas.draw()
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
         step()

@@ -13,7 +13,7 @@ from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.files import check_target, suffix_of, temporary_beside
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage
-from cmp_cl.viz.overlays import strips
+from cmp_cl.viz.overlays import PLASMA, eight_bits, strips
 
 _STRIP = 40  # px below the image for the text and the colour bar
 _WIDEST = 1920  # px, the widest video; wider images are reduced by a whole factor
@@ -86,9 +86,6 @@ class OverlayVideo(Closing):
         self._shape: tuple[int, ...] = ()
         self._factor = 1.0
         self._top = 0.0
-        self._colours = cv2.applyColorMap(
-            np.arange(256, dtype=np.uint8).reshape(-1, 1), cv2.COLORMAP_PLASMA
-        )[:, 0]
 
     def frame(
         self, image: GreyImage, grid: Grid, moved: NDArray[np.floating[Any]], *, text: str = ""
@@ -106,7 +103,7 @@ class OverlayVideo(Closing):
             raise FieldError(f"the image is {image.shape}, the first one was {self._shape}")
         self._top = max(self._top, float(np.nan_to_num(moved).max(initial=0)))
         factor = self._factor
-        grey = _eight_bits(image)
+        grey = eight_bits(image)
         wide, high = int(image.shape[1] * factor), int(image.shape[0] * factor)
         canvas = np.zeros((high + _STRIP, wide, 3), np.uint8)
         if factor != 1:
@@ -137,7 +134,7 @@ class OverlayVideo(Closing):
         lines = [np.ascontiguousarray(line) for line in strips(whole, valid)]
         cv2.polylines(canvas, lines, False, _LINE, 1)
         level = np.rint(np.nan_to_num(moved[valid]) * (255 / (self._top or 1))).astype(np.uint8)
-        colours = np.where(np.isnan(moved[valid])[:, None], _NO_VALUE, self._colours[level])
+        colours = np.where(np.isnan(moved[valid])[:, None], _NO_VALUE, PLASMA[level, ::-1])
         x, y = whole[valid].T
         for down, right in _DISC:
             row, column = y + down, x + right
@@ -153,7 +150,7 @@ class OverlayVideo(Closing):
         width = cv2.getTextSize(top, font, size, 1)[0][0]
         right = strip.shape[1] - width - 14
         left = right - 110
-        bar = self._colours[np.linspace(0, 255, right - left).astype(int)]
+        bar = PLASMA[np.linspace(0, 255, right - left).astype(int), ::-1]
         strip[14:28, left:right] = bar
         cv2.putText(strip, "0", (left - 14, 25), font, size, white, 1, cv2.LINE_AA)
         cv2.putText(strip, top, (right + 6, 25), font, size, white, 1, cv2.LINE_AA)
@@ -161,11 +158,3 @@ class OverlayVideo(Closing):
     def close(self) -> None:
         """Finish the video; closing again does nothing. Without a frame no file appears."""
         self._video.close()
-
-
-def _eight_bits(image: GreyImage) -> NDArray[np.uint8]:
-    """Return the image as uint8; 16 bits are stretched to the brightest pixel."""
-    if image.dtype == np.uint8:
-        return image.astype(np.uint8, copy=False)
-    white = max(int(image.max(initial=0)), 1)
-    return cv2.convertScaleAbs(image, alpha=255 / white).astype(np.uint8, copy=False)

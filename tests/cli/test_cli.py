@@ -334,7 +334,7 @@ def test_a_path_that_is_no_file_is_not_read(run, name):
         ["detect", BOARD, "--out", "same.png", "--overlay", "same.png"],
         ["detect", BOARD, "--out", "link.csv", "--config", "e.toml"],
         ["run", "a.png", "--config", "e.toml", "--stereo", "rig.npz", "--out", "rig.npz"],
-        ["run", "a.png", "--out", "a.npz", "--rerun", "a.rrd", "--config", "a.npz"],
+        ["run", "a.png", "--out", "a.npz", "--plot", "a", "--config", "a.npz"],
         ["calibrate", "board.yaml", "--board", "3x3", "--square", "1", "--out", "board.yaml"],
         ["render", "--out", "a.png", "--truth", "./a.png"],
     ],

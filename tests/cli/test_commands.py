@@ -1,9 +1,7 @@
 """demo, run and calibrate as a user has them, on small rendered frames."""
 
 import contextlib
-import csv
 import dataclasses
-import importlib.util
 import json
 import os
 import shutil
@@ -343,9 +341,6 @@ def test_a_run_stopped_before_its_first_frame_keeps_an_older_series(
     monkeypatch.setattr(SeriesWriter, "__enter__", stopped)
     older = ["press.npz", "old.mp4", "old.png"]
     options = ["--plot", "old"]
-    if importlib.util.find_spec("rerun") is not None:
-        older.append("old.rrd")
-        options += ["--rerun", "old.rrd"]
     for name in older:
         Path(name).write_text("old")
     assert run("run", recording, *STEREO, *options) == (130, "", "cmp-cl: interrupted\n")
@@ -407,24 +402,23 @@ def test_a_disk_that_fills_up_ends_a_run_with_what_it_has(run, recording, press,
 
 
 @pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
-def test_a_video_that_a_full_disk_cuts_is_not_written_but_the_series_is(
+def test_a_sheet_that_a_full_disk_cuts_is_not_written_but_the_series_is(
     run, recording, press, monkeypatch
 ):
-    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
-    Path("old.rrd").write_text("old")
+    Path("old.png").write_text("old")
+    close = SeriesWriter.close
+
+    def filling(series):
+        close(series)
+        disk.enter_context(full_after(10_000))
+
     with contextlib.ExitStack() as disk:
-        enter = SeriesWriter.__enter__
-
-        def filling(series):
-            disk.enter_context(full_after(60_000))  # once kernels are compiled
-            return enter(series)
-
-        monkeypatch.setattr(SeriesWriter, "__enter__", filling)
-        status, out, err = run("run", recording, *STEREO, "--rerun", "old.rrd")
+        monkeypatch.setattr(SeriesWriter, "close", filling)
+        status, out, err = run("run", recording, *STEREO, "--plot", "old.png")
     assert status == 2
-    assert (err.count("\n"), "old.rrd: File too large" in err) == (1, True)
-    assert "old.rrd" not in out
-    assert Path("old.rrd").read_text() == "old"
+    assert (err.count("\n"), "old.png: File too large" in err) == (1, True)
+    assert "old.png" not in out
+    assert Path("old.png").read_text() == "old"
     assert len(np.load("press.npz")["index"]) == len(press)
 
 
@@ -457,8 +451,6 @@ def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press,
         (["frames", *STEREO, "--device", "abacus"], ["abacus"]),
         (["frames", *STEREO, "--out", "press.mat"], ["press.mat", ".npz"]),
         (["frames", *STEREO, "--out", "no/press.npz"], ["there is no folder", "no'"]),
-        (["frames", *STEREO, "--rerun", "press.txt"], ["rrd"]),
-        (["frames", *STEREO, "--rerun", "press.rrd", "--show"], ["--show", "--rerun"]),
         (["frames", *STEREO, "--stereo", "frames/0.png"], ["frames/0.png"]),
         (["frames", "--out", "a.npz", "--split", "halves"], ["--stereo"]),
         (["frames", *STEREO, "--region", "1,2,3"], ["X,Y,WIDTH,HEIGHT"]),
@@ -539,13 +531,10 @@ def test_a_region_follows_its_rectangle_into_the_view(mirror):
     assert (x.min() - x0, y.min() - y0, x1 - x.max(), y1 - y.max()) == (0.5,) * 4
 
 
-@pytest.mark.parametrize("option", some([["--rerun", "a.rrd"], ["--show"]], (["--show"],)))
-def test_without_rerun_the_extra_is_named(run, recording, tmp_path, monkeypatch, option):
+def test_without_rerun_the_extra_is_named(run, recording, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     monkeypatch.setenv("DISPLAY", ":0")
-    fails_in_one_line(
-        run("run", recording, *STEREO, *option), option[0], "pip install 'cmp-cl[view]'"
-    )
+    fails_in_one_line(run("run", recording, *STEREO, "--show"), "pip install 'cmp-cl[view]'")
     assert not list(tmp_path.glob("*.npz"))
 
 
@@ -553,7 +542,7 @@ def test_without_its_viewer_rerun_shows_nothing_and_says_why(run, recording, tmp
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setenv("DISPLAY", ":0")
-    fails_in_one_line(run("run", recording, *STEREO, "--show"), "--show", "Viewer")
+    fails_in_one_line(run("run", recording, *STEREO, "--show"), "Viewer")
     assert not list(tmp_path.glob("*.npz"))
 
 
@@ -569,8 +558,7 @@ def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatc
     shown = []
 
     class Viewer(contextlib.nullcontext):
-        def __init__(self, path):
-            assert path is None
+        def __init__(self):
             super().__init__(self)
 
         def close(self):
@@ -579,7 +567,7 @@ def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatc
         def frame(self, **what):
             shown.append(what)
 
-    monkeypatch.setattr("cmp_cl.cli.display.RerunLog", Viewer)
+    monkeypatch.setattr("cmp_cl.cli.display.Viewer", Viewer)
     monkeypatch.setenv("DISPLAY", ":0")
     status, _, err = run("run", recording, *STEREO, "--show")
     assert (status, err) == (0, "")
@@ -588,7 +576,6 @@ def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatc
         np.testing.assert_array_equal(what["image"], shot.left.image)
         assert np.abs(what["grid"].xy - shot.left.truth).max() < 1
     assert np.nanmax(np.abs(shown[-1]["field"].displacement)) > 0.1
-    assert np.nanmax(shown[-1]["moved"]) > 0.1
     assert shown[-1]["rate"] > 0
 
 
@@ -667,25 +654,14 @@ def test_demo_measures_what_it_rendered(run, small_demo, tmp_path):
     assert (status, err) == (0, "")
     assert str(select_device()) in out
     folder = tmp_path / "shown"
-    written = sorted(str(path.relative_to(folder)) for path in folder.rglob("*.*"))
-    assert "sheet.png" in written
-    assert written == sorted(out.split("wrote to shown: ")[1].splitlines()[0].split(", "))
-    for picture in folder.glob("*.png"):
-        assert cv2.imread(str(picture)).std() > 20
+    assert cv2.imread(str(folder / "sheet.png")).std() > 20
     field = np.load(folder / "field.npz")
     _, _, rest = render_stereo(demo.SCENE.at_rest(), RIG)
     _, _, now = render_stereo(demo.SCENE, RIG)
     off = np.linalg.norm(field["displacement"] - (now - rest), axis=2)
     rms = np.sqrt(np.mean(off**2))
     assert rms < CLOSE
-    assert (
-        f'error of the displacement, RMS",{1e3 * rms:.1f},um' in (folder / "errors.csv").read_text()
-    )
-    assert "left view: nodes with a wrong number,0," in (folder / "errors.csv").read_text()
-    with open(folder / "errors.csv", newline="", encoding="utf-8") as file:
-        table = {row["what"]: row["value"] for row in csv.DictReader(file)}
-    filtered = float(table["left view: after the lattice filter, RMS"])
-    assert filtered < 0.8 * float(table["left view: error of a corner, RMS"])
+    assert f"error of the displacement, RMS  {1e3 * rms:.1f} um" in out
     command = out.splitlines()[-1].partition("cmp-cl ")[2].split()
     assert run(*command)[0] == 0
     np.testing.assert_allclose(
@@ -693,18 +669,9 @@ def test_demo_measures_what_it_rendered(run, small_demo, tmp_path):
     )
 
 
-def test_without_matplotlib_demo_says_so_and_writes_the_rest(
-    run, small_demo, tmp_path, monkeypatch
-):
+def test_without_matplotlib_demo_says_what_to_install(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    status, out, err = run("demo")
-    assert status == 0
-    assert err.count("\n") == 1
-    assert "pip install 'cmp-cl[plot]'" in err
-    assert (tmp_path / "cmp-demo" / "grid.png").exists()
-    assert (tmp_path / "cmp-demo" / "field.vtp").exists()
-    assert not (tmp_path / "cmp-demo" / "surface.png").exists()
-    assert "surface" not in out
+    fails_in_one_line(run("demo"), "pip install 'cmp-cl[plot]'")
 
 
 def test_demo_does_not_write_into_a_file(run):

@@ -1,0 +1,254 @@
+"""What is drawn of a series: the quantities of a frame, and the curves of all frames."""
+
+import dataclasses
+import enum
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import FieldError, check_kind
+from cmp_cl.field import DisplacementField, green_lagrange
+
+Array = NDArray[np.float64]
+
+NEEDED = "index", "time_ms", "rest", "displacement", "xy", "sigma", "unit"  # arrays of a series
+_NARROWEST = 1e-5  # width of a surface over its length; a narrower one is a line
+
+
+class Quantity(enum.Enum):
+    """The quantity of a node that a map shows.
+
+    DISPLACEMENT: its length, with some arrows. STRAIN: both principal Green-Lagrange strains in the
+    plane or in the surface, %. HEIGHT: the displacement towards the cameras, out of the plane that
+    fits the rest positions best; two views only. SIGMA: the standard deviation of the displacement
+    (two views) or of the position now (one view).
+    """
+
+    DISPLACEMENT = "displacement"
+    STRAIN = "strain"
+    HEIGHT = "height"
+    SIGMA = "sigma"
+
+
+@dataclasses.dataclass(frozen=True)
+class Map:
+    """The values (R, C) of a map, its title, its unit, and whether they have a sign."""
+
+    title: str
+    values: Array
+    unit: str
+    signed: bool = False
+
+    @property
+    def cells(self) -> Array:
+        """Return the value of each cell, the mean of its four nodes, (R - 1, C - 1)."""
+        return np.asarray(np.mean(corners_of_cells(self.values), axis=0))
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Moment:
+    """What is drawn of one frame.
+
+    rest: (R, C, 2) or (R, C, 3) in `unit`. shift: the displacement, of the same shape. sigma:
+    (R, C), NaN where unknown. index: the number of the frame.
+    """
+
+    rest: Array
+    shift: NDArray[Any]
+    sigma: NDArray[Any]
+    unit: str
+    index: int
+
+    @classmethod
+    def of(cls, field: DisplacementField, index: int = 0) -> "Moment":
+        """Return what is drawn of a field; raises FieldError if it is of another type."""
+        check_kind("field", field, DisplacementField, FieldError)
+        return cls(
+            rest=field.position,
+            shift=field.displacement,
+            sigma=field.sigma,
+            unit=field.unit,
+            index=index,
+        )
+
+    @property
+    def in_space(self) -> bool:
+        return bool(self.rest.shape[2] == 3)
+
+    def plane(self) -> tuple[Array, Array]:
+        """Return the positions at rest (R, C, 2) to draw on, and (3, 3) axes of that plane.
+
+        Raises FieldError if fewer than three nodes are valid, or all lie on a line.
+        """
+        if not self.in_space:
+            return self.rest, np.eye(3)
+        axes, origin = plane_of(self.rest)
+        return ((self.rest - origin) @ axes.T)[..., :2], axes
+
+    def quantities(self) -> list[Quantity]:
+        """Return the quantities that the frame has."""
+        found = [Quantity.DISPLACEMENT]
+        found += [Quantity.HEIGHT] if self.in_space else []
+        found += [Quantity.SIGMA] if np.isfinite(self.sigma).any() else []
+        return [*found, Quantity.STRAIN]
+
+    def maps(self, quantity: Quantity) -> list[Map]:
+        """Return the maps of a quantity; raises FieldError for the height of one view."""
+        if quantity is Quantity.DISPLACEMENT:
+            return [Map("displacement", np.linalg.norm(self.shift, axis=2), self.unit)]
+        if quantity is Quantity.SIGMA:
+            return [Map("standard deviation", self.sigma, self.unit)]
+        if quantity is Quantity.STRAIN:
+            larger, smaller = self._principal_strains()
+            return [
+                Map("larger principal strain", 100 * larger, "%", signed=True),
+                Map("smaller principal strain", 100 * smaller, "%", signed=True),
+            ]
+        if not self.in_space:
+            raise FieldError("one view shows no height: record two views, with --stereo")
+        return [Map("height", self.shift @ self.plane()[1][2], self.unit, signed=True)]
+
+    def _principal_strains(self) -> tuple[Array, Array]:
+        rest = np.where(np.isnan(self.shift), np.nan, self.rest)
+        first, second, shear = np.moveaxis(green_lagrange(rest, rest + self.shift), -1, 0)
+        middle, half = (first + second) / 2, np.hypot((first - second) / 2, shear)
+        return middle + half, middle - half
+
+
+class Summary:
+    """What the sheet of a series shows: its frame of the largest displacement, and two curves.
+
+    rest: (R, C, 2 or 3) in `unit`. moment: that frame, None before the first one. index, time_ms,
+    largest, median: of each frame, its number, its time, and the displacement of its nodes.
+    """
+
+    def __init__(self, rest: Array, unit: str) -> None:
+        self._rest, self._unit = rest, unit
+        self.moment: Moment | None = None
+        self._most = 0.0
+        self.index: list[int] = []
+        self.time_ms: list[float] = []
+        self.largest: list[float] = []
+        self.median: list[float] = []
+
+    def add(self, index: int, time_ms: float, shift: NDArray[Any], sigma: NDArray[Any]) -> None:
+        """Add a frame: its number, its time, the displacement (R, C, 2 or 3), sigma (R, C)."""
+        length = np.linalg.norm(shift, axis=2)
+        known = length[~np.isnan(length)]
+        largest = float(known.max()) if len(known) else np.nan
+        if self.moment is None or largest > self._most:
+            self._most = max(self._most, np.nan_to_num(largest))
+            self.moment = Moment(
+                rest=self._rest,
+                shift=shift.copy(),
+                sigma=sigma.copy(),
+                unit=self._unit,
+                index=index,
+            )
+        self.index.append(index)
+        self.time_ms.append(time_ms)
+        self.largest.append(largest)
+        self.median.append(float(np.median(known)) if len(known) else np.nan)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Recorded:
+    """A series of nodes, from the arrays that `cmp_cl.series.read_series` reads.
+
+    rest: (R, C, 2) or (R, C, 3) in `unit`. shift: (F, R, C, 2 or 3). sigma: (F, R, C), NaN
+    where the series has none. index, time_ms: (F,).
+    """
+
+    rest: Array
+    shift: NDArray[Any]
+    sigma: NDArray[Any]
+    index: NDArray[np.int64]
+    time_ms: Array
+    unit: str
+
+    @classmethod
+    def of(cls, series: Mapping[str, NDArray[Any]]) -> "Recorded":
+        """Take the arrays of a series; raises FieldError without frames, rest or positions."""
+        missing = [name for name in ("index", "time_ms", "rest") if name not in series]
+        if missing or not ("displacement" in series or "xy" in series):
+            what = missing or ["displacement or xy"]
+            raise FieldError(f"the series has no {' and no '.join(what)}")
+        if not len(series["index"]):
+            raise FieldError("the series has no frame")
+        rest = np.asarray(series["rest"], np.float64)
+        moved = series["displacement"] if "displacement" in series else series["xy"]
+        if rest.ndim != 3 or moved.shape[1:] != rest.shape:
+            raise FieldError(f"rest is {rest.shape} and the displacement {moved.shape}")
+        shift = moved if "displacement" in series else moved - rest
+        return cls(
+            rest=rest,
+            shift=shift,
+            sigma=series.get("sigma", np.broadcast_to(np.nan, shift.shape[:3])),
+            index=np.asarray(series["index"], np.int64),
+            time_ms=np.asarray(series["time_ms"], np.float64),
+            unit=str(series.get("unit", "px")),
+        )
+
+    def summary(self) -> Summary:
+        """Return the summary of all frames."""
+        found = Summary(self.rest, self.unit)
+        for each in zip(self.index, self.time_ms, self.shift, self.sigma, strict=True):
+            found.add(*each)
+        return found
+
+    def moment(self, frame: int) -> Moment:
+        """Return the frame at that place in the series."""
+        return Moment(
+            rest=self.rest,
+            shift=self.shift[frame],
+            sigma=self.sigma[frame],
+            unit=self.unit,
+            index=int(self.index[frame]),
+        )
+
+    def frame_of(self, index: int) -> int:
+        """Return the place in the series of the frame of that number; raises FieldError."""
+        found = np.flatnonzero(self.index == index)
+        if not len(found):
+            raise FieldError(
+                f"there is no frame {index}: those from {self.index.min()} to {self.index.max()} "
+                "are recorded"
+            )
+        return int(found[0])
+
+
+def plane_of(rest: Array) -> tuple[Array, Array]:
+    """Fit a plane to positions (R, C, 3), NaN where missing: (3, 3) axes as rows, (3,) origin.
+
+    The first axis runs along the rows, the second along the columns, the third towards the
+    cameras (a left-handed frame, as on a picture with y down and height towards the viewer).
+
+    Raises FieldError if fewer than three nodes are valid, or all lie on a line.
+    """
+    valid = ~np.isnan(rest[..., 0])
+    points = rest[valid]
+    if len(points) < 3:
+        raise FieldError(f"{len(points)} nodes are valid, at least 3 are needed to draw a surface")
+    origin = points.mean(axis=0)
+    _, spread, directions = np.linalg.svd(points - origin, full_matrices=False)
+    if spread[1] < _NARROWEST * spread[0] or not spread[0]:
+        raise FieldError("all valid nodes lie on a line: they make no surface")
+    normal = directions[2] if directions[2] @ origin < 0 else -directions[2]
+    row, column = np.nonzero(valid)
+    slopes = np.linalg.lstsq(
+        np.column_stack([column, row, np.ones(len(row))]), points - origin, rcond=None
+    )[0]
+    along = slopes[0] if slopes[0].any() else directions[0]
+    along = along - (along @ normal) * normal
+    along = along / np.linalg.norm(along)
+    across = np.cross(normal, along)
+    if across @ slopes[1] < 0:
+        across = -across
+    return np.stack([along, across, normal]), origin
+
+
+def corners_of_cells(values: Array) -> list[Array]:
+    """Return the values (R, C, ...) at the four nodes of each cell, (R - 1, C - 1, ...) each."""
+    return [values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1]]
