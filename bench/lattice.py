@@ -22,7 +22,6 @@ from partial_views import SETS, View, agreeing, views
 from surroundings import board
 
 from cmp_cl import Corners, Detector, DetectorConfig, NodeStatus, build_grid, select_device
-from cmp_cl.corners import Refusal
 from cmp_cl.errors import GridError
 from cmp_cl.lattice.boards import boards
 from cmp_cl.lattice.constants import LatticeConstants
@@ -159,11 +158,9 @@ def of_lattice(constants: LatticeConstants) -> Method:
             capacity=max(len(corners), 1),
             constants=constants,
         )
-        plan.take(view.image, corners.xy, corners.edges, corners.sigma, corners.refusal)
-        plan.find_parts()
-        rough = ~(corners.sigma < constants.torn_sigma_px)
-        rough |= corners.refusal != Refusal.NONE.value
-        found = next(boards(plan, view.image.shape, corners.xy, rough, constants), None)
+        plan.take(view.image, corners.xy, corners.edges, corners.refusal)
+        plan.start()
+        found = next(boards(plan, corners.xy), None)
         if found is None:
             return NOTHING
         row, column = np.nonzero(found.owner >= 0)

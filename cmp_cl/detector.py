@@ -16,6 +16,8 @@ from cmp_cl.corners import Corners
 from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage, check_dtype
+from cmp_cl.lattice.arrays import Board
+from cmp_cl.lattice.plan import LatticePlan
 from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
 from cmp_cl.opencl.program import Programs, programs_of
@@ -96,6 +98,7 @@ class Detector(Closing):
             config=self.config,
             mask=mask,
         )
+        self._lattice: LatticePlan | None = None  # of the plan that was used last
         self._closed = False
         self.regrown = 0  # how often a list was too short and a frame was processed again
         if self.shape[0] and self.shape[1]:
@@ -106,6 +109,7 @@ class Detector(Closing):
         if is_forked():  # the memory belongs to the parent process
             return
         with self._lock:
+            self._lattice = None
             for plan in self._plans:
                 self._plans.drop(plan)
             self._closed = True
@@ -113,7 +117,8 @@ class Detector(Closing):
     @property
     def memory(self) -> int:
         """Return the bytes allocated on the device."""
-        return sum(sum(plan.sizes.values()) for plan in self._plans)
+        lattice = 0 if self._lattice is None else sum(self._lattice.sizes.values())
+        return lattice + sum(sum(plan.sizes.values()) for plan in self._plans)
 
     @property
     def times(self) -> dict[str, float]:
@@ -272,6 +277,43 @@ class Detector(Closing):
             previous=previous,
             strict=strict,
         )
+
+    def boards(self, frame: Frame) -> tuple[Corners, list[Board]]:
+        """Find the corners of a frame, and the boards that they form.
+
+        frame: (H, W). Returns the corners, and the boards, that of the largest part of the lattice
+        first; a board is an array of nodes and may have holes. The corners are numbered on the
+        device, where they are; if they form one part the host waits once.
+
+        Raises the errors of a call.
+        """
+        from cmp_cl.lattice.boards import boards
+
+        image = self._checked(frame)
+        if not image.size:
+            return no_corners(str(self.device)), []
+        with self._lock:
+            self._check_alive()
+            corners, lattice = self._numbered(image)
+            return corners, list(boards(lattice, corners.xy))
+
+    def _numbered(self, image: GreyImage) -> tuple[Corners, LatticePlan]:
+        """Return the corners of an image, and the plan in which their numbers were started."""
+        plan = self._plans.lend()
+        self._start(plan, [image], self._queue)
+        while True:
+            lattice = self._lattice_of(plan)
+            lattice.start()
+            lattice.wait()
+            corners = self._finish(plan, self._queue)[0]
+            if lattice is self._lattice_of(plan):  # else a list was too short, and has grown
+                return corners, lattice
+
+    def _lattice_of(self, plan: Plan) -> LatticePlan:
+        """Return the plan that numbers the corners of this one where they are."""
+        if self._lattice is None or self._lattice.corners_of != plan.arrays["result"]:
+            self._lattice = LatticePlan.of(plan, self._programs)
+        return self._lattice
 
     def _start(
         self, plan: Plan, frames: list[GreyImage] | cl.Buffer, transfers: cl.CommandQueue

@@ -7,8 +7,9 @@
 #error "PIXEL must be uchar or ushort"
 #endif
 
-/* The image under [1 2 1] along both axes, in sixteenths of 1/255 of full scale. Its padding and
- * `zero` are as in plane.clh. One work-item per pixel. */
+/* The image under [1 2 1] along both axes, in sixteenths of 1/255 of full scale; beyond the image its
+ * border is repeated. One spare row lies before the image. One work-item per element of a row; in
+ * the padding it computes what is never used. */
 #if WHOLE_LEVELS /* a pixel is the grey level */
 #define GREY(v) (ushort)(v)
 #define AS_LEVEL(v) (v)
@@ -18,15 +19,16 @@
 #define AS_LEVEL(v) (((v) + 8) >> 4)
 #define SUM uint
 #endif
-__kernel void smooth_levels(__global const PIXEL *restrict image, const uint start, const uint step,
-                            const uint full_scale, const uint rows,
+__kernel void smooth_levels(__global const PIXEL *restrict image, const uint step,
+                            const uint full_scale, const uint rows, const uint columns,
                             __global ushort *restrict levels) {
   const size_t x = get_global_id(0), y = get_global_id(1);
-  __global const PIXEL *here = image + start + y * step;
+  __global const PIXEL *here = image + (y + 1) * step;
   __global const PIXEL *above = y ? here - step : here;
   __global const PIXEL *below = y + 1 < rows ? here + step : here;
 #define DOWN(x) (SUM)((SUM)(GREY(above[x]) + GREY(below[x])) + (SUM)(GREY(here[x]) << 1))
-  const SUM left = DOWN(x - 1), middle = DOWN(x), right = DOWN(x + 1);
+  const SUM before = DOWN(x - 1), middle = DOWN(x), after = DOWN(x + 1);
+  const SUM left = x == PAD ? middle : before, right = x == PAD + columns - 1 ? middle : after;
   levels[y * step + x] =
       (ushort)AS_LEVEL((SUM)((SUM)(left + right) + (SUM)(middle << 1)));
 }

@@ -15,7 +15,7 @@
 typedef struct {
   float side_depth, side_depth_px, side_share, least_contrast;
   float depth, deep;
-  float torn_weight, torn_variance;
+  float torn_weight;
   float side_nats, cells_nats, firm_prior, loose_prior, firm_penalty, loose_penalty, misfit_cap;
   float stay, drop, enter, outside;
   float reach, beside, edge;
@@ -57,10 +57,11 @@ __kernel void number_corners(__global const float *restrict corners, const uint 
   }
 }
 
-/* Lay the numbered corners out as a board. One work-group. */
+/* Lay the numbered corners out as a board, which is empty if the frame has more parts. One
+ * work-group. */
 __kernel void lay_board(__global const float *restrict corners, const uint capacity,
                         __global const int4 *restrict numbers, const int places,
-                        __constant Nats *nats, __global int *restrict layout,
+                        const int most_parts, __constant Nats *nats, __global int *restrict layout,
                         __global float2 *restrict seen, __global int *restrict owner,
                         __global uchar *restrict torn, __global uchar *restrict used,
                         __global uchar *restrict tried) {
@@ -87,11 +88,10 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   atomic_min(&top, least_y);
   atomic_max(&bottom, most_y);
   ALL_TOGETHER;
-  const bool some = right >= left;
-  const int width = some ? right - left + 1 + 2 * MARGIN : 0;
-  const int height = some ? bottom - top + 1 + 2 * MARGIN : 0;
-  const bool fits = (long)width * height <= places;
-  const int all = fits ? width * height : 0, origin_x = left - MARGIN, origin_y = top - MARGIN;
+  const long across = (long)right - left + 1 + 2 * MARGIN, down = (long)bottom - top + 1 + 2 * MARGIN;
+  const bool fits = right >= left && layout[PARTS] <= most_parts && across * down <= places;
+  const int width = fits ? across : 0, height = fits ? down : 0, all = width * height;
+  const int origin_x = left - MARGIN, origin_y = top - MARGIN;
   FOR_ALL(place, all) owner[place] = INT_MAX;
   ALL_TOGETHER;
   FOR_ALL(i, all ? count : 0) {
@@ -116,7 +116,7 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   }
   ALL_TOGETHER;
   if (get_local_id(0)) return;
-  layout[BOARD_ROWS] = height; /* too large a board has no nodes */
+  layout[BOARD_ROWS] = height;
   layout[BOARD_COLUMNS] = width;
   layout[FIRST_ROW] = origin_y;
   layout[FIRST_COLUMN] = origin_x;

@@ -2,7 +2,6 @@
 
 import cv2
 import numpy as np
-import pyopencl as cl
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.arrays import Frame, as_frame
@@ -11,10 +10,8 @@ from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.image import GreyImage
 from cmp_cl.lattice.arrays import LOOKED, Board
 from cmp_cl.lattice.boards import boards
-from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.lattice.plan import LatticePlan
+from cmp_cl.lattice.plan import lattice_plan
 from cmp_cl.opencl.device import Device, select_device
-from cmp_cl.opencl.program import programs_of
 
 LEAST = 4  # corners of the smallest lattice, one cell
 COMPARABLE = 0.5  # share of the first board's corners from which a second may be the one meant
@@ -43,29 +40,19 @@ def number(xy: ArrayLike, image: Frame, *, device: Device | str | None = None) -
     frame = as_frame(image)
     at = _checked(xy, frame)
     count = len(at)
-    chosen = select_device(device)
-    programs = programs_of(chosen.handle)
-    constants = LatticeConstants()
-    plan = LatticePlan(
-        queue=cl.CommandQueue(programs.context),
-        programs=programs,
-        device=chosen,
-        shape=(frame.shape[0], frame.shape[1]),
-        dtype=frame.dtype,
-        full_scale=int(np.iinfo(frame.dtype).max),
-        capacity=count,
-        constants=constants,
+    plan = lattice_plan(
+        select_device(device), frame.shape, frame.dtype, int(np.iinfo(frame.dtype).max), count
     )
-    plan.take(frame, at, _edges(frame, at), np.zeros(count, np.float32), np.zeros(count, np.uint8))
-    plan.find_parts()
-    found = boards(plan, plan.shape, at, np.zeros(count, np.bool_), constants)
-    first = next(found, None)
+    with plan.lock:
+        plan.take(frame, at, _edges(frame, at), np.zeros(count, np.uint8))
+        plan.start()
+        found = boards(plan, at)
+        first, second = next(found, None), next(found, None)
     if first is None:
         raise GridError(
             f"the {count} corners form no board: too few of them are linked by the sides of cells; "
             "check that they lie in this image, as (x, y), and that its cells are 4 px or wider"
         )
-    second = next(found, None)
     return _grid(first, second, count)
 
 

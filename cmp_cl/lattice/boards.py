@@ -1,42 +1,29 @@
 """From the parts of a frame to its boards, the largest first; the host's share of the work."""
 
 from collections.abc import Iterator
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.lattice.arrays import NONE, Board, Mask, Parts, Units, Votes
+from cmp_cl.lattice.arrays import NONE, Board
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.joins import Placed, joined, units_of
+from cmp_cl.lattice.plan import LatticePlan
 
 
-class Stages(Protocol):
-    """What the device, or the oracle, does for one frame."""
+def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
+    """Yield the boards of a frame that was started, without margins, the largest part's first.
 
-    def parts(self) -> Parts:
-        """Return the parts of the lattice."""
-
-    def votes(self, units: Units) -> Votes:
-        """Return the ways across tears between the rims of parts."""
-
-    def settled(self, board: Board) -> Board:
-        """Return the board after rounds of dropping and attaching nodes."""
-
-
-def boards(
-    stages: Stages,
-    shape: tuple[int, int],
-    xy: NDArray[np.float32],
-    torn: Mask,
-    k: LatticeConstants,
-) -> Iterator[Board]:
-    """Yield the boards of a frame, that of the largest part first, without margins.
-
-    shape: of the image. xy: (N, 2), px. torn: (N,), corners whose position is a rough one. A corner
-    is a node of one board at most.
+    xy: (N, 2), the corners of the plan, px. A corner is a node of one board at most.
     """
-    parts = stages.parts()
+    k = plan.constants
+    alone = plan.alone()
+    if alone is not None:
+        board = trimmed(alone, plan.shape, k)
+        if np.count_nonzero(board.there) >= k.least_board:
+            yield board
+        return
+    parts = plan.parts()
     units, faces = units_of(
         parts.root,
         parts.column,
@@ -46,9 +33,7 @@ def boards(
         xy,
         k,
     )
-    if not len(faces):
-        return
-    votes = stages.votes(units)
+    votes = plan.votes(units)
     taken = np.zeros(len(xy), np.bool_)
     for main in range(len(faces)):
         own = units.corner[units.part == main]
@@ -56,7 +41,7 @@ def boards(
             continue
         placed = joined(units, votes, len(xy), k, main)
         placed.part[taken] = -1
-        board = trimmed(stages.settled(board_of(placed, xy, torn, k)), shape, k)
+        board = trimmed(plan.settle(numbers_of(placed)), plan.shape, k)
         owner = board.owner[board.owner >= 0]
         if np.count_nonzero(board.there) < k.least_board:
             continue
@@ -64,27 +49,11 @@ def boards(
         yield board
 
 
-def board_of(placed: Placed, xy: NDArray[np.float32], torn: Mask, k: LatticeConstants) -> Board:
-    """Return numbered corners as an array of nodes, with a margin of missing ones."""
-    corner = np.flatnonzero(placed.there)
-    column, row = (
-        np.rint(each).astype(np.int64)
-        for each in (placed.number[corner].real, placed.number[corner].imag)
-    )
-    margin = k.rounds + 3
-    column, row = column - column.min() + margin, row - row.min() + margin
-    shape = int(row.max()) + margin + 1, int(column.max()) + margin + 1
-    colour = (1 - 2 * (placed.rotation[corner] % 2)) * (1 - 2 * ((row + column) % 2))
-    board = Board(
-        x=np.full(shape, np.nan, np.float32),
-        y=np.full(shape, np.nan, np.float32),
-        owner=np.full(shape, NONE),
-        torn=np.zeros(shape, np.bool_),
-        sign=1 if colour.sum() >= 0 else -1,
-    )
-    board.x[row, column], board.y[row, column] = xy[corner].T
-    board.owner[row, column], board.torn[row, column] = corner, torn[corner]
-    return board
+def numbers_of(placed: Placed) -> NDArray[np.int32]:
+    """Return column, row, quarter turn, and 1 of every corner that is placed, (N, 4)."""
+    number = np.where(placed.there, placed.number, 0)
+    column, row = np.rint(number.real), np.rint(number.imag)
+    return np.stack([column, row, placed.rotation, placed.there], axis=1).astype(np.int32)
 
 
 def cropped(board: Board) -> Board:

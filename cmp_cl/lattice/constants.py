@@ -54,7 +54,6 @@ class LatticeConstants:
     torn_weight_per_px2: 1/px^2, weight of a torn corner among the predictions of its
         neighbours, per area of a cell: 14 at cells of 13 px. Least false nodes and least error
         of 6 to 30 tried there.
-    torn_sigma_px: px, a corner whose sigma is not below it is torn.
     misfit_cap_cells: cells, misfits beyond it count alike.
     repair_cells: cells, a node so near to the place of a missing one is at that place itself.
     reach_cells: cells, a corner so far from a prediction is another.
@@ -108,7 +107,6 @@ class LatticeConstants:
     # Nodes
     cell_depths: tuple[float, float] = (0.2, 0.32)
     torn_weight_per_px2: float = 0.08
-    torn_sigma_px: float = 0.15
     misfit_cap_cells: float = 0.4
     repair_cells: float = 0.15
     reach_cells: float = 0.3

@@ -54,10 +54,9 @@ def launches(plan: "LatticePlan") -> list[Launch]:
             (plan.step, plan.shape[0]),
             (plan.width, 1),
             image=b["image"],
-            start=np.uint32(plan.start),
             step=np.uint32(plan.step),
             full_scale=np.uint32(plan.full_scale),
-            rows=rows,
+            **plan.size,
             levels=b["levels"],
         ),
         plan.of_corners(

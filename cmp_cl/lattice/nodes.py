@@ -12,8 +12,10 @@ if TYPE_CHECKING:
     from cmp_cl.lattice.plan import LatticePlan
 
 # In the layout, see kernels/lattice.clh.
-ROWS, COLUMNS, SIGN, DROPPED, ENTERED, STATE = 3, 4, 7, 11, 12, 13
+ROWS, COLUMNS, SIGN, DROPPED, ENTERED, STATE, PARTS = 3, 4, 7, 11, 12, 13, 15
+LAYOUT = 16  # numbers in it
 RUNS = 1
+ANY = 2**31 - 1  # number of parts
 OUTSIDE = -9.0  # nats of a node outside the image
 
 
@@ -53,8 +55,8 @@ def first_board(plan: "LatticePlan") -> list[Launch]:
     ]
 
 
-def lay(plan: "LatticePlan") -> list[Launch]:
-    """Return the launch from the numbers of corners to a board."""
+def lay(plan: "LatticePlan", most_parts: int) -> list[Launch]:
+    """Return the launch from the numbers of corners to a board, empty if there are more parts."""
     b = plan.buffers
     return [
         plan.one_group(
@@ -62,6 +64,7 @@ def lay(plan: "LatticePlan") -> list[Launch]:
             **plan.corners,
             numbers=b["numbers"],
             places=np.int32(plan.places),
+            most_parts=np.int32(most_parts),
             nats=plan.nats,
             layout=b["layout"],
             **{name: b[name] for name in ("seen", "owner", "torn", "used", "tried")},
@@ -133,7 +136,6 @@ def nats(plan: "LatticePlan") -> NDArray[np.float32]:
             *(k.side_depth_cells, k.side_depth_px, 1 / len(k.side_points), LEAST_CONTRAST),
             *k.cell_depths,
             k.torn_weight_per_px2,
-            np.float32(k.torn_sigma_px) * np.float32(k.torn_sigma_px),
             *(k.side_nats, k.cells_nats, k.prior_nats + k.firm_nats, k.prior_nats),
             *(firm, loose, k.misfit_cap_cells**2),
             *(k.stay_nats, k.stay_nats - 1, k.enter_nats, OUTSIDE),

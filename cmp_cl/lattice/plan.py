@@ -3,7 +3,9 @@
 A plan serves frames of one shape and pixel type, with up to `capacity` corners. It allocates once.
 """
 
-from typing import Any
+import functools
+import threading
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyopencl as cl
@@ -13,35 +15,50 @@ from cmp_cl.image import GreyImage
 from cmp_cl.lattice import links, nodes, parts, votes
 from cmp_cl.lattice.arrays import Board, Parts, Units, Votes, Whole
 from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.opencl.device import Device, DeviceKind
+from cmp_cl.opencl.device import Device, DeviceKind, check_process, is_forked
 from cmp_cl.opencl.launches import GROUP, Binder, Launch, multiple
-from cmp_cl.opencl.program import Programs
+from cmp_cl.opencl.program import Programs, programs_of
 from cmp_cl.opencl.shared import shared_buffer, shares_memory
-from cmp_cl.stages.layout import LEAST_PAD
+from cmp_cl.stages.layout import LEAST_PAD, PlanBase
 from cmp_cl.stages.refine import (
     EDGES,
     METHOD,
     POSITION,
     RESULT_FIELDS,
     RESULT_HEAD,
-    VARIANCE,
 )
 
 FILES = ("bins", "links", "faces", "parts", "votes", "nodes")
-SHARED = ("image", "corners")  # buffers that the host writes
+SHARED = ("image", "corners", "layout", "seen", "owner", "torn")  # that the host writes or reads
 ONE_GROUP = 256  # work-items of a kernel that is one work-group
 PLACES = 16384  # of a board with few corners
+FIRST_PASSES = 2  # that are launched with a frame; whole gels need one or two
 MOST_PASSES = 8  # that are launched at a time; one that is not needed does nothing
 ROWS = 64  # work-items, of which each takes rows of a board, on a CPU
 LANES = 8  # the fields of the corners have a multiple of so many elements
+MOST_PLANS = 4  # that are kept for corners that come from the host
+
+
+class Source(NamedTuple):
+    """Where an image and its corners lie on the device.
+
+    image: rows of `step` elements, with one spare row before and after, and `pad` columns before
+    the pixels. corners: as in kernels/result.clh, with room for `capacity` of them.
+    """
+
+    image: cl.Buffer
+    pad: int
+    step: int
+    corners: cl.Buffer
+    capacity: int
 
 
 class LatticePlan(Binder):
     """Buffers and bound kernels for one frame at a time.
 
     shape: (H, W) of a frame. dtype: uint8 or uint16. full_scale: its largest grey level. capacity:
-    the most corners. constants: those of the lattice. pad: columns of padding on either side of the
-    image; step: elements of a row; start: the first element of the first row.
+    the most corners. source: where a detector has the image and the corners; without it they come
+    from the host, see `take`.
     """
 
     def __init__(
@@ -53,26 +70,59 @@ class LatticePlan(Binder):
         shape: tuple[int, int],
         dtype: np.dtype[Any],
         full_scale: int,
-        capacity: int,
-        constants: LatticeConstants,
+        capacity: int = 0,
+        source: Source | None = None,
+        constants: LatticeConstants | None = None,
     ) -> None:
         super().__init__(queue, device)
         self.shape = shape
         self.dtype = dtype
         self.full_scale = full_scale
-        self.capacity = multiple(capacity, GROUP)
-        self.constants = constants
-        self.pad = LEAST_PAD
-        self.step = multiple(shape[1] + 2 * self.pad, GROUP)
-        self.start = self.step
+        self.constants = LatticeConstants() if constants is None else constants
+        self.capacity = multiple(capacity, GROUP) if source is None else source.capacity
+        self.pad = LEAST_PAD if source is None else source.pad
+        self.step = multiple(shape[1] + 2 * self.pad, GROUP) if source is None else source.step
+        self.lock = threading.RLock()  # held by who uses the plan
         self.kernels = programs.kernels(FILES, self._defines)
-        self._here: dict[str, NDArray[Any]] = {}
-        self.buffers = {name: self._buffer(name, size) for name, size in self.sizes.items()}
+        self._here: dict[str, NDArray[np.uint8]] = {}
+        given = {} if source is None else {"image": source.image, "corners": source.corners}
+        self.sizes = self._sizes(own=source is None)
+        self.buffers = given | {name: self._buffer(name, n) for name, n in self.sizes.items()}
         self.nats = self.constant(nodes.nats(self))
         self.launches = [*links.launches(self), *parts.launches(self), *nodes.first_board(self)]
         self.find_votes = votes.launches(self)
-        self.lay = nodes.lay(self)
+        self.lay_only, self.lay = (nodes.lay(self, most) for most in (1, nodes.ANY))
         self.a_pass = nodes.a_pass(self)
+        self._likely = 0  # places of a board, as of the frame before
+
+    def __del__(self) -> None:
+        """Keep the shared memory until no kernel uses it."""
+        if not is_forked():
+            self.queue.finish()
+
+    @classmethod
+    def of(cls, detection: PlanBase, programs: Programs) -> "LatticePlan":
+        """Return a plan that numbers the corners of a detection where they lie, one frame of it."""
+        return cls(
+            queue=detection.queue,
+            programs=programs,
+            device=detection.device,
+            shape=detection.shape,
+            dtype=detection.dtype,
+            full_scale=detection.config.grey_levels(detection.dtype),
+            source=Source(
+                detection.arrays["image"],
+                detection.pad,
+                detection.full_step,
+                detection.arrays["result"],
+                detection.corner_capacity,
+            ),
+        )
+
+    @property
+    def corners_of(self) -> cl.Buffer:
+        """Return the buffer of the corners."""
+        return self.buffers["corners"]
 
     @property
     def _defines(self) -> dict[str, str | int]:
@@ -84,16 +134,17 @@ class LatticePlan(Binder):
             "HEAD": RESULT_HEAD,
             "EDGES_FIELD": EDGES.start,
             "METHOD_FIELD": METHOD,
-            "VARIANCE_FIELD": VARIANCE,
             "SIDE_STEP": 4 // (len(self.constants.side_points) - 1),
         }
 
-    @property
-    def sizes(self) -> dict[str, int]:
-        """Return the bytes of every buffer, by name."""
-        return {
+    def _sizes(self, *, own: bool) -> dict[str, int]:
+        """Return the bytes of every buffer, by name. own: image and corners come from the host."""
+        from_host = {
             "image": (self.shape[0] + 2) * self.step * self.dtype.itemsize,
             "corners": 4 * (RESULT_HEAD + RESULT_FIELDS * self.capacity),
+        }
+        return {
+            **(from_host if own else {}),
             **links.sizes(self),
             **parts.sizes(self),
             **votes.sizes(self),
@@ -165,15 +216,13 @@ class LatticePlan(Binder):
         image: GreyImage,
         xy: NDArray[np.float32],
         edges: NDArray[np.float32],
-        sigma: NDArray[np.float32],
         refusal: NDArray[np.uint8],
     ) -> None:
-        """Give the plan an image and its corners: (H, W), (N, 2) px, (N, 4) rad, (N,) px, (N,)."""
-        count, pad = len(xy), self.pad
+        """Give the plan an image and its corners: (H, W), (N, 2) px, (N, 4) rad, and why
+        their refinement was rejected, (N,) of `Refusal`."""
+        count = len(xy)
         padded = np.zeros((self.shape[0] + 2, self.step), self.dtype)
-        padded[1:-1, pad : pad + self.shape[1]] = image
-        padded[1:-1, :pad] = image[:, :1]
-        padded[1:-1, pad + self.shape[1] :] = image[:, -1:]
+        padded[1:-1, self.pad : self.pad + self.shape[1]] = image
         length = multiple(count, LANES)
         numbers = np.zeros(RESULT_HEAD + RESULT_FIELDS * length, np.float32)
         numbers[:1].view(np.uint32)[0] = count
@@ -181,13 +230,13 @@ class LatticePlan(Binder):
         fields[POSITION].reshape(-1)[: xy.size] = xy.ravel()
         fields[EDGES].reshape(-1)[: edges.size] = edges.ravel()
         fields[METHOD].view(np.uint8)[length : length + count] = refusal
-        fields[VARIANCE, :count] = sigma * sigma
         self._write("image", padded)
         self._write("corners", numbers)
 
     def _write(self, name: str, values: NDArray[Any], first: int = 0) -> None:
         """Write an array to a buffer, from element `first` on."""
         if name in self._here:
+            self.queue.finish()
             self._here[name].view(values.dtype)[first : first + values.size] = values.ravel()
         else:
             copy: Any = cl.enqueue_copy  # whose stub does not know offsets
@@ -203,13 +252,26 @@ class LatticePlan(Binder):
         for _, kernel, items, group, _ in launches:
             cl.enqueue_nd_range_kernel(self.queue, kernel, items, group)
 
-    def find_parts(self) -> None:
-        """Number the parts of the frame, and the corners of the largest."""
-        self.enqueue(self.launches)
+    def start(self) -> None:
+        """Enqueue what leads from the corners to the parts, and if one part is large enough, to its
+        board. Nothing is waited for."""
+        self.enqueue([*self.launches, *self.lay_only, *self.a_pass * FIRST_PASSES])
+
+    def wait(self) -> None:
+        """Wait until the launches are done."""
+        self.queue.finish()
+
+    def alone(self) -> Board | None:
+        """Wait for the parts. Return the board if one part is large enough, (0, 0) without any,
+        None if several are."""
+        layout, board = self._board()
+        if layout[nodes.PARTS] > 1:
+            return None
+        return self._after_all_passes(layout, board)
 
     def parts(self) -> Parts:
         """Return the parts of the frame, by half-edge."""
-        count = 4 * int(self.read("corners", np.uint32, 1)[0])
+        count = 4 * min(int(self.read("corners", np.uint32, 1)[0]), self.capacity)
 
         def whole(name: str) -> Whole:
             return self.read(name, np.int32, count).astype(np.int64)
@@ -236,49 +298,95 @@ class LatticePlan(Binder):
         """Return the ways across tears between the rims of parts."""
         return votes.votes(self, units)
 
-    def settled(self, board: Board) -> Board:
-        """Return the board after rounds of dropping and finding nodes, without its margins."""
-        row, column = np.nonzero(board.owner >= 0)
-        numbers = np.zeros((self.capacity, 4), np.int32)
-        turn = (row + column + (board.sign < 0)) % 2  # only its parity counts
-        numbers[board.owner[row, column]] = np.stack([column, row, turn, row * 0 + 1], axis=1)
-        return self.settle(numbers)
-
     def settle(self, numbers: NDArray[np.int32] | None = None) -> Board:
         """Return the board of numbered corners once no pass changes its nodes.
 
         numbers: (N, 4), column, row, quarter turn, and 1 for a corner that has them; None for those
-            of the largest part.
-
-        Raises CapacityError if the numbers reach too far.
+            of the largest part. A number that several corners have goes to the first of them. The
+            board is empty if they reach farther than four places for each corner.
         """
         if numbers is not None:
-            self._write("numbers", np.ascontiguousarray(numbers, np.int32))
-        self.enqueue(self.lay)
-        passes = 1  # that are launched before the host looks whether they are enough
-        while True:
-            self.enqueue(self.a_pass * passes)
+            self._write("numbers", numbers)
+        self.enqueue([*self.lay, *self.a_pass * FIRST_PASSES])
+        return self._after_all_passes(*self._board())
+
+    def _after_all_passes(self, layout: NDArray[np.int32], board: Board) -> Board:
+        """Return the board once no pass changes it, from its state after some passes."""
+        passes = FIRST_PASSES
+        while layout[nodes.STATE] == nodes.RUNS and (
+            layout[nodes.DROPPED] or layout[nodes.ENTERED]
+        ):
             passes = min(2 * passes, MOST_PASSES)
-            layout = self.read("layout", np.int32)
-            if layout[nodes.STATE] != nodes.RUNS or not (
-                layout[nodes.DROPPED] or layout[nodes.ENTERED]
-            ):
-                break
+            self.enqueue(self.a_pass * passes)
+            layout, board = self._board()
+        return board
+
+    def _board(self) -> tuple[NDArray[np.int32], Board]:
+        """Wait. Return the layout, and the board as it is."""
+
+        def fetched(places: int) -> list[NDArray[Any]]:
+            return self.fetch(
+                ("layout", np.int32, nodes.LAYOUT),
+                ("seen", np.float32, 2 * places),
+                ("owner", np.int32, places),
+                ("torn", np.bool_, places),
+            )
+
+        layout, seen, owner, torn = fetched(self._likely)
         shape = int(layout[nodes.ROWS]), int(layout[nodes.COLUMNS])
         count = shape[0] * shape[1]
-        x, y = self.read("seen", np.float32, 2 * count).reshape(-1, 2).T
-        return Board(
-            x=x.reshape(shape),
-            y=y.reshape(shape),
-            owner=self.read("owner", np.int32, count).reshape(shape).astype(np.int64),
-            torn=self.read("torn", np.bool_, count).reshape(shape),
+        if count > self._likely:
+            layout, seen, owner, torn = fetched(count)
+        self._likely = count
+        x, y = seen[: 2 * count].reshape(*shape, 2).transpose(2, 0, 1)
+        board = Board(
+            x=x,
+            y=y,
+            owner=owner[:count].reshape(shape).astype(np.int64),
+            torn=torn[:count].reshape(shape),
             sign=int(layout[nodes.SIGN]),
         )
+        return layout, board
+
+    def fetch(self, *wanted: tuple[str, Any, int]) -> list[NDArray[Any]]:
+        """Return the first elements of buffers after the launches: names, dtypes, counts."""
+        found: list[NDArray[Any]] = [np.empty(count, dtype) for _, dtype, count in wanted]
+        for (name, _, count), values in zip(wanted, found, strict=True):
+            if count and name not in self._here:
+                cl.enqueue_copy(self.queue, values, self.buffers[name], is_blocking=False)
+        self.wait()
+        for (name, dtype, count), values in zip(wanted, found, strict=True):
+            if name in self._here:
+                values[:] = self._here[name].view(dtype)[:count]
+        return found
 
     def read(self, name: str, dtype: Any, count: int | None = None) -> NDArray[Any]:
         """Return the first elements of a buffer, or all, once the launches are done."""
-        most = self.sizes[name] // np.dtype(dtype).itemsize
-        values = np.empty(most if count is None else count, dtype)
-        if values.size:
-            cl.enqueue_copy(self.queue, values, self.buffers[name])
-        return values
+        most = self.buffers[name].size // np.dtype(dtype).itemsize
+        return self.fetch((name, dtype, most if count is None else count))[0]
+
+
+def lattice_plan(
+    device: Device, shape: tuple[int, int], dtype: np.dtype[Any], full_scale: int, count: int
+) -> LatticePlan:
+    """Return a plan for so many corners that come from the host. The last few plans are kept; hold
+    its `lock` while you use it."""
+    check_process()
+    capacity = 1 << max(count - 1, GROUP).bit_length()
+    return _kept(device, shape, np.dtype(dtype), full_scale, capacity)
+
+
+@functools.lru_cache(maxsize=MOST_PLANS)
+def _kept(
+    device: Device, shape: tuple[int, int], dtype: np.dtype[Any], full_scale: int, capacity: int
+) -> LatticePlan:
+    programs = programs_of(device.handle)
+    return LatticePlan(
+        queue=cl.CommandQueue(programs.context),
+        programs=programs,
+        device=device,
+        shape=shape,
+        dtype=dtype,
+        full_scale=full_scale,
+        capacity=capacity,
+    )

@@ -51,16 +51,15 @@ def assert_equal_to_the_oracle(device, image, corners, *, change=None):
     """Compare the board of the largest part, or of the numbers that `change` makes of its."""
     count = len(corners)
     plan = plan_for(device, image, count)
-    plan.take(image, corners.xy, corners.edges, corners.sigma, corners.refusal)
-    plan.find_parts()
+    plan.take(image, corners.xy, corners.edges, corners.refusal)
+    plan.start()
     plane = harmonic.smoothed(image, 255)[0]
     numbers = numbers_of(lattice.parts(plane, corners.xy, corners.edges, K), count)
     np.testing.assert_array_equal(plan.read("numbers", np.int32).reshape(-1, 4)[:count], numbers)
     if change is not None:
         numbers = change(numbers)
     found = plan.settle(None if change is None else numbers)
-    limit = np.float32(K.torn_sigma_px) * np.float32(K.torn_sigma_px)
-    torn = (corners.refusal != 0) | ~(corners.sigma * corners.sigma < limit)
+    torn = corners.refusal != 0
     wanted = lattice_nodes.settled(
         plane, corners.xy, torn, board_of(alone(numbers), corners.xy, torn), K
     )
@@ -133,8 +132,6 @@ def test_few_corners_have_no_board(device, count):
     image = gel(0.5)
     corners = detect(image)
     plan = plan_for(device, image, count)
-    plan.take(
-        image, *(getattr(corners, name)[:count] for name in ("xy", "edges", "sigma", "refusal"))
-    )
-    plan.find_parts()
+    plan.take(image, *(getattr(corners, name)[:count] for name in ("xy", "edges", "refusal")))
+    plan.start()
     assert plan.settle().x.shape == (0, 0)

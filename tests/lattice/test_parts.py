@@ -12,8 +12,8 @@ from cmp_cl.synthetic import Indenter
 def run(device, image, xy, edges, full_scale=255):
     """Return what the kernels say of each half-edge, by the names of the oracle."""
     plan, count = plan_for(device, image, len(xy), full_scale), 4 * len(xy)
-    plan.take(image, xy, edges, np.zeros(len(xy), np.float32), np.zeros(len(xy), np.uint8))
-    plan.find_parts()
+    plan.take(image, xy, edges, np.zeros(len(xy), np.uint8))
+    plan.start()
     found = {
         name: plan.read(buffer, np.int32)[:count]
         for name, buffer in (("twin", "twin"), ("face", "face"), ("root", "part"))

@@ -13,8 +13,8 @@ from cmp_cl.synthetic import Indenter
 def parts_and_units(device, image):
     corners = detect(image)
     plan = plan_for(device, image, len(corners))
-    plan.take(image, corners.xy, corners.edges, corners.sigma, corners.refusal)
-    plan.find_parts()
+    plan.take(image, corners.xy, corners.edges, corners.refusal)
+    plan.start()
     found = plan.parts()
     units, _ = units_of(
         found.root, found.column, found.row, found.direction, found.contradicted, corners.xy, K

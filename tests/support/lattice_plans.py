@@ -26,7 +26,6 @@ def plan_for(
         dtype=image.dtype,
         full_scale=full_scale,
         capacity=count,
-        constants=K,
     )
 
 
