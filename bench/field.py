@@ -38,7 +38,6 @@ from cmp_cl import (
 )
 from cmp_cl.cli.progress import Progress
 from cmp_cl.field import DisplacementField
-from cmp_cl.grid import filter_positions
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import (
     MAX_SIGMA,
@@ -48,6 +47,7 @@ from cmp_cl.measure import (
     square_sides,
     trusted,
 )
+from cmp_cl.motion import filter_positions
 from cmp_cl.points import sides
 from cmp_cl.space import Calibration
 from cmp_cl.synthetic import (

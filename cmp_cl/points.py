@@ -30,7 +30,7 @@ class Points3D:
         the calibration. All nodes share that error, so that it nearly cancels in displacements.
         None if the rig has no covariance.
     bend_shift: (R, C, 3) float64, in `unit`: the shift of the points by bent edges, see
-        `cmp_cl.grid.filter.bend_shift`. `displacement` subtracts it from the points that it
+        `cmp_cl.filter.bend_shift`. `displacement` subtracts it from the points that it
         filters. None if unknown.
     status: (R, C) uint8 of `PointStatus`.
     source: (R, C) uint8 of `NodeStatus`, the less direct one of the two views.

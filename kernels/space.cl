@@ -107,7 +107,7 @@ void cross_3(const REAL *a, const REAL *b, REAL *result) {
 }
 
 /* The shift of a node by bent edges, px: parabolas along both lines and lines across them, fitted
- * to BEND x BEND nodes; see bend_shift in cmp_cl/grid/filter/bends.py. bend_down, bend_along: the
+ * to BEND x BEND nodes; see bend_shift in cmp_cl/filter/bends.py. bend_down, bend_along: the
  * weights of the value of the line and of the first and second derivative of the parabola. It is 0
  * if fewer than three quarters of the nodes are there, or if the lines nearly coincide. */
 float2 bend_of(__global const float2 *nodes, __global const uchar *status, const int row,

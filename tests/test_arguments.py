@@ -27,7 +27,8 @@ from cmp_cl import (
 )
 from cmp_cl.cameras import CameraSettings, Source, is_live
 from cmp_cl.field import green_lagrange, mesh, surface_normals
-from cmp_cl.grid import align, filter_grid, filter_positions, refine_markers
+from cmp_cl.filter import filter_grid
+from cmp_cl.grid import align, refine_markers
 from cmp_cl.marks import drop_marks
 from cmp_cl.measure import (
     OneView,
@@ -38,7 +39,7 @@ from cmp_cl.measure import (
     square_sides,
     trusted,
 )
-from cmp_cl.motion import PlaneScale, contact_of, displacement
+from cmp_cl.motion import PlaneScale, contact_of, displacement, filter_positions
 from cmp_cl.pattern import Checkerboard, cell_for, fitting_paper
 from cmp_cl.space import Camera, Lens, undistort
 from cmp_cl.space.exports import save_cameras, save_corners

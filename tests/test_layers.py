@@ -12,7 +12,7 @@ ROOT = Path(cmp_cl.__file__).parent
 # From the bottom up; a name is that of a module, or of a package and everything in it.
 LAYERS = [
     {"closing", "errors", "version", "vtk"},
-    {"extras", "files"},
+    {"extras", "files", "filter"},
     {"image", "pattern"},
     {"arrays", "config", "media"},
     {"corners", "maps", "points"},

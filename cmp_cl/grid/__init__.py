@@ -2,13 +2,11 @@
 
 from cmp_cl.grid.align import align
 from cmp_cl.grid.build import build_grid, build_grids
-from cmp_cl.grid.filter import Filtered, filter_grid, filter_positions
 from cmp_cl.grid.grid import Grid, NodeStatus, Rival, Sides
 from cmp_cl.grid.markers import refine_markers
 from cmp_cl.grid.number import number
 
 __all__ = [
-    "Filtered",
     "Grid",
     "NodeStatus",
     "Rival",
@@ -16,8 +14,6 @@ __all__ = [
     "align",
     "build_grid",
     "build_grids",
-    "filter_grid",
-    "filter_positions",
     "number",
     "refine_markers",
 ]

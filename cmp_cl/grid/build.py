@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners, Refusal
 from cmp_cl.errors import GridError, ImageError, check_kind, check_shape
+from cmp_cl.filter import bent_sigma
 from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
 from cmp_cl.grid.detached import drop_detached
 from cmp_cl.grid.dimming import is_dimmed_reflection
-from cmp_cl.grid.filter import bent_sigma
 from cmp_cl.grid.grid import Grid, NodeStatus, Sides, empty_grid
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
 from cmp_cl.grid.islands import continued, join_islands

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, GridError, check_kind, check_positive
 from cmp_cl.files import read_npz, suffix_of, whole_file
+from cmp_cl.filter import bend_variance
 from cmp_cl.grid.curves import points_between
 from cmp_cl.grid.limits import check_size
 from cmp_cl.grid.saved import SAVED, packed, unpacked
@@ -143,6 +144,19 @@ class Grid:
     def valid(self) -> NDArray[np.bool_]:
         """Return (R, C) bool, True where there is a position."""
         return ~np.isnan(self.xy[..., 0])
+
+    @property
+    def image_sigma(self) -> NDArray[np.float64]:
+        """Return sigma without the shift by bent edges, (R, C), px.
+
+        It is the part that comes from the images of the corners. A sigma smaller than that shift
+        does not contain it, and is returned as it is.
+        """
+        whole = np.square(self.sigma, dtype=np.float64)
+        if not math.isfinite(self.edge_radius):
+            return np.sqrt(whole)
+        own = whole - bend_variance(self.xy, self.edge_radius)
+        return np.sqrt(np.where(own > 0, own, whole))
 
     @property
     def ambiguous(self) -> bool:

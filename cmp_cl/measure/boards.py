@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import GridError, check_kind, check_shape
-from cmp_cl.grid import Grid, NodeStatus, filter_positions
-from cmp_cl.grid.filter import image_sigma
+from cmp_cl.grid import Grid, NodeStatus
 from cmp_cl.image import GreyImage
 from cmp_cl.measure.patterns import (
     Region,
     detected,
     find_pattern,
 )
+from cmp_cl.motion import filter_positions
 from cmp_cl.opencl.device import Device
 from cmp_cl.points import sides
 from cmp_cl.space import Points3D
@@ -60,7 +60,7 @@ def trusted(grid: Grid, max_sigma: float = MAX_SIGMA) -> Grid:
     check_kind("max_sigma", max_sigma, Real, GridError)
     if not max_sigma > 0:
         raise GridError(f"max_sigma must be above 0 px, not {max_sigma!r}")
-    good = (grid.status == NodeStatus.DETECTED) & (image_sigma(grid) <= max_sigma)
+    good = (grid.status == NodeStatus.DETECTED) & (grid.image_sigma <= max_sigma)
     kept = dataclasses.replace(
         grid,
         xy=np.where(good[..., None], grid.xy, np.float32(np.nan)),

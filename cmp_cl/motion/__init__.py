@@ -6,6 +6,7 @@ then costs the upload of its nodes, the launches and one read.
 
 from cmp_cl.motion.contact import Contact, contact_of
 from cmp_cl.motion.displacement import displacement
+from cmp_cl.motion.positions import filter_positions
 from cmp_cl.motion.scale import PlaneScale
 
-__all__ = ["Contact", "PlaneScale", "contact_of", "displacement"]
+__all__ = ["Contact", "PlaneScale", "contact_of", "displacement", "filter_positions"]

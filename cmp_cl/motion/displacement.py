@@ -1,6 +1,7 @@
 """The displacement of each node, from two grids of one camera, or from points in space."""
 
 import dataclasses
+import math
 from typing import overload
 
 import numpy as np
@@ -8,12 +9,11 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.field.field import DisplacementField
-from cmp_cl.grid.filter import (
+from cmp_cl.filter import (
     Filtered,
-    bend_shift_of,
+    bend_shift,
     filter_at_rest,
     filter_grid,
-    image_sigma,
     noise_of_change,
 )
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
@@ -45,7 +45,7 @@ def displacement(
     raw: leave out the filter.
 
     The displacement and the position at rest are filtered over the lattice, see
-    `cmp_cl.grid.filter_grid`, and the shift by bent edges is subtracted. The standard deviations
+    `cmp_cl.filter.filter_grid`, and the shift by bent edges is subtracted. The standard deviations
     are estimated from the lattice, and include wear. If the lattice is too small, they are those
     of the corners or points, and the two moments are assumed independent. In the plane, both axes
     have the same.
@@ -96,16 +96,24 @@ def _in_the_plane(rest: Grid, now: Grid, scale: PlaneScale | None) -> tuple[_Mom
 
 def _seen(grid: Grid, scale: PlaneScale) -> _Moment:
     at, slope = scale(grid.xy)
-    per_axis = image_sigma(grid) * np.sqrt(np.square(slope).sum(axis=(-2, -1)) / 2)
+    per_axis = grid.image_sigma * np.sqrt(np.square(slope).sum(axis=(-2, -1)) / 2)
     variance = np.where(per_axis > 0, np.square(per_axis), np.nan)
     return _Moment(
         at=at,
         covariance=variance[..., None, None] * np.eye(2),
         status=np.where(grid.valid, PointStatus.VALID, PointStatus.MISSING).astype(np.uint8),
         source=grid.status,
-        bend=(slope @ bend_shift_of(grid)[..., None])[..., 0],
+        bend=(slope @ _bend_shift(grid)[..., None])[..., 0],
         unit=scale.unit,
     )
+
+
+def _bend_shift(grid: Grid) -> Array:
+    """Return the shift of the nodes by bent edges, (R, C, 2), px; 0 if the radius is unknown."""
+    if not math.isfinite(grid.edge_radius):
+        return np.zeros(grid.xy.shape)
+    filtered = filter_at_rest(grid.xy, measured=np.isin(grid.status, MEASURED))
+    return bend_shift(filtered.values, grid.edge_radius)
 
 
 def _in_space(rest: Points3D, now: Points3D, scale: None) -> tuple[_Moment, _Moment]:

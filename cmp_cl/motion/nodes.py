@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.grid.filter import image_sigma
-from cmp_cl.grid.filter.holes import filled
+from cmp_cl.filter.holes import filled
 from cmp_cl.grid.grid import Grid
 
 
@@ -23,4 +22,4 @@ def put(arrays: dict[str, NDArray[Any]], view: int, grid: Grid) -> None:
         xy = filled(moved.astype(np.float32), there).transpose(1, 2, 0) + middle
     arrays["nodes"][view] = np.nan_to_num(xy)
     arrays["seen_status"][view] = grid.status
-    arrays["seen_sigma"][view] = image_sigma(grid)
+    arrays["seen_sigma"][view] = grid.image_sigma

@@ -14,8 +14,8 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.field import DisplacementField
-from cmp_cl.grid.filter import Filtered, filter_at_rest, filter_grid
-from cmp_cl.grid.filter.polynomials import STRAIN_REACH
+from cmp_cl.filter import Filtered, filter_at_rest, filter_grid
+from cmp_cl.filter.polynomials import STRAIN_REACH
 from cmp_cl.grid.grid import MEASURED, Grid
 from cmp_cl.motion.memory import Memory
 from cmp_cl.motion.nodes import put

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.grid.filter.polynomials import (
+from cmp_cl.filter.polynomials import (
     BENDING_FILTERS,
     NOISE_REACH,
     RISK_REACH,

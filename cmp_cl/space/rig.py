@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import CalibrationError, FieldError, as_numbers, check_kind
 from cmp_cl.field import DisplacementField
 from cmp_cl.files import write_text
-from cmp_cl.grid.filter import bend_shift, image_sigma
+from cmp_cl.filter import bend_shift
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.points import Points3D, PointStatus, largest_deviation
 from cmp_cl.space.lens import (
@@ -231,7 +231,7 @@ class StereoRig:
             )
         both = left.valid & right.valid
         seen = np.hstack([left.xy[both], right.xy[both]]).astype(np.float64)
-        deviation = np.column_stack([image_sigma(grid)[both] for grid in (left, right)])
+        deviation = np.column_stack([grid.image_sigma[both] for grid in (left, right)])
         deviation[~(deviation > 0)] = sigma if sigma > 0 else np.nan
         xyz, status = self._first_order(seen)
         error = np.full(len(seen), np.nan)

@@ -7,7 +7,6 @@ import pyopencl as cl
 import pytest
 
 from cmp_cl import StereoRig
-from cmp_cl.grid.filter import image_sigma
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
 from cmp_cl.motion import displacement
 from cmp_cl.motion import plan as plans
@@ -114,7 +113,7 @@ def run(device):
         for view, (grid, whole) in enumerate(zip(now, complete or now, strict=True)):
             plan.inputs.arrays["nodes"][view] = whole.xy
             plan.inputs.arrays["seen_status"][view] = grid.status
-            plan.inputs.arrays["seen_sigma"][view] = image_sigma(grid)
+            plan.inputs.arrays["seen_sigma"][view] = grid.image_sigma
         plan.inputs.upload()
         plan.start()
         results = plan.read()
@@ -132,7 +131,7 @@ def expected(rig, rest, now, complete):
     points = space.points(
         tuple(grid.xy.astype(float) for grid in complete),
         tuple(grid.status > 0 for grid in now),
-        tuple(map(image_sigma, now)),
+        tuple(grid.image_sigma for grid in now),
         cameras,
         (RADIUS, RADIUS),
     )

@@ -8,8 +8,8 @@ import threading
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.grid.filter.holes import filled
-from cmp_cl.grid.filter.noise import (
+from cmp_cl.filter.holes import filled
+from cmp_cl.filter.noise import (
     LEAST_VARIANCE,
     PASSED,
     noise_along,
@@ -17,7 +17,7 @@ from cmp_cl.grid.filter.noise import (
     outliers,
     shared_with_neighbours,
 )
-from cmp_cl.grid.filter.polynomials import (
+from cmp_cl.filter.polynomials import (
     LEAST_SUPPORT,
     RISK_REACH,
     axis_of,

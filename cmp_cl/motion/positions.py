@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import GridError, check_kind
-from cmp_cl.grid.filter.bends import bend_shift, image_sigma, with_bends
-from cmp_cl.grid.filter.lattice import (
+from cmp_cl.filter import (
     Filtered,
+    bend_shift,
+    bent_sigma,
     filter_at_rest,
     filter_grid,
     noise_of_change,
@@ -33,7 +34,7 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
     of the one at rest.
     """
     check_kind("now", now, Grid, GridError)
-    own_now = image_sigma(now)
+    own_now = now.image_sigma
     if rest is None:
         found = filter_grid(now.xy, measured=np.isin(now.status, MEASURED))
         values = found.values - bend_shift(found.values, now.edge_radius)
@@ -45,7 +46,7 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
     measured = np.isin(rest.status, MEASURED)
     start = filter_at_rest(rest.xy, measured=measured)
     moved = now.xy.astype(np.float64) - rest.xy
-    own = image_sigma(rest), own_now
+    own = rest.image_sigma, own_now
     change = filter_grid(
         moved,
         measured=measured & np.isin(now.status, MEASURED),
@@ -81,7 +82,8 @@ def _deviations(
 
 def _raw(grid: Grid, noise: Array, own: Array) -> Grid:
     """Return the grid with raw positions; sigma combines the noise and the shift by bent edges."""
-    return with_bends(_with(grid, grid.xy, noise, own))
+    sigma = _with(grid, grid.xy, noise, own).sigma
+    return dataclasses.replace(grid, sigma=bent_sigma(grid.xy, sigma, grid.edge_radius))
 
 
 def _with(grid: Grid, values: NDArray[np.floating[Any]], sigma: Array, own: Array) -> Grid:

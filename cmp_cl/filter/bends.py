@@ -1,6 +1,5 @@
 """The shift of corners by bent edges, from the curvature of the lattice."""
 
-import dataclasses
 import functools
 import math
 from typing import TypeVar
@@ -8,10 +7,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.grid.filter.holes import filled
-from cmp_cl.grid.filter.lattice import bilinear_surface, filter_at_rest
-from cmp_cl.grid.filter.polynomials import LEAST_SUPPORT, polynomial
-from cmp_cl.grid.grid import MEASURED, Grid
+from cmp_cl.filter.holes import filled
+from cmp_cl.filter.lattice import bilinear_surface
+from cmp_cl.filter.polynomials import LEAST_SUPPORT, polynomial
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -19,22 +17,6 @@ Float = TypeVar("Float", np.float32, np.float64)
 
 _HALF = 2  # nodes on each side of a node that show the curvature of a line
 _LEAST_SINE = math.sin(math.radians(10))  # of the angle between the two lines at a corner
-
-
-def bend_shift_of(grid: Grid) -> Array:
-    """Return the shift of the nodes of a grid by bent edges, (R, C, 2) float64, px.
-
-    It is 0 if the radius of the corners' refinement is unknown; see `bend_shift`.
-    """
-    if not math.isfinite(grid.edge_radius):
-        return np.zeros(grid.xy.shape)
-    filtered = filter_at_rest(grid.xy, measured=np.isin(grid.status, MEASURED))
-    return bend_shift(filtered.values, grid.edge_radius)
-
-
-def with_bends(grid: Grid) -> Grid:
-    """Return the grid with the shift by bent edges added to its sigma, which must be without it."""
-    return dataclasses.replace(grid, sigma=bent_sigma(grid.xy, grid.sigma, grid.edge_radius))
 
 
 def bent_sigma(
@@ -48,24 +30,11 @@ def bent_sigma(
     """
     if not math.isfinite(radius):
         return sigma
-    whole: NDArray[np.float32] = np.sqrt(np.square(sigma) + _variance(xy, radius)).astype("f4")
+    whole: NDArray[np.float32] = np.sqrt(np.square(sigma) + bend_variance(xy, radius)).astype("f4")
     return whole
 
 
-def image_sigma(grid: Grid) -> Array:
-    """Return a grid's sigma without the shift by bent edges, (R, C) float64, px.
-
-    It is the part that comes from the images of the corners. A sigma smaller than that shift does
-    not contain it, and is returned as it is.
-    """
-    whole = np.square(grid.sigma, dtype=np.float64)
-    if not math.isfinite(grid.edge_radius):
-        return np.sqrt(whole)
-    own = whole - _variance(grid.xy, grid.edge_radius)
-    return np.sqrt(np.where(own > 0, own, whole))
-
-
-def _variance(xy: Single, radius: float) -> Single:
+def bend_variance(xy: Single, radius: float) -> Single:
     """Return the variance per axis that bent edges add to raw positions, (R, C), px^2.
 
     Nodes whose neighbours do not show the bend get the mean of the others. Single precision, which

@@ -7,9 +7,9 @@ import pytest
 from stereo_data import grid_of, points
 
 from cmp_cl.errors import GridError
-from cmp_cl.grid import NodeStatus, filter_grid, filter_positions
-from cmp_cl.grid.filter import filter_at_rest, noise_of_change
-from cmp_cl.motion import displacement
+from cmp_cl.filter import filter_at_rest, filter_grid, noise_of_change
+from cmp_cl.grid import NodeStatus
+from cmp_cl.motion import displacement, filter_positions
 from cmp_cl.reference import lattice_filter
 
 

@@ -6,25 +6,15 @@ its row and its column. Stein's unbiased risk estimate chooses their widths and 
 node, so that there are no parameters to set.
 """
 
-from cmp_cl.grid.filter.bends import (
-    bend_shift,
-    bend_shift_of,
-    bent_sigma,
-    image_sigma,
-    with_bends,
-)
-from cmp_cl.grid.filter.lattice import Filtered, filter_at_rest, filter_grid, noise_of_change
-from cmp_cl.grid.filter.positions import filter_positions
+from cmp_cl.filter.bends import bend_shift, bend_variance, bent_sigma
+from cmp_cl.filter.lattice import Filtered, filter_at_rest, filter_grid, noise_of_change
 
 __all__ = [
     "Filtered",
     "bend_shift",
-    "bend_shift_of",
+    "bend_variance",
     "bent_sigma",
     "filter_at_rest",
     "filter_grid",
-    "filter_positions",
-    "image_sigma",
     "noise_of_change",
-    "with_bends",
 ]

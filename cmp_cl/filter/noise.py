@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.grid.filter.polynomials import LEAST_SUPPORT, axis_of, pairs_of
+from cmp_cl.filter.polynomials import LEAST_SUPPORT, axis_of, pairs_of
 
 Single = NDArray[np.float32]
 Bools = NDArray[np.bool_]

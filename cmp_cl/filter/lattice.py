@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import GridError, as_numbers
-from cmp_cl.grid.filter.mixture import Mixture, mixed
+from cmp_cl.filter.mixture import Mixture, mixed
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
