@@ -4,7 +4,6 @@ import re
 import secrets
 import shutil
 import warnings
-from pathlib import Path
 
 import images
 import numpy as np
@@ -210,24 +209,3 @@ def test_the_index_names_the_headers():
     index = (program.kernel_folder() / "README.md").read_text(encoding="utf-8")
     headers = {path.name for path in program.kernel_folder().rglob("*.clh")}
     assert {name for name in re.findall(r"`(?:cpu/)?(\w+\.clh)`", index)} == headers
-
-
-def test_every_kernel_file_has_a_test():
-    """A file of the form for CPUs shares the test of the stage."""
-    tests = Path(__file__).parent
-    for path in files_of_kernels().values():
-        named = tests / "kernels" / f"test_{path.stem}.py"
-        assert named.is_file() or (tests / SHARED_TESTS[path.stem]).is_file(), path.name
-
-
-SHARED_TESTS = {
-    "border": "kernels/test_binarize.py",
-    "centroids": "kernels/test_centroid.py",
-    "halve": "kernels/test_octaves.py",
-    "markers": "grid/test_markers.py",
-    **dict.fromkeys(("bins", "faces", "links", "parts"), "lattice/test_parts.py"),
-    "nodes": "lattice/test_nodes.py",
-    "votes": "lattice/test_votes.py",
-    **dict.fromkeys(("filter", "space", "strain"), "motion/test_field.py"),
-    "track": "motion/test_track.py",
-}

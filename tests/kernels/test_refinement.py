@@ -1,0 +1,277 @@
+"""The kernels of refinement equal the oracle: both forms of each, at every kind of corner.
+
+edge_lines, edge_step (one corner at a time, and eight), midlines, centroid, centroids.
+"""
+
+import images
+import numpy as np
+import pytest
+import tolerances
+from cases import some
+from comparison import assert_corners_equal, assert_same_bytes
+from configs import rings
+from corner_images import board, corner
+from forms import in_form
+
+from cmp_cl import (
+    Detector,
+    DetectorConfig,
+    EdgeLines,
+    EdgeStep,
+    Fit,
+    Method,
+    Midlines,
+    RapidCriteria,
+    RingHarmonic,
+    SpectralCriteria,
+    reference,
+)
+from cmp_cl.corners import Refusal
+from cmp_cl.stages.form import Form
+from cmp_cl.stages.moments import moments
+
+EIGHT, DEEP = images.eight_bits(), images.sixteen_bits()
+WIDE = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
+DENSE = {"contrast": None, "nms_radius": 1, "criteria": WIDE}
+REFINEMENTS = {
+    "centroid": None,
+    "edge lines": EdgeLines(),
+    "edge step": EdgeStep(),
+    "wide disc": EdgeStep(cell=30.0),
+    "midlines": Midlines(),
+    "quadratic midlines": Midlines(fit=Fit.QUADRATIC),
+}
+FIRST = {  # what a corner has that is not refused
+    "centroid": Method.CENTROID,
+    "edge lines": Method.EDGE_LINES,
+    "edge step": Method.EDGE_STEP,
+    "wide disc": Method.EDGE_STEP,
+    "midlines": Method.MIDLINE,
+    "quadratic midlines": Method.MIDLINE,
+}
+refinements = pytest.mark.parametrize("name", REFINEMENTS)
+rules = pytest.mark.parametrize(
+    "rule",
+    [rings(), DetectorConfig(detection=RingHarmonic(octaves=0))],
+    ids=["rings", "harmonic"],
+)
+
+
+def picture(kind):
+    """Return an image for each way in which corners can be hard."""
+    soft, _ = board(121, 83, 12)
+    grey = soft.astype(np.float64)
+    y, x = np.indices(images.SHAPE)
+    noisy = grey + np.random.default_rng(0).normal(0, 25, grey.shape)
+    return {
+        "worn scene": lambda: images.scene(1.5, seed=3).image,
+        "soft": lambda: soft,
+        "noisy": lambda: np.clip(np.rint(noisy), 0, 255).astype(np.uint8),
+        "saturated": lambda: np.clip((grey - 120) * 20 + 120, 0, 255).astype(np.uint8),
+        "steep light": lambda: (grey * np.geomspace(0.1, 1, 83)).astype(np.uint8),
+        "perfect": lambda: np.where((x // 12 + y // 12) % 2 == 0, 40, 200).astype(np.uint8),
+        "at the edge": lambda: np.ascontiguousarray(np.tile(corner(20, 20, 0.35), 2)[19:]),
+        "at the side": lambda: np.ascontiguousarray(np.tile(corner(20, 20, 0.35), 2)[19:].T),
+        "12 bits": lambda: DEEP["12-bit scene"],
+    }[kind]()
+
+
+KINDS = ("worn scene", "soft", "noisy", "saturated", "steep light", "perfect", "at the edge")
+
+
+@refinements
+@pytest.mark.parametrize("kind", [*KINDS, "at the side", "12 bits"])
+def test_positions_are_the_oracles(detector_in_form, name, kind):
+    image = picture(kind)
+    full_scale = 4095 if kind == "12 bits" else None
+    config = rings(refinement=REFINEMENTS[name], full_scale=full_scale)
+    corners = assert_corners_equal(detector_in_form(image, config), image)
+    assert len(corners) > 0
+    assert np.isfinite(corners.xy).all()
+
+
+@pytest.mark.parametrize("name", [name for name in REFINEMENTS if "quadratic" not in name])
+def test_most_maxima_in_texture_are_refused_for_the_oracles_reasons(detector_in_form, name):
+    image = np.vstack([images.texture((400, 83)), EIGHT["noise"], EIGHT["worn scene"]])
+    config = rings(refinement=REFINEMENTS[name], **DENSE)
+    corners = assert_corners_equal(detector_in_form(image, config), image)
+    assert len(corners) > 500
+    refused = corners.refusal != Refusal.NONE
+    assert np.array_equal(refused, corners.method != FIRST[name])
+    reasons = set(Refusal) - {Refusal.FLAT, Refusal.NONE}
+    if "midlines" in name:
+        reasons -= {Refusal.RESIDUAL}
+    seen = {Refusal(each) for each in corners.refusal[refused]} - {Refusal.FLAT}
+    assert seen == (set() if name == "centroid" else reasons)
+    if name != "centroid":
+        assert np.array_equal(np.isnan(corners.sigma), corners.method == Method.KEPT) or (
+            "midlines" in name
+        )
+
+
+@refinements
+@rules
+@pytest.mark.parametrize("scale", some([0.3, 0.63, 2.0], (0.63,)))
+def test_positions_of_a_scaled_image_are_the_oracles(detector_in_form, name, rule, scale):
+    image = board(100, 130, 24 if scale < 1 else 9)[0]
+    config = rule.replace(refinement=REFINEMENTS[name], scale=scale)
+    assert len(assert_corners_equal(detector_in_form(image, config), image)) > 4
+
+
+@pytest.mark.exhaustive
+@refinements
+@pytest.mark.parametrize("depth", [8, 16])
+def test_every_image_gives_the_oracles_corners(detector_in_form, name, depth):
+    for settings in ({}, DENSE):
+        config = rings(refinement=REFINEMENTS[name], **settings)
+        config = config.replace(full_scale=None if depth == 8 else 4095)
+        for image in (EIGHT if depth == 8 else DEEP).values():
+            assert_corners_equal(detector_in_form(image, config), image)
+
+
+@pytest.mark.parametrize("name", ["edge lines", "midlines"])
+@pytest.mark.parametrize("max_shift", [0.0, 0.2, 5.0])
+def test_a_position_beyond_the_largest_shift_is_refused(detector_for, name, max_shift):
+    image = images.scene(1.5, seed=3).image
+    usual, other = (
+        assert_corners_equal(detector_for(image, config), image)
+        for config in (
+            rings(refinement=REFINEMENTS[name]),
+            rings(refinement=type(REFINEMENTS[name])(max_shift=max_shift)),
+        )
+    )
+    stricter, looser = (other, usual) if max_shift < 2 else (usual, other)  # px, the default
+    changed = other.refusal != usual.refusal
+    assert (stricter.refusal[changed] == Refusal.SHIFT).all()
+    kept = np.count_nonzero(stricter.method == Method.KEPT)
+    assert kept >= np.count_nonzero(looser.method == Method.KEPT)
+    if max_shift < 2:
+        assert kept > np.count_nonzero(looser.method == Method.KEPT)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"criteria": SpectralCriteria(correlation=0)},
+        {"criteria": RapidCriteria(sector_threshold=16)},
+        {"outer_radius": 4},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("name", ["centroid", "edge lines", "edge step"])
+def test_positions_after_every_kind_of_response_are_the_oracles(detector_in_form, name, changes):
+    config = rings(refinement=REFINEMENTS[name], contrast=None, **changes)
+    image = EIGHT["texture"]
+    assert len(assert_corners_equal(detector_in_form(image, config), image)) > 5
+
+
+@pytest.mark.parametrize("name", ["edge lines", "edge step"])
+def test_every_number_of_corners_equals_the_oracle(device_in_form, name):
+    """A mask leaves that many corners, so that the last vector of eight is full or not."""
+    image = images.texture((120, 150), seed=9)
+    config = rings(refinement=REFINEMENTS[name], contrast=None)
+    with Detector(shape=image.shape, config=config, device=device_in_form) as detector:
+        whole = detector(image)
+    flipped = image[::-1].copy()
+    for count in (1, 7, 8, 9, 16):
+        mask = np.zeros(image.shape, np.bool_)
+        mask[tuple(whole.pixel[:count, ::-1].T)] = True
+        with Detector(
+            shape=image.shape, config=config, device=device_in_form, mask=mask
+        ) as detector:
+            found = assert_corners_equal(detector, image, mask=mask)
+            assert len(found) == count
+            both = detector.batch([image, flipped, image])
+            for one, alone in zip(both, (found, detector(flipped), found), strict=True):
+                assert_same_bytes(one, alone)
+
+
+@pytest.mark.parametrize("name", ["centroid", "edge lines", "edge step"])
+@pytest.mark.parametrize("shape", some([(1, 31), (31, 1), (2, 3), (9, 40), (40, 9)], ((9, 40),)))
+def test_images_smaller_than_the_rings_equal_the_oracle(detector_in_form, name, shape):
+    image = images.texture((60, 60))[: shape[0], : shape[1]].copy()
+    detector = detector_in_form(image, rings(refinement=REFINEMENTS[name], **DENSE))
+    assert_corners_equal(detector, image)
+
+
+@pytest.mark.parametrize("factor", some([0.3, 0.63, 1.5], (1.5,)))
+def test_the_forms_agree_to_the_bit(device, factor):
+    image = images.texture((240, 300), seed=4)
+    for refinement in (EdgeLines(), None):
+        config = rings(refinement=refinement, scale=factor, **DENSE)
+        results = []
+        for form in Form:
+            with Detector(
+                shape=image.shape, config=config, device=in_form(device, form)
+            ) as detector:
+                results.append(detector(image))
+        assert len(results[0]) > 20
+        assert_same_bytes(*results)
+
+
+@pytest.mark.parametrize("cell", some([20.0, 60.0, 130.0], (60.0,)))
+def test_discs_that_leave_the_image_equal_the_oracle(detector_in_form, cell):
+    """Discs have a radius of .6 cells: one part, or several."""
+    image = board(int(4 * cell), int(5 * cell), cell)[0]
+    config = rings(scale=15 / cell, refinement=EdgeStep(cell=cell))
+    corners = assert_corners_equal(detector_in_form(image, config), image)
+    stepped = corners.xy[corners.method == Method.EDGE_STEP]
+    distance = np.minimum(stepped, np.array(image.shape[::-1]) - 1 - stepped).min(axis=1)
+    assert (distance < 0.6 * cell).any()
+    assert (distance > 0.6 * cell).any()
+
+
+@pytest.mark.parametrize("radius", [4.5, 6.45, 9.0, 40.0])
+def test_the_table_of_moments_holds_the_integrals_of_the_model(radius):
+    """The integrals hold at the angles of the table, and between them by linear interpolation."""
+    table = moments(radius).astype(np.float64)
+    place = np.array([9.0, 20.0, 31.5, 40.5, 55.0]) * (len(table) // 64)
+    below = place.astype(int)
+    between = (table[below] + table[np.ceil(place).astype(int)]) / 2
+    half = np.arcsin((2 * place / (len(table) - 1) - 1) / np.sqrt(2)) + np.pi / 4
+    half = np.stack([np.cos(half), np.sin(half)], axis=1)
+    exact = reference.edge_step.moments(half, radius)
+    exact[..., 0] /= half**4
+    exact[..., 1:3] /= half[..., None] ** 2
+    slope, place = np.sqrt(exact[..., 0]), np.sqrt(exact[..., 3])
+    size = np.stack([slope * slope, *2 * [slope * place], *3 * [place * place]], axis=-1)
+    assert (np.abs(between[..., :6] - exact) < 0.002 * size).all()
+
+
+@pytest.mark.parametrize("name", ["edge step", "edge lines", "midlines"])
+@pytest.mark.parametrize("columns", some([4000, 16000], (4000,)))
+def test_far_columns_are_equally_exact(detector_for, name, columns):
+    """If columns are added on the left, corners move by their number, up to float32's spacing."""
+    image = board(*images.SHAPE, 12)[0]
+    added = columns - images.SHAPE[1]
+    wide = np.pad(image, ((0, 0), (added, 0)), mode="edge")
+    config = rings(refinement=REFINEMENTS[name])
+    near, far = reference.detect(image, config), detector_for(wide, config)(wide)
+    clear, same = near.pixel[:, 0] > 20, far.pixel[:, 0] > added + 20
+    np.testing.assert_array_equal(far.pixel[same], near.pixel[clear] + [added, 0])
+    rounding = np.spacing(np.float32(columns)) / 2
+    moved = far.xy[same].astype(np.float64) - [added, 0]
+    np.testing.assert_allclose(
+        moved, near.xy[clear], rtol=0, atol=rounding + tolerances.POSITION / 10
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "error"), [("edge lines", 0.03), ("edge step", 0.03), ("centroid", 0.7)]
+)
+def test_positions_are_near_the_truth(detector_in_form, name, error):
+    image, truth = board(121, 83, 12)
+    corners = detector_in_form(image, rings(refinement=REFINEMENTS[name]))(image)
+    distance = np.linalg.norm(corners.xy[:, None] - truth, axis=2).min(axis=0)
+    assert distance.mean() < error
+
+
+@rules
+@pytest.mark.parametrize("image", ["texture", "scene"])
+def test_centroids_are_in_raster_order_and_within_their_window(detector_in_form, rule, image):
+    image = EIGHT[image]
+    corners = assert_corners_equal(detector_in_form(image, rule.replace(refinement=None)), image)
+    order = np.lexsort((corners.pixel[:, 0], corners.pixel[:, 1]))
+    np.testing.assert_array_equal(order, np.arange(len(corners)))
+    assert (np.abs(corners.xy - corners.pixel) <= 2).all()  # px: the window has 5 x 5
+    assert (corners.xy != corners.pixel).any()
