@@ -20,8 +20,10 @@ class Progress(Closing):
 
             self._bar = tqdm(total=total, unit=f" {unit}", disable=None, leave=False)
 
-    def step(self) -> None:
+    def step(self, note: str = "") -> None:
+        """Count a step; note: what is told behind the rate."""
         if self._bar is not None:
+            self._bar.set_postfix_str(note, refresh=False)
             self._bar.update()
 
     def say(self, line: str, stream: TextIO | None = None) -> None:

@@ -3,14 +3,13 @@
 import argparse
 import contextlib
 import dataclasses
-import re
 import sys
-import time
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any, Self
 
-from cmp_cl.cameras import CameraSettings, Source
-from cmp_cl.cli import derived, display
+from cmp_cl.cameras import Source
+from cmp_cl.cli import derived, display, sources
 from cmp_cl.cli.arguments import (
     add_device,
     add_full_scale,
@@ -19,15 +18,14 @@ from cmp_cl.cli.arguments import (
     check_files,
     check_suffix,
     grid_shape,
-    positive_number,
     regions_in,
     split_of,
     views_of,
     whole,
 )
 from cmp_cl.cli.messages import counted, one_line, shown
+from cmp_cl.cli.pipeline import Behind, Pace, ahead
 from cmp_cl.cli.progress import Progress
-from cmp_cl.cli.sources import PAIR_WITHIN, Pairs, at_rest, because
 from cmp_cl.cli.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import CmpClError, ConfigError, GridError
@@ -53,22 +51,7 @@ def add_parser(commands: Any) -> None:
         "measured.",
     )
     group = parser.add_argument_group("input")
-    group.add_argument(
-        "source",
-        metavar="SOURCE",
-        nargs="?",
-        help="video, folder of images, image, .mcap, number of a camera, device such as "
-        "/dev/video0, or address such as rtsp://camera/stream",
-    )
-    group.add_argument(
-        "--stereo",
-        metavar="YAML",
-        help="the calibration of two views; SOURCE shows both in each frame",
-    )
-    group.add_argument(
-        "--left", metavar="SOURCE", help="with --stereo: the left view, in place of SOURCE"
-    )
-    group.add_argument("--right", metavar="SOURCE", help="the right view")
+    sources.add_arguments(group)
     group.add_argument(
         "--rest-frame",
         metavar="N",
@@ -108,18 +91,7 @@ def add_parser(commands: Any) -> None:
     group = parser.add_argument_group("speed")
     add_device(group)
     group = parser.add_argument_group("settings of a camera, a device or an address")
-    group.add_argument(
-        "--camera-size", metavar="WIDTHxHEIGHT", type=_camera_size, help="size of the frames, px"
-    )
-    group.add_argument(
-        "--camera-fps", metavar="FPS", type=positive_number, help="frames per second"
-    )
-    group.add_argument(
-        "--exposure", metavar="VALUE", type=float, help="exposure time, in the driver's units"
-    )
-    group.add_argument(
-        "--pixel-format", metavar="FOUR", help="four letters, such as GREY, MJPG, YUYV"
-    )
+    sources.add_camera_arguments(group)
     group = parser.add_argument_group("rarely needed")
     add_split(
         group,
@@ -131,7 +103,7 @@ def add_parser(commands: Any) -> None:
         metavar="MS",
         type=float,
         help="largest time between the frames of --left and --right that are paired, ms; default: "
-        f"half the interval between frames, or {PAIR_WITHIN:g} if that is unknown",
+        f"half the interval between frames, or {sources.PAIR_WITHIN:g} if that is unknown",
     )
     group.add_argument("--raw", action="store_true", help="do not apply the lattice filter")
     group.add_argument("--config", metavar="TOML", help="settings of the detector")
@@ -140,59 +112,12 @@ def add_parser(commands: Any) -> None:
     parser.set_defaults(run=run)
 
 
-def _camera_size(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 1280x720")
-    return int(match[1]), int(match[2])
-
-
-class _Tally:
-    """The counts of the measured frames, for the line at the end."""
-
-    def __init__(self) -> None:
-        self.frames = self.empty = self.broken = self.ambiguous = 0
-        self._nodes = 0
-        self._fewest: int | None = None
-        self._ms = 0.0
-        self._largest, self._where = 0.0, 0
-
-    def add(self, number: int, measured: Measured, ms: float) -> None:
-        self.frames += 1
-        self._ms += ms
-        if not measured.nodes:
-            self.empty += 1
-            return
-        self.ambiguous += measured.ambiguous
-        self._nodes += measured.nodes
-        self._fewest = min(measured.nodes, self._fewest or measured.nodes)
-        if measured.largest > self._largest:
-            self._largest, self._where = measured.largest, number
-
-    def line(self, nodes: int, unit: str, device: str) -> str:
-        """Return the line. nodes: of the pattern. unit: of the displacement. device: its name."""
-        parts = [counted(self.frames, "frame")]
-        if self._fewest is not None:
-            mean = self._nodes / (self.frames - self.empty)
-            parts.append(f"{mean:.1f} of {nodes} nodes on average, at least {self._fewest}")
-            parts.append(f"moved by up to {self._largest:.3g} {unit} (frame {self._where})")
-        if self.empty:
-            parts.append(f"{self.empty} without the pattern")
-        if self.ambiguous:
-            parts.append(f"{self.ambiguous} whose numbers may be wrong")
-        if self.broken:
-            parts.append(f"{self.broken} left out")
-        if self.frames:
-            parts.append(f"{self._ms / self.frames:.0f} ms each on {device}")
-        return "; ".join(parts)
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _Settings:
     """The arguments, checked, and what they name, loaded."""
 
     arguments: argparse.Namespace
-    source: Source | Pairs
+    source: Source | sources.Pairs
     device: Device
     config: DetectorConfig | None
     rig: StereoRig | None
@@ -201,7 +126,7 @@ class _Settings:
     def of(cls, arguments: argparse.Namespace) -> Self:
         if arguments.rest_frame < 0:
             raise ConfigError(f"--rest-frame must be 0 or more, not {arguments.rest_frame}")
-        _check_source(arguments)
+        sources.check(arguments)
         derived.check(arguments)
         if arguments.stereo is None and (arguments.split or arguments.mirror):
             raise ConfigError("--split and --mirror need --stereo")
@@ -213,7 +138,7 @@ class _Settings:
         config = None if arguments.config is None else DetectorConfig.load(arguments.config)
         rig = None if arguments.stereo is None else StereoRig.load(arguments.stereo)
         device = select_device(arguments.device)
-        source = _source(arguments)
+        source = sources.opened(arguments)
         check_files(
             [*source.paths, arguments.config, arguments.stereo],
             [out, *display.outputs(arguments)],
@@ -267,7 +192,7 @@ class _Settings:
                 return OneView(rest, region=region, **search)
             split = split_of(asked.split or "halves", asked.mirror, rest.shape)
             one, two = views_of(split)
-            if isinstance(self.source, Pairs):  # regions are in the two frames
+            if isinstance(self.source, sources.Pairs):  # regions are in the two frames
                 two = ((0, 0, *two[0][2:]), two[1])
             left, right = regions_in(asked.region, one, two)
             return TwoViews(rest, self.rig, split, regions=(left, right), **search)
@@ -277,96 +202,152 @@ class _Settings:
             ) from error
 
 
-def _source(arguments: argparse.Namespace) -> Source | Pairs:
-    """Open the source; raises ConfigError if camera settings are given for a file."""
-    camera = CameraSettings(
-        size=arguments.camera_size,
-        fps=arguments.camera_fps,
-        exposure=arguments.exposure,
-        fourcc=arguments.pixel_format,
-    )
-    source: Source | Pairs
-    if arguments.left is not None:
-        source = Pairs(arguments, camera)
-    else:
-        source = Source(arguments.source, camera, from_start=True)
-    if camera != CameraSettings() and not source.live:
-        raise ConfigError(f"{shown(source.name)} is not a camera, so it takes no camera settings")
-    return source
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
     settings = _Settings.of(arguments)
-    source = settings.source
-    rest, frames = at_rest(source, arguments.rest_frame)
-    tally, stop = _Tally(), Stop()
-    ended: Exception | None = None  # what ended the run before its last frame
+    source, stop = settings.source, Stop()
+    rest, frames = sources.at_rest(source, arguments.rest_frame)
+    failed: list[Exception] = []
     with contextlib.ExitStack() as stack:
         stack.enter_context(handled(stop))
         measure = settings.measurement(rest)
         stack.enter_context(measure)
         _tell_doubts(arguments.rest_frame, measure)
-        pictures = stack.enter_context(
-            display.Display(arguments, measure.constants["rest"], measure.unit, source.period_ms)
-        )
-        description = settings.description(measure.unit)
-        constants = measure.constants | derived.constants(arguments)
-        series = stack.enter_context(
-            SeriesWriter(arguments.out, description=description, **constants)
-        )
-        _tell_earlier(series.earlier)
-        stack.callback(ignore)  # no signal stops the closing of the series
-        progress = stack.enter_context(Progress(source.total, "frames"))
+        sinks = _Sinks(settings, measure, stack)
+        pace = Pace("the camera" if source.live else "decoding", "measuring", "writing")
         try:
-            for frame in stack.enter_context(contextlib.closing(frames)):
-                if stop.name:
-                    break
-                progress.step()
-                image = frame.image
-                if image is None or (image.shape, image.dtype) != (rest.shape, rest.dtype):
-                    tally.broken += 1
-                    measure.skip()
-                    if tally.broken <= _LINES_OF_BROKEN:
-                        progress.say(
-                            f"cmp-cl: {_why_broken(frame, rest, live=source.live)}", sys.stderr
-                        )
-                    continue
-                start = time.perf_counter()
-                measured = measure(image)
-                arrays = derived.arrays_of(measured, arguments)
-                spent = (time.perf_counter() - start) * 1e3
-                if frame.index == arguments.rest_frame:  # the numbers are those of this frame
-                    measured = dataclasses.replace(measured, ambiguous=False)
-                series.append(
-                    index=frame.index,
-                    time_ms=frame.time_ms,
-                    ambiguous=measured.ambiguous,
-                    **arrays,
-                )
-                tally.add(frame.index, measured, spent)
-                pictures.frame(frame, measured)
+            _flow(settings, rest, frames, measure, sinks, pace, stop)
         except (CmpClError, OSError) as error:
-            if isinstance(error, BrokenPipeError) or not tally.frames:
+            if isinstance(error, BrokenPipeError) or not sinks.frames:
                 raise  # the reader of a pipe has gone, or there is nothing to keep
-            ended = error
-        if stop.name and not tally.frames:  # an older series stays
+            failed.append(error)
+        speed = f"{pace.line(sinks.frames)}; measured on {settings.device}"
+        if stop.name and not sinks.frames:  # an older series stays
             raise KeyboardInterrupt
     report = sys.stderr if arguments.out == "-" else sys.stdout
     stopped = f"stopped by {stop.name}; " if stop.name else ""
-    line = tally.line(measure.nodes, measure.unit, str(settings.device))
-    alone = source.alone() if isinstance(source, Pairs) else ""
-    print(f"{stopped}wrote {shown(arguments.out)}: {line}{alone}", file=report)
-    for written in display.outputs(arguments):
-        if written is not None and tally.frames and pictures.error is None:
+    alone = source.alone() if isinstance(source, sources.Pairs) else ""
+    print(f"{stopped}wrote {shown(arguments.out)}: {sinks.line()}; {speed}{alone}", file=report)
+    if sinks.pictures.error is not None:
+        failed.append(sinks.pictures.error)
+    elif sinks.frames:
+        for written in filter(None, display.outputs(arguments)):
             print(f"wrote {shown(written)}", file=report)
-    if tally.ambiguous:
-        print(f"cmp-cl: {_about_ambiguous(tally.ambiguous, arguments)}", file=sys.stderr)
-    failed = [error for error in (ended, pictures.error) if error is not None]
+    if sinks.ambiguous:
+        print(f"cmp-cl: {_about_ambiguous(sinks.ambiguous, arguments)}", file=sys.stderr)
     if failed:
         print(f"cmp-cl: {'; '.join(map(one_line, failed))}", file=sys.stderr)
         return 2
     return 130 if stop.name and not source.live else 0
+
+
+def _flow(
+    settings: _Settings,
+    rest: GreyImage,
+    frames: Generator[Frame, None, None],
+    measure: OneView | TwoViews,
+    sinks: "_Sinks",
+    pace: Pace,
+    stop: Stop,
+) -> None:
+    """Measure each frame, while the next are decoded and those before are written.
+
+    Whatever ends it, all that was measured is written.
+    """
+    source = settings.source
+    decoding, measuring, writing = pace.stages
+    with (
+        contextlib.closing(ahead(decoding, frames)) as decoded,
+        Progress(source.total, "frames") as progress,
+        Behind(writing) as behind,
+    ):
+        try:
+            for frame in decoded:
+                if stop.name:
+                    return
+                progress.step(pace.limit)
+                image = frame.image
+                if image is None or (image.shape, image.dtype) != (rest.shape, rest.dtype):
+                    measure.skip()
+                    sinks.left_out += 1
+                    if sinks.left_out <= _LINES_OF_BROKEN:
+                        why = sources.why_left_out(frame, rest, live=source.live)
+                        progress.say(f"cmp-cl: {why}", sys.stderr)
+                    continue
+                measured = measuring.work(measure, image)
+                if frame.index == settings.arguments.rest_frame:  # the others have its numbers
+                    measured = dataclasses.replace(measured, ambiguous=False)
+                behind(sinks.write, frame, measured)
+        finally:
+            ignore()  # no signal stops the writing of what is measured
+
+
+class _Sinks:
+    """Where measured frames go: the series, the pictures, and the counts of the last line.
+
+    stack: closes the files. frames, ambiguous, left_out: numbers of frames.
+    """
+
+    def __init__(
+        self, settings: _Settings, measure: OneView | TwoViews, stack: contextlib.ExitStack
+    ) -> None:
+        self._arguments = arguments = settings.arguments
+        self._of_pattern, self._unit = measure.nodes, measure.unit
+        self.pictures = stack.enter_context(
+            display.Display(
+                arguments, measure.constants["rest"], measure.unit, settings.source.period_ms
+            )
+        )
+        self._series = stack.enter_context(
+            SeriesWriter(
+                arguments.out,
+                description=settings.description(measure.unit),
+                **(measure.constants | derived.constants(arguments)),
+            )
+        )
+        _tell_earlier(self._series.earlier)
+        self.frames = self.ambiguous = self.left_out = self._empty = 0
+        self._nodes, self._fewest = 0, measure.nodes
+        self._largest, self._where = 0.0, 0
+
+    def write(self, frame: Frame, measured: Measured) -> None:
+        """Write a frame, then count it."""
+        self._series.append(
+            index=frame.index,
+            time_ms=frame.time_ms,
+            ambiguous=measured.ambiguous,
+            **derived.arrays_of(measured, self._arguments),
+        )
+        self.frames += 1
+        if measured.nodes:
+            self._nodes += measured.nodes
+            self._fewest = min(self._fewest, measured.nodes)
+            self.ambiguous += measured.ambiguous
+        else:
+            self._empty += 1
+        if measured.largest > self._largest:
+            self._largest, self._where = measured.largest, frame.index
+        self.pictures.frame(frame, measured)
+
+    def line(self) -> str:
+        """Return the counts as text."""
+        parts = [counted(self.frames, "frame")]
+        if self._nodes:
+            mean = f"{self._nodes / (self.frames - self._empty):.1f} of {self._of_pattern}"
+            parts.append(f"{mean} nodes on average, at least {self._fewest}")
+            moved = f"moved by up to {self._largest:.3g} {self._unit} (frame {self._where})"
+            in_image = (
+                " in the image: --stereo or --cell give lengths" if self._unit == "px" else ""
+            )
+            parts.append(moved + in_image)
+        for count, what in (
+            (self._empty, "without the pattern"),
+            (self.ambiguous, "whose numbers may be wrong"),
+            (self.left_out, "left out"),
+        ):
+            if count:
+                parts.append(f"{count} {what}")
+        return "; ".join(parts)
 
 
 def _about_ambiguous(count: int, arguments: argparse.Namespace) -> str:
@@ -403,30 +384,3 @@ def _tell_doubts(number: int, measure: OneView | TwoViews) -> None:
     for view, grid in views.items():
         for doubt in grid.doubts:
             print(f"cmp-cl: frame {number}, the frame at rest: {view}{doubt}", file=sys.stderr)
-
-
-def _why_broken(frame: Frame, rest: GreyImage, *, live: bool) -> str:
-    if frame.image is None and live:
-        return (
-            f"frame {frame.index} is missing: the camera did not deliver it, or frames come faster "
-            "than they are measured"
-        )
-    if frame.image is None:
-        return f"frame {frame.index} cannot be read and is skipped{because(frame)}"
-    rows, columns = frame.image.shape
-    return (
-        f"frame {frame.index} is {columns} x {rows} px of {frame.image.dtype}, the frame at rest "
-        f"is {rest.shape[1]} x {rest.shape[0]} of {rest.dtype}; it is left out"
-    )
-
-
-def _check_source(arguments: argparse.Namespace) -> None:
-    two = arguments.left is not None or arguments.right is not None
-    if two == (arguments.source is not None):
-        raise ConfigError("give SOURCE, or --left and --right")
-    if two and (arguments.left is None or arguments.right is None or arguments.stereo is None):
-        raise ConfigError("--left and --right need each other, and --stereo")
-    if two and (arguments.split or arguments.mirror):
-        raise ConfigError("--split and --mirror are for frames that show both views")
-    if arguments.pair_within is not None and not (two and arguments.pair_within >= 0):
-        raise ConfigError("--pair-within needs --left and --right, and at least 0 ms")

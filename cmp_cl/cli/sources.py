@@ -1,18 +1,77 @@
-"""Two sources side by side, and the frame at rest of a source, for `cmp-cl run`."""
+"""The sources of `cmp-cl run`: their options, two of them side by side, and the frame at rest."""
 
 import argparse
 import contextlib
+import re
 from collections.abc import Generator
+from typing import Any
 
 import numpy as np
 
 from cmp_cl.cameras import CameraSettings, PairCount, Source, paired
+from cmp_cl.cli.arguments import positive_number
 from cmp_cl.cli.messages import counted, in_shell, shown
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.image import GreyImage
 from cmp_cl.media import Frame
 
 PAIR_WITHIN = 20.0  # ms
+
+
+def add_arguments(group: Any) -> None:
+    """Add SOURCE, --stereo, --left and --right to a group of an argparse parser."""
+    group.add_argument(
+        "source",
+        metavar="SOURCE",
+        nargs="?",
+        help="video, folder of images, image, .mcap, number of a camera, device such as "
+        "/dev/video0, or address such as rtsp://camera/stream",
+    )
+    group.add_argument(
+        "--stereo",
+        metavar="YAML",
+        help="the calibration of two views; SOURCE shows both in each frame",
+    )
+    group.add_argument(
+        "--left", metavar="SOURCE", help="with --stereo: the left view, in place of SOURCE"
+    )
+    group.add_argument("--right", metavar="SOURCE", help="the right view")
+
+
+def add_camera_arguments(group: Any) -> None:
+    """Add the settings of a camera to a group of an argparse parser."""
+    group.add_argument(
+        "--camera-size", metavar="WIDTHxHEIGHT", type=_camera_size, help="size of the frames, px"
+    )
+    group.add_argument(
+        "--camera-fps", metavar="FPS", type=positive_number, help="frames per second"
+    )
+    group.add_argument(
+        "--exposure", metavar="VALUE", type=float, help="exposure time, in the driver's units"
+    )
+    group.add_argument(
+        "--pixel-format", metavar="FOUR", help="four letters, such as GREY, MJPG, YUYV"
+    )
+
+
+def _camera_size(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 1280x720")
+    return int(match[1]), int(match[2])
+
+
+def check(arguments: argparse.Namespace) -> None:
+    """Raise ConfigError if the options do not name one source, or two."""
+    two = arguments.left is not None or arguments.right is not None
+    if two == (arguments.source is not None):
+        raise ConfigError("give SOURCE, or --left and --right")
+    if two and (arguments.left is None or arguments.right is None or arguments.stereo is None):
+        raise ConfigError("--left and --right need each other, and --stereo")
+    if two and (arguments.split or arguments.mirror):
+        raise ConfigError("--split and --mirror are for frames that show both views")
+    if arguments.pair_within is not None and not (two and arguments.pair_within >= 0):
+        raise ConfigError("--pair-within needs --left and --right, and at least 0 ms")
 
 
 class Pairs:
@@ -79,6 +138,24 @@ class Pairs:
         )
 
 
+def opened(arguments: argparse.Namespace) -> Source | Pairs:
+    """Open the source; raises ConfigError if camera settings are given for a file."""
+    camera = CameraSettings(
+        size=arguments.camera_size,
+        fps=arguments.camera_fps,
+        exposure=arguments.exposure,
+        fourcc=arguments.pixel_format,
+    )
+    source = (
+        Source(arguments.source, camera, from_start=True)
+        if arguments.left is None
+        else Pairs(arguments, camera)
+    )
+    if camera != CameraSettings() and not source.live:
+        raise ConfigError(f"{shown(source.name)} is not a camera, so it takes no camera settings")
+    return source
+
+
 def at_rest(source: Source | Pairs, number: int) -> tuple[GreyImage, Generator[Frame, None, None]]:
     """Return the frame at rest of that number, and the frames to measure.
 
@@ -92,7 +169,7 @@ def at_rest(source: Source | Pairs, number: int) -> tuple[GreyImage, Generator[F
             continue
         if frame.image is None:
             raise ConfigError(
-                f"--rest-frame {number} cannot be read; choose another one{because(frame)}"
+                f"--rest-frame {number} cannot be read; choose another one{_because(frame)}"
             )
         if source.live:
             return frame.image, _chained(frame, frames)
@@ -106,7 +183,23 @@ def at_rest(source: Source | Pairs, number: int) -> tuple[GreyImage, Generator[F
     )
 
 
-def because(frame: Frame) -> str:
+def why_left_out(frame: Frame, rest: GreyImage, *, live: bool) -> str:
+    """Return why a frame is not measured, as text; live: whether it comes from a camera."""
+    if frame.image is None and live:
+        return (
+            f"frame {frame.index} is missing: the camera did not deliver it, or frames come faster "
+            "than they are measured"
+        )
+    if frame.image is None:
+        return f"frame {frame.index} cannot be read and is skipped{_because(frame)}"
+    rows, columns = frame.image.shape
+    return (
+        f"frame {frame.index} is {columns} x {rows} px of {frame.image.dtype}, the frame at rest "
+        f"is {rest.shape[1]} x {rest.shape[0]} of {rest.dtype}; it is left out"
+    )
+
+
+def _because(frame: Frame) -> str:
     """Return why a frame has no image, as the end of a message; "" if it is not known."""
     return f": {in_shell(frame.why)}" if frame.why else ""
 
