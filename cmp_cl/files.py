@@ -189,23 +189,10 @@ def write_csv(
 
 
 def csv_bytes(rows: Iterable[Iterable[object]]) -> bytes:
-    """Return rows as CSV in UTF-8.
-
-    A text that a spreadsheet would take for a formula begins with an apostrophe (OWASP, CSV
-    injection).
-    """
+    """Return rows as CSV in UTF-8."""
     text = StringIO(newline="")
-    csv.writer(text, lineterminator="\n").writerows([map(_harmless, row) for row in rows])
+    csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode("utf-8", "backslashreplace")
-
-
-def _harmless(cell: object) -> object:
-    if not isinstance(cell, str) or not cell.startswith(("=", "+", "-", "@", "\t", "\r")):
-        return cell
-    with contextlib.suppress(ValueError):
-        float(cell)
-        return cell
-    return f"'{cell}"
 
 
 def read_toml(path: str | PathLike[str]) -> dict[str, Any]:

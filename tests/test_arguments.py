@@ -26,7 +26,7 @@ from cmp_cl import (
     series,
 )
 from cmp_cl.cameras import CameraSettings, Source, is_live
-from cmp_cl.field import green_lagrange, mesh, surface_normals
+from cmp_cl.field import green_lagrange, surface_normals
 from cmp_cl.filter import filter_grid
 from cmp_cl.grid import align, refine_markers
 from cmp_cl.marks import drop_marks
@@ -113,7 +113,6 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
         (lambda: refine_markers(GRID, "a", IMAGE), "count", "Integral"),
         (lambda: cell_of(None), "grid", "Grid"),
         (lambda: square_sides(None), "points", "Points3D"),
-        (lambda: mesh(None), "field", "DisplacementField"),
         (lambda: save_figure("a.png", None), "figure", "Figure"),
         (lambda: fitting_paper("a4", None), "board", "Checkerboard"),
         (lambda: is_live(None), "name", "str"),

@@ -1,11 +1,7 @@
-"""Displacement and strain in the plane and in space against closed forms, contact, and files."""
+"""Displacement and strain in the plane and in space against closed forms, and contact."""
 
-import base64
-import csv
 import dataclasses
 import math
-import struct
-import xml.etree.ElementTree
 
 import cv2
 import numpy as np
@@ -13,7 +9,7 @@ import pytest
 from cases import some
 from stereo_data import gel, grid_of, points, project, toed_in_rig
 
-from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl.errors import FieldError
 from cmp_cl.field import DisplacementField, green_lagrange, surface_normals
 from cmp_cl.grid import NodeStatus
 from cmp_cl.motion import PlaneScale, contact_of, displacement
@@ -353,116 +349,3 @@ def test_a_frame_for_pytac3d_has_its_keys_in_mm_row_by_row_and_no_forces():
         pressed(space=False).as_pytac3d()
     with pytest.raises(FieldError, match="in inch"):
         displacement(points(rest, unit="inch"), points(now, unit="inch")).as_pytac3d()
-
-
-@SPACES
-def test_npz_holds_the_field(tmp_path, space):
-    field = pressed(space=space).with_strain()
-    field.save(tmp_path / "press.npz")
-    with np.load(tmp_path / "press.npz", allow_pickle=False) as data:
-        for name in ("position", "displacement", "sigma", "status", "source", *field.strains()):
-            np.testing.assert_array_equal(data[name], getattr(field, name))
-        np.testing.assert_array_equal(data["raw_displacement"], field.raw.displacement)
-        assert data["unit"] == field.unit
-        assert data["filtered"]
-    pressed(space=space, raw=True).save(tmp_path / "raw.npz")
-    with np.load(tmp_path / "raw.npz", allow_pickle=False) as data:
-        assert not data["filtered"]
-        assert not [name for name in data if name.startswith("raw_")]
-
-
-@SPACES
-def test_csv_names_its_units_and_loses_no_digit(tmp_path, space):
-    field = pressed(space=space).with_strain()
-    field.save(tmp_path / "press.csv")
-    with open(tmp_path / "press.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
-    axes, unit = "xyz" if space else "xy", "mm" if space else "px"
-    lengths = [f"{begin}{axis}" for begin in ("", "u") for axis in axes]
-    strains = ["e11", "e22", "e12", "e11_sigma", "e22_sigma", "e12_sigma"]
-    strains += ["e1", "e2", "e1_sigma", "e2_sigma", "direction", "direction_sigma"]
-    assert list(rows[0]) == [
-        *("row", "column", *(f"{name}_{unit}" for name in (*lengths, "sigma"))),
-        *("status", "source", *strains, f"position_sigma_{unit}"),
-        *(f"raw_{name}_{unit}" for name in (*lengths, "sigma", "position_sigma")),
-    ]
-    assert len(rows) == 120
-    for row in rows:
-        node = int(row["row"]), int(row["column"])
-        read = [float(row[f"u{axis}_{unit}"]) for axis in axes]
-        np.testing.assert_array_equal(read, field.displacement[node])
-        np.testing.assert_equal(float(row["e12"]), field.strain[node][2])
-    assert rows[2 * 10 + 3]["status"] == rows[2 * 10 + 3]["source"] == "MISSING"
-    assert rows[2 * 10 + 3][f"x_{unit}"] == "nan"
-    assert rows[0]["source"] == "DETECTED"
-
-
-def read_vtp(path):
-    """Return the arrays of a .vtp by name."""
-    arrays = {}
-    for array in xml.etree.ElementTree.parse(path).getroot().iter("DataArray"):
-        raw = base64.b64decode(array.text.strip(), validate=True)
-        assert struct.unpack("<Q", raw[:8])[0] == len(raw) - 8
-        dtype = {"Int32": "<i4", "Float64": "<f8"}[array.get("type")]
-        values = np.frombuffer(raw[8:], dtype)
-        arrays[array.get("Name")] = values.reshape(-1, int(array.get("NumberOfComponents")))
-    return arrays
-
-
-@SPACES
-def test_vtp_holds_the_surface(tmp_path, space):
-    field = pressed(space=space).with_strain()
-    field.save(tmp_path / "press.vtp")
-    arrays = read_vtp(tmp_path / "press.vtp")
-    flat = [] if space else [(0, 0), (0, 1)]
-    for name, values in (("Points", field.position), ("displacement", field.displacement)):
-        there = np.pad(values[field.valid], flat) if flat else values[field.valid]
-        np.testing.assert_array_equal(arrays[name], there)
-    np.testing.assert_array_equal(arrays["strain"], field.strain[field.valid])
-    row, column = arrays["row"].ravel(), arrays["column"].ravel()
-    assert list(zip(row, column, strict=True)) == list(zip(*np.nonzero(field.valid), strict=True))
-    quads = arrays["connectivity"].reshape(-1, 4)
-    np.testing.assert_array_equal(arrays["offsets"].ravel(), 4 * np.arange(1, len(quads) + 1))
-    assert len(quads) == 11 * 9 - 8  # those at the two missing nodes
-    for quad in quads:  # around one cell
-        assert sorted(row[quad] - row[quad].min()) == [0, 0, 1, 1]
-        assert sorted(column[quad] - column[quad].min()) == [0, 0, 1, 1]
-        assert (np.abs(np.diff(row[quad])) + np.abs(np.diff(column[quad])) == 1).all()
-
-
-def test_vtk_reads_the_surface(tmp_path):
-    pyvista = pytest.importorskip("pyvista", reason="pyvista is not installed")
-    field = pressed().with_strain()
-    field.save(tmp_path / "press.vtp")
-    mesh = pyvista.read(tmp_path / "press.vtp")
-    np.testing.assert_allclose(mesh.points, field.position[field.valid], rtol=1e-6)
-    np.testing.assert_array_equal(mesh["displacement"], field.displacement[field.valid])
-
-
-@pytest.mark.parametrize("suffix", ["npz", "csv", "vtp"])
-def test_a_field_without_a_valid_node_is_a_file_too(tmp_path, suffix):
-    nothing = np.full((3, 4, 3), np.nan)
-    path = tmp_path / f"none.{suffix}"
-    displacement(points(nothing), points(nothing)).with_strain().save(path)
-    if suffix == "vtp":
-        assert len(read_vtp(path)["Points"]) == 0
-    elif suffix == "csv":
-        with open(path, newline="") as file:
-            rows = list(csv.DictReader(file))
-        assert {(row["status"], row["x_mm"], row["uz_mm"]) for row in rows} == {
-            ("MISSING", "nan", "nan")
-        }
-        assert len(rows) == 12
-    else:
-        with np.load(path) as data:
-            assert (data["status"] == PointStatus.MISSING).all()
-            for name in ("position", "displacement", "strain"):
-                np.testing.assert_array_equal(data[name], nothing)
-
-
-def test_an_unknown_suffix_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match=r"\.npz, \.csv, \.vtp"):
-        pressed().save(tmp_path / "press.stl")
-    with pytest.raises(OSError, match="no folder"):
-        pressed().save(tmp_path / "none" / "press.vtp")
-    assert list(tmp_path.iterdir()) == []

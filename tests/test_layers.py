@@ -11,7 +11,7 @@ import cmp_cl
 ROOT = Path(cmp_cl.__file__).parent
 # From the bottom up; a name is that of a module, or of a package and everything in it.
 LAYERS = [
-    {"closing", "errors", "version", "vtk"},
+    {"closing", "errors", "version"},
     {"extras", "files", "filter"},
     {"image", "pattern"},
     {"arrays", "config", "media"},

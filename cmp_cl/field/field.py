@@ -9,9 +9,9 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError, check_kind
+from cmp_cl.errors import FieldError
 from cmp_cl.field.strain import principal_of, strain_of, surface_normals
-from cmp_cl.field.writers import mesh_of, save
+from cmp_cl.field.writers import save
 from cmp_cl.points import PointStatus, largest_deviation
 
 Array = NDArray[np.float64]
@@ -192,13 +192,6 @@ class DisplacementField:
         without a strain."""
         named = {name: getattr(self, name) for name in _STRAIN}
         return {name: values for name, values in named.items() if values is not None}
-
-
-def mesh(field: DisplacementField) -> tuple[dict[str, NDArray[Any]], NDArray[np.int32]]:
-    """Return columns of the valid nodes of a field, and the quadrilaterals between them, (Q, 4)
-    indices; raises FieldError if field is of another type."""
-    check_kind("field", field, DisplacementField, FieldError)
-    return mesh_of(arrays_of(field))
 
 
 def arrays_of(field: DisplacementField) -> dict[str, NDArray[Any]]:

@@ -7,6 +7,7 @@ the files.
 import contextlib
 import errno
 import importlib
+import os
 from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
@@ -21,13 +22,10 @@ from cmp_cl.errors import ImageError
 from cmp_cl.extras import extra
 from cmp_cl.image import GreyImage
 from cmp_cl.series.base import Arrays, Description, Format, at_rest, moved_by
-from cmp_cl.series.disk import Appended, check_room
 
 TOPIC = "/cmp_cl/nodes"
 POINT_FIELDS = ("x", "y", "z", "dx", "dy", "dz", "sigma", "row", "column")
 
-_MOST_OF_END = 1 << 14  # bytes of the summary without the frames
-_INDEX = 160  # bytes of the summary for each frame
 _RULE = "=" * 80
 _POINT_CLOUD = f"""\
 std_msgs/Header header
@@ -62,7 +60,6 @@ uint32 offset
 uint8 datatype
 uint32 count
 """
-_CHANNELS = {"bgr8": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4}
 _TO_GREY = {
     "bgr8": cv2.COLOR_BGR2GRAY,
     "rgb8": cv2.COLOR_RGB2GRAY,
@@ -126,24 +123,21 @@ class McapFormat(Format):
         with extra("mcap", "MCAP"):
             writing = importlib.import_module("mcap_ros2.writer")
         self._start_ns = int(description.settings.get("start_ns", "0"))
-        self._file = _Waiting(part)
+        self._file = open(part, "wb")  # noqa: SIM115, closed by close
         size = 4 * len(POINT_FIELDS) * rest[..., 0].size
         self._writer: Any = writing.Writer(self._file, chunk_size=max(size, 1))
         self._writer.add_metadata("cmp_cl", _about(description))
-        self._file.flush_to_disk()
+        self._file.flush()
         self._schema = self._writer.register_msgdef("sensor_msgs/msg/PointCloud2", _POINT_CLOUD)
-        self._most = size + _MOST_OF_END  # bytes of a frame and of the summary without frames
-        self._cut = False
+        self._whole = True
 
     def write(self, number: int, index: int, time_ms: float, frame: Arrays) -> None:
         rest, shift = moved_by(self.constants, frame, "an MCAP")
-        check_room(self.part.parent, self._most + _INDEX * number)
         sigma = frame.get("sigma", np.full(rest.shape[:2], np.nan))
         stamp = self._start_ns + round((time_ms if np.isfinite(time_ms) else index) * 1e6)
         frame_id = "camera" if rest.shape[2] == 3 else "image"
-        if self._cut:
-            raise OSError(errno.ENOSPC, "an earlier frame was refused")
-        self._cut = True  # the writer counts a frame that the disk then refuses
+        self._check_whole()
+        self._whole = False  # if the disk refuses this frame, nothing can follow it
         self._writer.write_message(
             topic=TOPIC,
             schema=self._schema,
@@ -152,41 +146,25 @@ class McapFormat(Format):
             publish_time=stamp,
             sequence=number,
         )
-        self._file.flush_to_disk()
-        self._cut = False
+        self._file.flush()
+        self._whole = True
+
+    def _check_whole(self) -> None:
+        if not self._whole:
+            raise OSError(
+                errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}; mcap recover repairs the file"
+            )
 
     def finish(self, target: Path, frames: int) -> None:
-        if self._cut:
-            raise OSError(errno.ENOSPC, "no room for the summary: mcap recover adds it")
+        self._check_whole()
         self._writer.finish()
-        self._file.flush_to_disk()
+        self._file.flush()
         self.close()
         super().finish(target, frames)
 
     def close(self) -> None:
-        self._file.close()
-
-
-class _Waiting(Appended):
-    """The file of an MCAP writer, whose data wait in memory until a frame is complete."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._parts: list[bytes] = []
-
-    def write(self, data: bytes) -> int:
-        self._parts.append(bytes(data))
-        return len(data)
-
-    def tell(self) -> int:
-        return self.end + sum(map(len, self._parts))
-
-    def flush(self) -> None:
-        """Do nothing: a frame is written as a whole."""
-
-    def flush_to_disk(self) -> None:
-        parts, self._parts = self._parts, []
-        self.append(b"".join(parts))
+        with contextlib.suppress(OSError):  # what a full disk refused is tried again, and told
+            self._file.close()
 
 
 def _about(description: Description) -> dict[str, str]:
@@ -260,8 +238,8 @@ def _grey(message: Any) -> GreyImage | None:
         return np.ascontiguousarray(lines[:, : 2 * columns]).view(order).astype(np.uint16)
     if encoding in ("mono8", "8UC1") and message.step >= columns:
         return lines[:, :columns].astype(np.uint8)
-    channels = _CHANNELS.get(encoding, 0)
-    if channels and message.step >= channels * columns:
+    channels = 4 if "a8" in encoding else 3
+    if encoding in _TO_GREY and message.step >= channels * columns:
         colour = np.ascontiguousarray(lines[:, : channels * columns])
         grey = cv2.cvtColor(colour.reshape(rows, columns, channels), _TO_GREY[encoding])
         return np.asarray(grey, np.uint8)

@@ -3,16 +3,14 @@
 import json
 import re
 from pathlib import Path
-from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cmp_cl.files import first_free, write_text
+from cmp_cl.field.nodes import surface
+from cmp_cl.files import first_free, write_bytes
 from cmp_cl.series.base import Arrays, Description, Format, at_rest, moved_by
 from cmp_cl.series.disk import Appended
-from cmp_cl.vtk import polydata, quadrilaterals
 
 _END = b"</Collection>\n</VTKFile>\n"
 
@@ -43,7 +41,7 @@ class ParaViewFormat(Format):
         if self._folder is None:
             self._folder = first_free(self._stem, Path.mkdir)
         name = f"{index:06}.vtp"
-        write_text(self._folder / name, _polydata(rest, shift.astype(np.float64), frame))
+        write_bytes(self._folder / name, surface(rest, shift, frame))
         time = time_ms / 1e3 if np.isfinite(time_ms) else float(index)
         path = quoteattr(f"{self._folder.name}/{name}")
         line = f'<DataSet timestep="{time:.9g}" part="0" file={path}/>\n'
@@ -55,23 +53,3 @@ class ParaViewFormat(Format):
 
     def close(self) -> None:
         self._file.close()
-
-
-def _polydata(rest: NDArray[Any], shift: NDArray[np.float64], frame: Arrays) -> str:
-    """Return the valid nodes as VTK's PolyData; positions are those at rest."""
-    valid = np.isfinite(rest.sum(axis=2) + shift.sum(axis=2))
-    row, column = np.nonzero(valid)
-    columns: dict[str, NDArray[Any]] = {
-        "displacement": _in_space(shift[valid]),
-        "row": row.astype(np.int32),
-        "column": column.astype(np.int32),
-    }
-    for name, value in frame.items():
-        if name != "displacement" and value.shape[:2] == valid.shape and value.ndim in (2, 3):
-            columns[name] = value[valid]
-    return polydata(_in_space(rest[valid]), quadrilaterals(valid), columns)
-
-
-def _in_space(points: NDArray[Any]) -> NDArray[np.float64]:
-    """Return (N, 2) with a third coordinate of 0, or (N, 3) as they are."""
-    return np.pad(points.astype(np.float64), ((0, 0), (0, 3 - points.shape[1])))

@@ -4,56 +4,17 @@ import io
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError
+from cmp_cl.field.nodes import node_columns
 from cmp_cl.files import csv_bytes, write_text
 from cmp_cl.series.base import Arrays, Description, Format
 from cmp_cl.series.disk import Appended
-
-_AXES = "x", "y", "z"
-_PARTS = {  # names of the parts of arrays that are not vectors
-    **dict.fromkeys(("strain", "strain_sigma"), ("xx", "yy", "xy")),
-    **dict.fromkeys(("principal", "principal_sigma"), ("1", "2")),
-}
-
-
-def node_columns(frame: Arrays, units: Mapping[str, str]) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Return the columns of a frame's R x C nodes: name with unit, values (R C,).
-
-    frame: arrays by name. units: their units by name. (R, C) is one column; (R, C, 2) and (R, C, 3)
-    have the suffixes _x, _y, _z, strains _xx, _yy, _xy, others numbers. Numbers and vectors of the
-    whole frame come last.
-
-    Raises FieldError if no array is of nodes.
-    """
-    shapes = [value.shape[:2] for value in frame.values() if value.ndim in (2, 3)]
-    if not shapes:
-        raise FieldError("a table needs an array (R, C) or (R, C, K) of nodes")
-    shape = shapes[0]
-    rows, columns = np.indices(shape)
-    yield "row", rows.ravel()
-    yield "column", columns.ravel()
-    ordered = sorted(frame.items(), key=lambda item: item[1].shape[:2] != shape)
-    for name, value in ordered:
-        of_nodes = value.shape[:2] == shape
-        if value.ndim > (3 if of_nodes else 1):
-            continue
-        full = value if of_nodes else np.broadcast_to(value, (*shape, *value.shape))
-        unit = f"_{units[name]}" if name in units else ""
-        if full.ndim == 2:
-            yield f"{name}{unit}", full.ravel()
-            continue
-        ends = _PARTS.get(name, _AXES)
-        if full.shape[2] > len(ends):
-            ends = tuple(map(str, range(full.shape[2])))
-        for part, end in enumerate(ends[: full.shape[2]]):
-            yield f"{name}_{end}{unit}", full[..., part].ravel()
 
 
 class CsvFormat(Format):

@@ -178,14 +178,22 @@ class Recorded:
         if not len(series["index"]):
             raise FieldError("the series has no frame")
         rest = np.asarray(series["rest"], np.float64)
+        if rest.ndim != 3 or rest.shape[2] not in (2, 3):
+            raise FieldError(f"rest of the series must be (R, C, 2) or (R, C, 3), not {rest.shape}")
         moved = series["displacement"] if "displacement" in series else series["xy"]
-        if rest.ndim != 3 or moved.shape[1:] != rest.shape:
-            raise FieldError(f"rest is {rest.shape} and the displacement {moved.shape}")
-        shift = moved if "displacement" in series else moved - rest
+        sigma = series.get("sigma", np.broadcast_to(np.nan, moved.shape[:3]))
+        frames = len(series["index"])
+        for name, shape, expected in (
+            ("the displacement", moved.shape, (frames, *rest.shape)),
+            ("sigma", sigma.shape, (frames, *rest.shape[:2])),
+            ("time_ms", series["time_ms"].shape, (frames,)),
+        ):
+            if shape != expected:
+                raise FieldError(f"{name} of the series must be {expected}, not {shape}")
         return cls(
             rest=rest,
-            shift=shift,
-            sigma=series.get("sigma", np.broadcast_to(np.nan, shift.shape[:3])),
+            shift=moved if "displacement" in series else moved - rest,
+            sigma=sigma,
             index=np.asarray(series["index"], np.int64),
             time_ms=np.asarray(series["time_ms"], np.float64),
             unit=str(series.get("unit", "px")),

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError
 from cmp_cl.extras import extra
-from cmp_cl.field import DisplacementField, mesh
+from cmp_cl.field import DisplacementField
+from cmp_cl.field.nodes import quadrilaterals
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage
 from cmp_cl.viz.overlays import PLASMA, strips
@@ -66,8 +67,8 @@ class Viewer(Closing):
 
     def _surface(self, field: DisplacementField) -> None:
         """Show the surface now and arrows from rest."""
-        columns, quads = mesh(field)
-        rest, shift = columns["position"], columns["displacement"]
+        quads = quadrilaterals(field.valid)
+        rest, shift = field.position[field.valid], field.displacement[field.valid]
         colours = self._colours(np.linalg.norm(shift, axis=1))
         extent = float(np.ptp(rest, axis=0).max()) if len(rest) else 1.0
         surface = self._rerun.Mesh3D(
