@@ -182,6 +182,40 @@ class Detector(Closing):
             if waiting is not None:
                 self._plans.take_back(waiting)
 
+    @property
+    def queue(self) -> cl.CommandQueue:
+        """Return the in-order queue of its kernels."""
+        return self._queue
+
+    @property
+    def octaves(self) -> int:
+        """Return the number of halved frames in which corners are found."""
+        return self._plans.lend().octaves
+
+    def begin(self, frames: Sequence[Frame]) -> Plan:
+        """Upload frames and enqueue their kernels, without waiting; return the plan that has them.
+
+        Launches that are enqueued in `queue` next find the corners of the frames on the device, see
+        kernels/result.clh. `finish` must follow; before it, the frames must not change. Raises the
+        errors of a call.
+        """
+        images = [self._checked(frame) for frame in frames]
+        with self._lock:
+            self._check_alive()
+            plan = self._plans.lend(len(images))
+            self._start(plan, images, self._transfers)
+            self._plans.keep(plan)
+            return plan
+
+    def finish(self, plan: Plan) -> tuple[list[Corners], bool]:
+        """Return the corners of the frames of the plan that `begin` returned, and whether launches
+        enqueued behind it have found the same: not if a list was too short."""
+        with self._lock:
+            self._check_alive()
+            before = self.regrown
+            corners = self._finish(plan, self._transfers)
+            return corners, self.regrown == before
+
     def batch(self, stack: NDArray[Any] | Sequence[Frame] | cl.Buffer) -> list[Corners]:
         """Find the corners of each frame of a stack, with one launch per stage for all of them.
 

@@ -2,8 +2,20 @@
 
 /* The nodes of a frame from those of the frame before. A check can only make a node fail, never
  * give it another number. A corner is (x, y, angle, sigma): px of the view; its first boundary, rad,
- * NaN if unknown; px, negative if it is torn, NaN if it is unknown, and then it is torn too. Each of
- * VIEWS views has CAPACITY corners and NODES nodes; dimension 1 of a launch is the view. */
+ * NaN if unknown; px, negative if it is torn, NaN if it is unknown, and then it is torn too. Each
+ * view has at most CAPACITY corners, and NODES nodes; dimension 1 of a launch is the view.
+ *
+ * `result` has the corners of all views as kernels/result.clh lays them out: `stride` numbers for a
+ * view, with room for `room` corners. */
+#pragma OPENCL FP_CONTRACT OFF /* the sigma of a corner is that of cmp_cl/stages/refine.py */
+
+#if !defined(HEAD) || !defined(EDGES_FIELD) || !defined(METHOD_FIELD) || !defined(VARIANCE_FIELD)
+#error "HEAD and the fields of a result must be defined"
+#endif
+#define LEVELS (OCTAVES + 1)
+#define BY_EDGE_STEP 2          /* of Method */
+#define TORN_PX 0.15f           /* a corner whose sigma is not below it is torn */
+#define VARIANCE_OF_EXCESS 1000 /* px^2 per squared excess, as in cmp_cl/stages/refine.py */
 
 #define NEAR_CELLS 0.3f /* from the prediction, of the smaller local step */
 #define ALONE_CELLS 0.5f /* no second corner may be as near as that */
@@ -41,20 +53,88 @@
   const float2 along = ((at)[behind] - (at)[before]) / (float)max(behind - before, 1); \
   const float2 down = ((at)[below] - (at)[above]) / (float)max((below - above) / COLUMNS, 1);
 
-/* Chain the corners of each bin, and predict the nodes: they move on as they moved last. One
- * work-item a corner or a node. */
-__kernel void place(__global const float4 *corners, __global const int *found, const float bin,
+/* The corners of a view in the result. */
+#define RESULT_OF_VIEW(view)                                                        \
+  const int count = (int)min(((__global const uint *)result)[(view) * stride], room); \
+  const int padded = (count + 7) / 8 * 8;                                           \
+  __global const float *fields = result + (view) * stride + HEAD;                   \
+  __global const float *edges = fields + EDGES_FIELD * padded;                      \
+  __global const uchar *methods = (__global const uchar *)(fields + METHOD_FIELD * padded); \
+  __global const uchar *refusals = methods + padded, *octaves = methods + 2 * padded; \
+  __global const float *variances = fields + VARIANCE_FIELD * padded;               \
+  __global const float *correlations = fields + (VARIANCE_FIELD + 1) * padded;
+#define OCTAVE_OF(n) (OCTAVES ? octaves[n] : 0)
+
+/* An integer in the order of the number. */
+uint ordered(const float v) {
+  const uint bits = as_uint(v);
+  return bits & 0x80000000u ? ~bits : bits | 0x80000000u;
+}
+
+/* The lower median of the residual's autocorrelation of the corners that EDGE_STEP accepted, for
+ * each view and octave, byte by byte from the first. One work-group for each. */
+__kernel void medians(__global const float *result, const uint stride, const uint room,
+                      __global float *median) {
+  const int view = get_group_id(1) / LEVELS, octave = get_group_id(1) % LEVELS;
+  const int first = get_local_id(0), items = get_local_size(0);
+  RESULT_OF_VIEW(view)
+  __local uint bins[256], prefix, rank, all;
+  if (first == 0) prefix = rank = all = 0;
+  for (int shift = 24; shift >= 0; shift -= 8) {
+    for (int b = first; b < 256; b += items) bins[b] = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int n = first; n < count; n += items) {
+      if (methods[n] != BY_EDGE_STEP || OCTAVE_OF(n) != octave) continue;
+      const uint key = ordered(correlations[n]);
+      if (shift == 24 || key >> (shift + 8) == prefix) atomic_inc(bins + (key >> shift & 255));
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (first == 0) {
+      if (shift == 24) {
+        for (int b = 0; b < 256; ++b) all += bins[b];
+        rank = all ? all - 1 - all / 2 : 0;
+      }
+      int b = 0;
+      for (; b < 255 && bins[b] <= rank; ++b) rank -= bins[b];
+      prefix = prefix << 8 | b;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+  }
+  if (first == 0)
+    median[get_group_id(1)] =
+        all ? as_float(prefix & 0x80000000u ? prefix & 0x7fffffffu : ~prefix) : INFINITY;
+}
+
+/* Chain the corners of each bin, and predict the nodes: they move on as they moved last. The
+ * variance of a corner that does not look like its model grows by its excess over the median.
+ * Corners outside the region of a view, (x0, y0, x1, y1), take no part. One work-item a corner or a
+ * node. */
+__kernel void place(__global const float *result, const uint stride, const uint room,
+                    __global const float *median, __global const float4 *regions, const float bin,
                     const int bin_rows, const int bin_columns, __global const float2 *nodes,
-                    __global float2 *last, __global float2 *predicted, __global int *first_of_bin,
-                    __global int *next, __global int *claims) {
+                    __global float4 *corners, __global float2 *last, __global float2 *predicted,
+                    __global int *first_of_bin, __global int *next, __global int *claims,
+                    __global int *counts) {
   VIEW
+  if (i < COUNTED) counts[view * COUNTED + i] = 0;
   if (i < NODES) {
     const float2 here = nodes[OF_NODE];
     predicted[OF_NODE] = here + (here - last[OF_NODE]);
     last[OF_NODE] = here;
   }
-  if (i >= found[view]) return;
-  const float4 corner = corners[CORNERS + i];
+  RESULT_OF_VIEW(view)
+  if (i >= min(count, CAPACITY)) return;
+  const float4 region = regions[view];
+  const float excess = fmax(correlations[i] - median[view * LEVELS + OCTAVE_OF(i)], 0.0f);
+  const float grown = (float)(1 << 2 * OCTAVE_OF(i)) * VARIANCE_OF_EXCESS * excess * excess;
+  const float sigma = sqrt(variances[i] + grown);
+  const int whole = sigma < TORN_PX && refusals[i] == 0;
+  const float4 corner =
+      (float4)(fields[2 * i], fields[2 * i + 1], edges[4 * i], whole ? sigma : -sigma);
+  corners[CORNERS + i] = corner;
+  if (!(corner.x >= region.x && corner.y >= region.y && corner.x <= region.z &&
+        corner.y <= region.w))
+    return;
   const int at = BINS + BIN_ROW(corner.y) * bin_columns + BIN_COLUMN(corner.x);
   claims[CORNERS + i] = 0;
   next[CORNERS + i] = atomic_xchg(first_of_bin + at, i);

@@ -81,6 +81,40 @@ def test_two_views_have_the_field_that_displacement_returns(rest_and_now, raw):
     np.testing.assert_allclose(found.strain_sigma, other.strain_sigma, rtol=2e-3)
 
 
+@pytest.fixture(scope="session")
+def film():
+    """Return frames of both views: a press that grows and ends, then one that comes at once."""
+    severities = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.6, 0.6)
+    scenes = [dataclasses.replace(GEL, severity=severity) for severity in severities]
+    return [binocular_frame(*render_stereo(scene, RIG)[:2]) for scene in scenes]
+
+
+def test_a_frame_is_tracked_or_numbered_anew_and_the_result_is_the_same(film):
+    split, rig = cmp_cl.BinocularSplit.halves(*film[0].shape[::-1]), StereoRig(*RIG)
+    with measure.TwoViews(film[0], rig, split, shape=(12, 12)) as following:
+        tracked = list(following.stream(film))
+        again = [following(frame) for frame in film]
+    anew = []
+    for frame in film:  # nothing is known of the frame before
+        with measure.TwoViews(film[0], rig, split, shape=(12, 12)) as alone:
+            anew.append(alone(frame))
+    assert following.tally.tracked > len(film)
+    assert following.tally.tracked + following.tally.numbered == 2 * len(film)
+    assert not any(each.tracked for each in anew)
+    for one, other in zip([*tracked, *again], [*anew, *anew], strict=True):
+        for grid, expected in zip(one.grids, other.grids, strict=True):
+            np.testing.assert_array_equal(grid.index, expected.index)
+        for name, values in one.arrays.items():
+            np.testing.assert_array_equal(values, other.arrays[name], err_msg=name)
+
+
+def test_a_frame_that_is_missing_in_a_stream_has_no_result(film):
+    split, rig = cmp_cl.BinocularSplit.halves(*film[0].shape[::-1]), StereoRig(*RIG)
+    with measure.TwoViews(film[0], rig, split, shape=(12, 12)) as following:
+        found = list(following.stream([film[0], None, film[1], film[2], None]))
+    assert [each is None for each in found] == [False, True, False, False, True]
+
+
 def test_a_view_is_measured_against_the_view_at_rest(rest_and_now):
     half = rest_and_now[0][0].shape[1] // 2
     rest, now = (frame[:, :half] for frame, _ in rest_and_now)

@@ -19,7 +19,7 @@ mirrors:
 """
 
 from cmp_cl.measure.boards import MAX_SIGMA, find_board, square_sides, trusted
-from cmp_cl.measure.frames import Measured, Measurement, OneView, TwoViews
+from cmp_cl.measure.frames import Measured, Measurement, OneView, Tally, TwoViews
 from cmp_cl.measure.patterns import Region, align_views, cell_of, find_pattern
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "Measurement",
     "OneView",
     "Region",
+    "Tally",
     "TwoViews",
     "align_views",
     "cell_of",

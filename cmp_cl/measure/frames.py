@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import math
 import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,27 +14,23 @@ from numpy.typing import NDArray
 from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
-from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, GridError, check_kind
 from cmp_cl.field import DisplacementField
-from cmp_cl.grid import Grid, build_grid
-from cmp_cl.grid.grid import NO_SIDES, empty_grid
-from cmp_cl.image import GreyImage, check_image
-from cmp_cl.measure.patterns import (
-    Region,
-    align_views,
-    check_size,
-    check_two,
-    find_pattern,
-)
+from cmp_cl.grid import Grid
+from cmp_cl.grid.grid import NO_SIDES
+from cmp_cl.image import GreyImage
+from cmp_cl.measure.patterns import Region, align_views, check_two
+from cmp_cl.measure.views import Search, Views
 from cmp_cl.motion import PlaneScale, displacement
+from cmp_cl.motion.nodes import grid_of
 from cmp_cl.motion.plan import FieldPlan, fits
+from cmp_cl.motion.track import Tracker, can_track, differing
 from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.opencl.program import programs_of
 from cmp_cl.space import BinocularSplit, Points3D, StereoRig
+from cmp_cl.stages.plan import Plan
 
-# Frames without a grid over which numbers are continued. After more of them, a motion of half a
-# cell per frame could reach the next position that looks the same.
-BRIDGED = 1
+AUDITED = 256  # tracked frames, of which the last is numbered anew too
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
 _LEAST_FITTING = 0.75  # share of the nodes at rest that must fit
 _FLIP = np.array([-1, 1], np.float32)
@@ -48,16 +45,27 @@ class Measured:
 
     field: the displacement of the nodes, in the image, in the plane of a flat pattern, or in space.
     ambiguous: whether the numbering of a grid is ambiguous, see `Grid.ambiguous`.
-    views, corners, grids: of the one view, or of the left and of the right one.
+    views, corners: of the one view, or of the left and of the right one.
+    number: returns their grids, see `grids`.
     rig: the cameras of two views; None from one view.
+    tracked: whether its nodes have their numbers from the frame before.
+    differing: the nodes for which tracking had another corner than the numbers that were found
+        anew, which hold; 0 where none were looked for.
     """
 
     field: DisplacementField
     ambiguous: bool
     views: tuple[GreyImage, ...]
     corners: tuple[Corners, ...]
-    grids: tuple[Grid, ...]
+    number: Callable[[], tuple[Grid, ...]]
     rig: StereoRig | None = None
+    tracked: bool = False
+    differing: int = 0
+
+    @functools.cached_property
+    def grids(self) -> tuple[Grid, ...]:
+        """Return the grid of the one view, or those of the left and of the right one."""
+        return self.number()
 
     @functools.cached_property
     def points(self) -> Points3D | None:
@@ -99,6 +107,31 @@ class Measured:
         return arrays | {name: grid.xy for name, grid in zip(names, self.grids, strict=True)}
 
 
+@dataclasses.dataclass
+class Tally:
+    """How the frames of a recording got their numbers.
+
+    tracked: frames that have them from the frame before. numbered: frames whose numbers were found
+    anew, those that could not be tracked and those audited. audited: frames that were tracked, and
+    whose numbers were found anew all the same. differing: nodes for which the two had another
+    corner.
+    """
+
+    tracked: int = 0
+    numbered: int = 0
+    audited: int = 0
+    differing: int = 0
+
+
+@dataclasses.dataclass(eq=False)
+class _Begun:
+    """A frame whose kernels run. tracked: whether those that track its nodes do."""
+
+    views: tuple[GreyImage, ...]
+    plans: list[Plan]
+    tracked: bool = False
+
+
 class Measurement(Closing):
     """Measures frames against the frame at rest. Use it in a with statement.
 
@@ -107,14 +140,40 @@ class Measurement(Closing):
     detected positions at rest, (R, C, 2), px: xy_rest, or left_rest and right_rest.
     unit: unit of the displacements.
     nodes: number of nodes of the pattern.
+    tally: how the frames so far got their numbers.
+    raw, strain: as in `OneView`.
+
+    A frame gets its numbers from the frame before, if its nodes are found where they were expected;
+    else they are found anew. One frame in AUDITED that were tracked is numbered anew all the same,
+    and if a node then has another corner, that counts. The numbers that were found anew hold.
     """
 
     constants: dict[str, NDArray[Any]]
     unit: str
     nodes: int
+    _views: Views
+    _plan: FieldPlan | None = None
+    _tracker: Tracker | None = None
+    _rig: StereoRig | None = None
 
-    def __init__(self) -> None:
-        self._detectors = contextlib.ExitStack()
+    def __init__(self, *, raw: bool, strain: bool) -> None:
+        self.tally = Tally()
+        self._raw, self._strain = raw, strain
+        self._lock = threading.Lock()  # one frame at a time
+        self._stack = contextlib.ExitStack()
+        self._follows = False  # whether the tracker has the nodes of the frame before
+
+    def close(self) -> None:
+        """Release the device's memory."""
+        self._stack.close()
+
+    @contextlib.contextmanager
+    def _closed_on_error(self) -> Iterator[None]:
+        try:
+            yield
+        except BaseException:
+            self.close()
+            raise
 
     def __call__(self, frame: GreyImage) -> Measured:
         """Measure one frame, of the size and the type of the frame at rest.
@@ -122,20 +181,157 @@ class Measurement(Closing):
         frame: (H, W). Nodes that are not found are NaN; in a frame without the pattern all are.
         Raises ImageError, CapacityError and DeviceError as a `Detector` does.
         """
-        raise NotImplementedError
+        with self._lock:
+            begun = self._begin(frame)
+            self._follow(begun)
+            return self._measured(self._settled(begun))
+
+    def stream(self, frames: Iterable[GreyImage | None]) -> Iterator[Measured | None]:
+        """Measure each frame, in order; a frame that is missing is None, and so is its result.
+
+        The kernels of a frame run while the one before it becomes a result, so a frame must not
+        change before the frame after the next one is requested. Raises the errors of a call.
+        """
+        waiting: _Begun | None = None
+        try:
+            for frame in frames:
+                with self._lock:
+                    begun = None if frame is None else self._begin(frame)
+                    ready, waiting = waiting, begun
+                    settled = [] if ready is None else [self._settled(ready)]
+                    if begun is None:
+                        self._skip()
+                    else:
+                        self._follow(begun)
+                    done = [self._measured(each) for each in settled]
+                yield from done
+                if frame is None:
+                    yield None
+            if waiting is not None:
+                with self._lock:
+                    ready, waiting = waiting, None
+                    last = self._measured(self._settled(ready))
+                yield last
+        finally:
+            if waiting is not None:
+                self._views.finish(waiting.plans)
 
     def skip(self) -> None:
         """Note that a frame is missing here; `track` continues numbers over few missing frames
         only."""
-        for pattern in self._patterns():
-            pattern.lost()
+        with self._lock:
+            self._skip()
 
-    def _patterns(self) -> "tuple[_Pattern, ...]":
+    def _skip(self) -> None:
+        for view in self._views.views:
+            view.lost()
+
+    def _views_of(self, frame: GreyImage) -> tuple[GreyImage, ...]:
+        """Return the views of a frame."""
         raise NotImplementedError
 
-    def close(self) -> None:
-        """Release the device's memory."""
-        self._detectors.close()
+    def _between(self, grids: Sequence[Grid]) -> DisplacementField:
+        """Return the displacement from rest to the moment of these grids, computed on the host."""
+        raise NotImplementedError
+
+    def _begin(self, frame: GreyImage) -> "_Begun":
+        """Enqueue the kernels that find the corners."""
+        views = self._views_of(frame)
+        return _Begun(views, self._views.begin(views))
+
+    def _follow(self, begun: "_Begun") -> None:
+        """Enqueue those that track the nodes and compute the field, if the tracker can go on."""
+        if self._tracker is None or self._plan is None or not self._follows:
+            return
+        (plan,) = begun.plans
+        self._tracker.start(plan.arrays["result"], plan.corner_capacity)
+        self._plan.start()
+        begun.tracked = True
+
+    def _settled(self, begun: _Begun) -> "_Settled":
+        """Wait for a frame. Number it anew where tracking does not hold, or is audited."""
+        views, tally = self._views.views, self.tally
+        corners, same = self._views.finish(begun.plans)
+        settled = _Settled(begun.views, corners)
+        if begun.tracked and self._plan is not None and self._tracker is not None:
+            settled.arrays = arrays = self._plan.read()
+            counts = [len(each) for each in corners]
+            settled.tracked = same and self._tracker.holds(arrays, counts)
+            settled.grids = [
+                functools.partial(grid_of, arrays, number, view.rest, count)
+                for number, (view, count) in enumerate(zip(views, counts, strict=True))
+            ]
+        if settled.tracked:
+            tally.tracked += 1
+            for view, grid in zip(views, settled.grids, strict=True):
+                view.go_on(grid)
+            if tally.tracked % AUDITED:
+                return settled
+        anew = [
+            view.number(found, image)
+            for view, found, image in zip(views, corners, begun.views, strict=True)
+        ]
+        tally.numbered += 1
+        if settled.tracked:
+            tally.audited += 1
+            settled.differing = sum(
+                differing(grid(), other) for grid, other in zip(settled.grids, anew, strict=True)
+            )
+            tally.differing += settled.differing
+            if not settled.differing:
+                return settled
+        settled.ambiguous = any(grid.ambiguous for grid in anew)
+        settled.grids = [functools.partial(_given, grid) for grid in anew]
+        settled.tracked = False
+        if self._plan is not None:
+            self._plan.take(anew, corners)
+            self._follows = self._tracker is not None and self._tracker.begin(anew)
+            self._plan.start()
+            settled.arrays = self._plan.read()
+        return settled
+
+    def _measured(self, settled: "_Settled") -> Measured:
+        """Return what a frame becomes."""
+        if self._plan is None or settled.arrays is None:
+            field = self._between([grid() for grid in settled.grids])
+        else:
+            field = self._plan.field(settled.arrays)
+            if self._raw and field.raw is not None:
+                field = field.raw
+        return Measured(
+            field=field.with_strain() if self._strain else field,
+            ambiguous=settled.ambiguous,
+            views=settled.views,
+            corners=settled.corners,
+            number=settled.number,
+            rig=self._rig,
+            tracked=settled.tracked,
+            differing=settled.differing,
+        )
+
+
+@dataclasses.dataclass(eq=False)
+class _Settled:
+    """A frame whose kernels are done, and whose nodes have numbers.
+
+    grids: return the grid of each view. arrays: what its field comes from; None without a plan.
+    tracked, differing, ambiguous: as in `Measured`.
+    """
+
+    views: tuple[GreyImage, ...]
+    corners: tuple[Corners, ...]
+    grids: list[Callable[[], Grid]] = dataclasses.field(default_factory=list)
+    arrays: dict[str, NDArray[Any]] | None = None
+    tracked: bool = False
+    differing: int = 0
+    ambiguous: bool = False
+
+    def number(self) -> tuple[Grid, ...]:
+        return tuple(grid() for grid in self.grids)
+
+
+def _given(grid: Grid) -> Grid:
+    return grid
 
 
 class OneView(Measurement):
@@ -180,17 +376,20 @@ class OneView(Measurement):
         raw: bool = False,
         strain: bool = False,
     ) -> None:
-        super().__init__()
-        self._raw, self._strain = raw, strain
-        search = _Search(select_device(device), shape, config, full_scale, track)
-        with contextlib.ExitStack() as stack:
-            self._pattern = _Pattern(rest, search, region)
-            stack.enter_context(self._pattern.detector)
-            at_rest = self._pattern.rest
+        super().__init__(raw=raw, strain=strain)
+        search = Search(
+            device=select_device(device),
+            shape=shape,
+            config=config,
+            full_scale=full_scale,
+            track=track,
+        )
+        with self._closed_on_error():
+            self._views = self._stack.enter_context(Views([rest], search, [region]))
+            at_rest = self.rest_grid
             self._scale = (
                 PlaneScale.pixels() if cell is None else PlaneScale.of_cells(at_rest, cell, unit)
             )
-            self._detectors = stack.pop_all()
         self.unit = self._scale.unit
         self.nodes = at_rest.status.size
         still = displacement(at_rest, at_rest, scale=self._scale, raw=raw)
@@ -198,25 +397,16 @@ class OneView(Measurement):
         if cell is not None:
             self.constants["homography"] = self._scale.matrix
 
-    def _patterns(self) -> "tuple[_Pattern, ...]":
-        return (self._pattern,)
-
     @property
     def rest_grid(self) -> Grid:
         """Return the grid of the frame at rest."""
-        return self._pattern.rest
+        return self._views.views[0].rest
 
-    def __call__(self, frame: GreyImage) -> Measured:
-        """Measure one frame, see `Measurement.__call__`."""
-        corners, grid = self._pattern.find(frame)
-        field = displacement(self._pattern.rest, grid, scale=self._scale, raw=self._raw)
-        return Measured(
-            field=field.with_strain() if self._strain else field,
-            ambiguous=grid.ambiguous,
-            views=(frame,),
-            corners=(corners,),
-            grids=(grid,),
-        )
+    def _views_of(self, frame: GreyImage) -> tuple[GreyImage, ...]:
+        return (frame,)
+
+    def _between(self, grids: Sequence[Grid]) -> DisplacementField:
+        return displacement(self.rest_grid, grids[0], scale=self._scale, raw=self._raw)
 
 
 class TwoViews(Measurement):
@@ -250,41 +440,34 @@ class TwoViews(Measurement):
     ) -> None:
         check_kind("rig", rig, StereoRig, ConfigError)
         check_kind("split", split, BinocularSplit, ConfigError)
-        super().__init__()
-        self._raw, self._strain = raw, strain
-        self._rig = rig
+        super().__init__(raw=raw, strain=strain)
+        self._rig: StereoRig = rig
         self._split = split
-        self._lock = threading.Lock()  # one frame at a time
-        search = _Search(select_device(device), shape, config, full_scale, track)
         check_two("regions", regions)
-        with contextlib.ExitStack() as stack:
-            patterns = []
-            for side, view, region in zip(("left", "right"), split(rest), regions, strict=True):
-                try:
-                    pattern = _Pattern(view, search, region)
-                except GridError as error:
-                    raise GridError(f"the {side} view: {error}") from error
-                stack.enter_context(pattern.detector)
-                patterns.append(pattern)
-                search = dataclasses.replace(search, shape=pattern.rest.shape)
-            self._left, self._right = patterns
-            self._right.rest = align_views(self._left.rest, self._right.rest)
-            self.rest = self._placed(self._left.rest, self._right.rest)
-            self._detectors = stack.pop_all()
-        self._plan = self._field_plan(search.device)
+        search = Search(
+            device=select_device(device),
+            shape=shape,
+            config=config,
+            full_scale=full_scale,
+            track=track,
+        )
+        with self._closed_on_error():
+            self._views = self._stack.enter_context(Views(split(rest), search, regions))
+            left, right = self._views.views
+            right.rest = align_views(left.rest, right.rest)
+            self.rest = self._placed(left.rest, right.rest)
+            self._plan_for(search.device)
         self.unit = rig.unit
         self.nodes = self.rest.status.size
         still = displacement(self.rest, self.rest, raw=raw)
-        positions = {"left_rest": self._left.rest.xy, "right_rest": self._right.rest.xy}
+        positions = {"left_rest": left.rest.xy, "right_rest": right.rest.xy}
         self.constants = _constants(still) | positions
-
-    def _patterns(self) -> "tuple[_Pattern, ...]":
-        return self._left, self._right
 
     @property
     def rest_grids(self) -> tuple[Grid, Grid]:
         """Return the grids of the frame at rest, left and right."""
-        return self._left.rest, self._right.rest
+        left, right = self._views.views
+        return left.rest, right.rest
 
     def _placed(self, left: Grid, right: Grid) -> Points3D:
         points = self._rig.triangulate(left, right)
@@ -348,44 +531,41 @@ class TwoViews(Measurement):
                 "the views as they were in the calibration"
             )
 
-    def __call__(self, frame: GreyImage) -> Measured:
-        """Measure one frame, see `Measurement.__call__`."""
-        views = self._split(frame)
-        left_corners, left = self._left.find(views[0])
-        right_corners, right = self._right.find(views[1])
-        field = self._between(left, right)
-        return Measured(
-            field=field.with_strain() if self._strain else field,
-            ambiguous=left.ambiguous or right.ambiguous,
-            views=views,
-            corners=(left_corners, right_corners),
-            grids=(left, right),
-            rig=self._rig,
-        )
-
-    def _between(self, left: Grid, right: Grid) -> DisplacementField:
-        """Return the displacement from rest to the moment of two grids."""
-        if self._plan is None:
-            return displacement(self.rest, self._rig.triangulate(left, right), raw=self._raw)
-        with self._lock:
-            self._plan.take((left, right))
-            self._plan.start()
-            field = self._plan.field(self._plan.read())
-        return field.raw if self._raw and field.raw is not None else field
-
-    def _field_plan(self, device: Device) -> FieldPlan | None:
-        """Return the plan of the field; None if its kernels do not have the lens model."""
-        if not fits(self._rig):
-            return None
-        plan = FieldPlan.on(
+    def _plan_for(self, device: Device) -> None:
+        """Make the plan of the field, if its kernels have the lens model, and the tracker."""
+        detector = self._views.detector
+        if detector is None or not fits(self._rig):
+            return
+        views = self._views.views
+        programs = programs_of(device.handle)
+        self._plan = FieldPlan(
+            detector.queue,
+            programs,
             device,
             rest=self.rest,
             rig=self._rig,
-            edge_radii=(self._left.rest.edge_radius, self._right.rest.edge_radius),
+            edge_radii=tuple(view.rest.edge_radius for view in views),
             strain=self._strain,
         )
-        self._detectors.callback(plan.release)
-        return plan
+        self._stack.callback(self._plan.release)
+        if all(can_track(view.rest) for view in views):
+            self._tracker = Tracker(
+                detector.queue,
+                programs,
+                device,
+                views=[(view.rest, view.corners) for view in views],
+                sizes=[detector.shape] * len(views),
+                regions=[view.region for view in views],
+                frame=self._plan.frame,
+                octaves=detector.octaves,
+            )
+            self._stack.callback(self._tracker.release)
+
+    def _views_of(self, frame: GreyImage) -> tuple[GreyImage, ...]:
+        return self._split(frame)
+
+    def _between(self, grids: Sequence[Grid]) -> DisplacementField:
+        return displacement(self.rest, self._rig.triangulate(*grids), raw=self._raw)
 
 
 def _constants(still: DisplacementField) -> dict[str, NDArray[Any]]:
@@ -409,70 +589,3 @@ def _middle(error: NDArray[np.float64]) -> float:
     """Return the median of the known errors; infinity if none is known."""
     known = error[~np.isnan(error)]
     return float(np.median(known)) if len(known) else math.inf
-
-
-@dataclasses.dataclass(frozen=True)
-class _Search:
-    """The settings of a search for a pattern, see `OneView`."""
-
-    device: Device
-    shape: tuple[int, int] | None
-    config: DetectorConfig | None
-    full_scale: int | None
-    track: bool
-
-
-class _Pattern:
-    """The pattern at rest in a view, and the detector that finds it in others.
-
-    Raises GridError if the view shows no pattern.
-    """
-
-    def __init__(self, view: GreyImage, search: _Search, region: Region | None) -> None:
-        config, shape, device = search.config, search.shape, search.device
-        view = check_image(view)
-        self._region = region
-        self._track = search.track
-        self._previous: Grid | None = None
-        self._lost = 0  # frames since the last one with a grid
-        if config is None:
-            cell, _ = find_pattern(
-                view, shape=shape, region=region, full_scale=search.full_scale, device=device
-            )
-            config = DetectorConfig.for_cell(cell).replace(full_scale=search.full_scale)
-        check_kind("config", config, DetectorConfig, ConfigError)
-        if search.config is not None and search.full_scale is not None:
-            config = config.replace(full_scale=search.full_scale)
-        with contextlib.ExitStack() as stack:
-            self.detector = stack.enter_context(
-                Detector(shape=view.shape, dtype=view.dtype, config=config, device=device)
-            )
-            self.corners, self.rest = self.detector.grid(view, shape=shape, region=region)
-            if not self.rest.valid.any():
-                raise GridError("no pattern is seen")
-            check_size(self.rest)
-            stack.pop_all()
-
-    def find(self, view: GreyImage) -> tuple[Corners, Grid]:
-        """Find the corners of another view and number them; without a pattern the grid is empty.
-
-        The grid has the rows and columns of the grid at rest; nodes beyond them have no
-        displacement.
-        """
-        corners = self.detector(view)
-        before = (self._previous or self.rest) if self._track else None
-        try:
-            whole = build_grid(corners, view, like=self.rest, region=self._region, previous=before)
-        except GridError:
-            whole = None
-        if whole is None or not whole.valid.any():
-            self.lost()
-            return corners, empty_grid(len(corners), self.rest.shape, self.rest)
-        self._previous, self._lost = whole, 0
-        return corners, whole.cut_to(self.rest)
-
-    def lost(self) -> None:
-        """Note that a frame is missing; numbers are continued over BRIDGED of them at most."""
-        self._lost += 1
-        if self._lost > BRIDGED:
-            self._previous = dataclasses.replace(self._previous or self.rest, confidence=0.0)

@@ -1,19 +1,22 @@
-"""The nodes of grids as the kernels of a plan take them."""
+"""The nodes of grids as the kernels of a plan take them, and grids of what they find."""
 
+import dataclasses
+import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.corners import Corners
+from cmp_cl.filter import bent_sigma
 from cmp_cl.filter.holes import filled
-from cmp_cl.grid.grid import Grid
+from cmp_cl.grid.grid import Grid, NodeStatus
 
 
-def put(arrays: dict[str, NDArray[Any]], view: int, grid: Grid) -> None:
-    """Write the nodes of a grid into the inputs of a plan, with predictions in its holes.
-
-    A grid's sigma without the shift by bent edges is that of its corners.
-    """
+def put(arrays: dict[str, NDArray[Any]], view: int, grid: Grid, corners: Corners) -> None:
+    """Write the nodes of a grid of these corners into the inputs of a plan, with predictions in its
+    holes."""
     there = grid.valid
     xy = grid.xy
     if not there.all() and there.any():
@@ -22,4 +25,30 @@ def put(arrays: dict[str, NDArray[Any]], view: int, grid: Grid) -> None:
         xy = filled(moved.astype(np.float32), there).transpose(1, 2, 0) + middle
     arrays["nodes"][view] = np.nan_to_num(xy)
     arrays["seen_status"][view] = grid.status
-    arrays["seen_sigma"][view] = grid.image_sigma
+    known = grid.index[:, 0] >= 0
+    sigma = np.full(grid.shape, np.nan, np.float32)
+    sigma[tuple(grid.index[known].T)] = corners.sigma[known]
+    arrays["seen_sigma"][view] = sigma
+
+
+def grid_of(arrays: Mapping[str, NDArray[Any]], view: int, rest: Grid, corners: int) -> Grid:
+    """Return the grid of a view that was tracked.
+
+    arrays: of the frame, see `FieldPlan.read`. rest: its grid at rest. corners: their number.
+    """
+    owner, status = arrays["owner"][view], arrays["seen_status"][view]
+    row, column = np.nonzero(owner >= 0)
+    index = np.full((corners, 2), -1, np.int32)
+    index[owner[row, column]] = np.stack([row, column], axis=1)
+    there = status != NodeStatus.MISSING
+    xy = np.where(there[..., None], arrays["nodes"][view], np.float32(np.nan))
+    sigma = np.where(there, arrays["seen_sigma"][view], np.float32(np.nan))
+    return dataclasses.replace(
+        rest,
+        xy=xy,
+        status=status,
+        sigma=bent_sigma(xy, sigma, rest.edge_radius),
+        index=index,
+        confidence=math.inf,
+        rival=None,
+    )

@@ -7,12 +7,14 @@ its nodes, the launches and one read.
 import dataclasses
 import functools
 import math
-from typing import Any, Self
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from cmp_cl.corners import Corners
 from cmp_cl.field import DisplacementField
 from cmp_cl.filter import Filtered, filter_at_rest, filter_grid
 from cmp_cl.filter.polynomials import STRAIN_REACH
@@ -24,9 +26,10 @@ from cmp_cl.motion.tables import (
     RISK_GAUSSIAN,
     axis_tables,
 )
+from cmp_cl.motion.track import Tracker
 from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.launches import GROUP, Launch, multiple
-from cmp_cl.opencl.program import Programs, programs_of
+from cmp_cl.opencl.program import Programs
 from cmp_cl.space import Points3D, PointStatus, StereoRig
 from cmp_cl.space.rig import MIN_PARALLAX
 
@@ -44,9 +47,7 @@ class FieldPlan:
 
     rest: the points at rest. rig: the cameras. edge_radii: of the left and the right grid, px, NaN
     if unknown. strain: whether fields have a strain.
-    inputs: what a frame starts from, for V = 2 views, left and right: nodes, (V, R, C, 2) float32,
-        px of the view, complete: a node without a position has a prediction; seen_status,
-        (V, R, C) uint8 of `NodeStatus`; seen_sigma, (V, R, C) float32, px, not positive if unknown.
+    frame: what a frame starts from, see `Tracker.layout`, and what comes of it.
 
     Where the device has no double precision, points err by some hundredths of a micrometre.
     """
@@ -59,7 +60,7 @@ class FieldPlan:
         *,
         rest: Points3D,
         rig: StereoRig,
-        edge_radii: tuple[float, float] = (math.nan, math.nan),
+        edge_radii: Sequence[float] = (math.nan, math.nan),
         strain: bool = False,
     ) -> None:
         self.shape = rows, columns = rest.status.shape
@@ -82,26 +83,19 @@ class FieldPlan:
         )
         self._constants = Memory.of(queue, **self._constant_arrays(rig))
         self._work = Memory(queue, self._work_layout())
-        self.inputs = Memory(queue, self._input_layout())
-        self._results = Memory(queue, self._result_layout())
+        self.frame = Memory(queue, self._frame_layout())
         self._parts = {
             name: part
-            for memory in (self._constants, self._work, self.inputs, self._results)
+            for memory in (self._constants, self._work, self.frame)
             for name, part in memory.parts.items()
         }
         self.launches = self._listed(edge_radii)
         self.events: list[tuple[str, cl.Event]] = []
 
-    @classmethod
-    def on(cls, device: Device, **settings: Any) -> Self:
-        """Return a plan on a device, with a queue of its own; settings: as in the constructor."""
-        programs = programs_of(device.handle)
-        return cls(cl.CommandQueue(programs.context), programs, device, **settings)
-
     def release(self) -> None:
         """Release the device's memory."""
         self._queue.finish()
-        for memory in (self._constants, self._work, self.inputs, self._results):
+        for memory in (self._constants, self._work, self.frame):
             memory.release()
 
     # What is compiled and allocated
@@ -165,14 +159,6 @@ class FieldPlan:
             "rest_by_row": by_row.astype(np.float32),
         }
 
-    def _input_layout(self) -> dict[str, tuple[tuple[int, ...], Any]]:
-        nodes = (len(_VIEWS), *self.shape)
-        return {
-            "nodes": ((*nodes, 2), np.float32),
-            "seen_status": (nodes, np.uint8),
-            "seen_sigma": (nodes, np.float32),
-        }
-
     def _work_layout(self) -> dict[str, tuple[tuple[int, ...], Any]]:
         planes = {
             "moved": 3,
@@ -205,7 +191,7 @@ class FieldPlan:
             layout[name] = self.shape, np.uint8
         return layout
 
-    def _result_layout(self) -> dict[str, tuple[tuple[int, ...], Any]]:
+    def _frame_layout(self) -> dict[str, tuple[tuple[int, ...], Any]]:
         planes = {
             "displacement": 3,
             "raw_displacement": 3,
@@ -217,7 +203,8 @@ class FieldPlan:
             **({"strain": 3, "strain_covariance": 6} if self._strained else {}),
         }
         layout: dict[str, tuple[tuple[int, ...], Any]] = {
-            name: ((count, *self.shape), np.float32) for name, count in planes.items()
+            **Tracker.layout(len(_VIEWS), self.shape),
+            **{name: ((count, *self.shape), np.float32) for name, count in planes.items()},
         }
         layout["status"] = layout["source"] = self.shape, np.uint8
         layout["counts"] = (1 + ROUNDS,), np.int32
@@ -225,7 +212,7 @@ class FieldPlan:
 
     # What is launched
 
-    def _listed(self, edge_radii: tuple[float, float]) -> list[Launch]:
+    def _listed(self, edge_radii: Sequence[float]) -> list[Launch]:
         left, right = (np.float32(radius if radius >= 0 else 0) for radius in edge_radii)
         focal = float(np.mean([self._camera("left")[:2], self._camera("right")[:2]]))
         real = np.float64 if self._double else np.float32
@@ -333,11 +320,11 @@ class FieldPlan:
 
     # What happens in a frame
 
-    def take(self, grids: tuple[Grid, Grid]) -> None:
-        """Take the nodes of the left and the right grid, and enqueue their upload."""
-        for view, grid in enumerate(grids):
-            put(self.inputs.arrays, view, grid)
-        self.inputs.upload()
+    def take(self, grids: Sequence[Grid], corners: Sequence[Corners]) -> None:
+        """Take the nodes of the grids of all views, and enqueue their upload."""
+        for view, (grid, found) in enumerate(zip(grids, corners, strict=True)):
+            put(self.frame.arrays, view, grid, found)
+        self.frame.upload()
 
     def start(self) -> None:
         """Enqueue the launches and the download of the results. The inputs are on the device."""
@@ -349,14 +336,14 @@ class FieldPlan:
         for launch in self.launches:
             event = cl.enqueue_nd_range_kernel(queue, launch.kernel, launch.items, launch.group)
             self.events.append((launch.stage, event))
-        self._results.download()
+        self.frame.download()
         queue.flush()
 
     def read(self) -> dict[str, NDArray[Any]]:
-        """Wait for the launches. Return copies of the results by name: planes (N, R, C) float32,
-        status and source (R, C) uint8."""
+        """Wait for the launches. Return copies of the arrays of the frame by name; results are
+        planes (N, R, C) float32, status and source (R, C) uint8."""
         self._queue.finish()
-        return {name: values.copy() for name, values in self._results.arrays.items()}
+        return {name: values.copy() for name, values in self.frame.arrays.items()}
 
     def field(self, results: dict[str, NDArray[Any]]) -> DisplacementField:
         """Return the field that the results of `read` describe."""

@@ -1,23 +1,21 @@
 """The nodes of a frame from those of the frame before."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from cmp_cl.corners import Corners, Refusal
+from cmp_cl.corners import Corners
 from cmp_cl.grid.grid import NO_SIDES, Grid
-from cmp_cl.grid.predict import PREDICTORS
-from cmp_cl.motion.memory import Memory
-from cmp_cl.motion.nodes import put
-from cmp_cl.opencl.device import Device
+from cmp_cl.motion.memory import Layout, Memory
+from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.launches import GROUP, Launch, multiple
 from cmp_cl.opencl.program import Programs
+from cmp_cl.stages.refine import EDGES, METHOD, RESULT_FIELDS, RESULT_HEAD, VARIANCE
 
-TORN = 0.15  # px: a corner whose sigma is not below it is torn, as is one that was not refined
 STRONG = 8.0  # least weight of the predictions of a node that is checked
 LOST = 0.10  # largest share of the nodes without a corner
 CROSSED = 0.02  # largest share of the nodes whose corner has the other colour
@@ -25,6 +23,11 @@ BEYOND = 0.05  # largest share of a side's nodes beyond which a free corner is
 GONE = 0.50  # largest share of a side's nodes that are lost
 KNOWN = 0.95  # least share of the nodes that the frame at rest must show
 COUNTED = 11  # numbers for each view, as in kernels/track.cl
+LEAST_ROOM = 4096  # corners of a view
+MEDIAN_GROUP = 256  # work-items that look for a median together
+EVERYWHERE = (-np.inf, -np.inf, np.inf, np.inf)  # px
+Region = tuple[float, float, float, float]  # x0, y0, x1, y1, px
+_RESULT = (None, np.uint32(0), np.uint32(0))  # the corners, which are given with a frame
 _BIN = 0.45  # cells at rest: side of a bin
 _LEAST_BIN = 4.0  # px
 
@@ -68,10 +71,8 @@ def can_track(rest: Grid) -> bool:
 class Tracker:
     """Follows the nodes of some views from frame to frame.
 
-    views: the grids at rest, and their corners. inputs: the memory of a plan with nodes, status and
-    sigma of each view, see `FieldPlan`; `start` writes it on the device. capacity: most corners of
-    a view.
-    owner: (V, R, C) int32, after a frame: the corner of each node, -1 without one.
+    views: the grids at rest, and their corners. frame: the memory of a plan that has the arrays of
+    `layout`; a frame writes them on the device. config: of the detector.
     """
 
     def __init__(
@@ -82,30 +83,23 @@ class Tracker:
         *,
         views: Sequence[tuple[Grid, Corners]],
         sizes: Sequence[tuple[int, int]],
-        inputs: Memory,
-        capacity: int,
+        regions: Sequence[Region | None],
+        frame: Memory,
+        octaves: int,
     ) -> None:
         self._queue, self._device = queue, device
-        self._inputs = inputs
+        self._frame = frame
         self.shape = rows, columns = views[0][0].shape
-        self._capacity, self._count = multiple(capacity, GROUP), len(views)
+        self._count, self._levels = len(views), octaves + 1
+        self.capacity = multiple(max(LEAST_ROOM, 2 * rows * columns), GROUP)
         self._bin = max(_LEAST_BIN, _BIN * min(_step(grid) for grid, _ in views))
         self._bins = tuple(int(max(size) // self._bin) + 1 for size in zip(*sizes, strict=True))
-        nodes, corners = (self._count, rows, columns), (self._count, self._capacity)
-        self._given = Memory(
-            queue,
-            {"corners": ((*corners, 4), np.float32), "found": ((self._count,), np.int32)},
-        )
-        self._kept = Memory(
-            queue,
-            {
-                "owner": (nodes, np.int32),
-                "counts": ((self._count, COUNTED), np.int32),
-            },
-        )
+        nodes, corners = (self._count, rows, columns), (self._count, self.capacity)
         self._work = Memory(
             queue,
             {
+                "corners": ((*corners, 4), np.float32),
+                "median": ((self._count, self._levels), np.float32),
                 "last": ((*nodes, 2), np.float32),
                 "predicted": ((*nodes, 2), np.float32),
                 "residual": ((*nodes, 2), np.float32),
@@ -116,97 +110,135 @@ class Tracker:
                 "claims": (corners, np.int32),
             },
         )
-        colours = np.array([colour_of(*view) for view in views], np.int32)
-        self._constants = Memory.of(queue, colour=colours, stencils=stencils())
+        self._constants = Memory.of(
+            queue,
+            colour=np.array([colour_of(*view) for view in views], np.int32),
+            regions=np.array([EVERYWHERE if each is None else each for each in regions], "f4"),
+            stencils=stencils(),
+        )
         self._parts = {
             name: part
-            for memory in (inputs, self._given, self._kept, self._work, self._constants)
+            for memory in (frame, self._work, self._constants)
             for name, part in memory.parts.items()
         }
         self._kernels = programs.kernels(
-            ["track"], {"ROWS": rows, "COLUMNS": columns, "CAPACITY": self._capacity}
+            ["track"],
+            {
+                "ROWS": rows,
+                "COLUMNS": columns,
+                "CAPACITY": self.capacity,
+                "OCTAVES": octaves,
+                "HEAD": RESULT_HEAD,
+                "EDGES_FIELD": EDGES.start,
+                "METHOD_FIELD": METHOD,
+                "VARIANCE_FIELD": VARIANCE,
+            },
         )
         self.launches = self._listed()
-        self.owner = self._kept.arrays["owner"]
+
+    @staticmethod
+    def layout(views: int, shape: tuple[int, int]) -> Layout:
+        """Return the arrays of a frame.
+
+        nodes: (V, R, C, 2) float32, px of the view, complete: a node without a position has a
+            prediction. seen_status: (V, R, C) uint8 of `NodeStatus`. seen_sigma: (V, R, C) float32,
+            px, not positive if unknown. owner: (V, R, C) int32, the corner of each node, -1 without
+            one. tracked: (V, 11) int32, what was counted.
+        """
+        nodes = (views, *shape)
+        return {
+            "nodes": ((*nodes, 2), np.float32),
+            "seen_status": (nodes, np.uint8),
+            "seen_sigma": (nodes, np.float32),
+            "owner": (nodes, np.int32),
+            "tracked": ((views, COUNTED), np.int32),
+        }
 
     def release(self) -> None:
         """Release the device's memory."""
         self._queue.finish()
-        for memory in (self._given, self._kept, self._work, self._constants):
+        for memory in (self._work, self._constants):
             memory.release()
 
     def _listed(self) -> list[Launch]:
         nodes = self.shape[0] * self.shape[1]
         bins = np.float32(self._bin), np.int32(self._bins[0]), np.int32(self._bins[1])
         chains = *bins, "first_of_bin", "next"
+        group = 1 if self._device.kind is DeviceKind.CPU else MEDIAN_GROUP
         return [
             self._bound(
-                "place",
-                max(nodes, self._capacity),
-                *("corners", "found", *bins, "nodes", "last", "predicted"),
-                *("first_of_bin", "next", "claims"),
+                "medians", (group, self._count * self._levels), (group, 1), *_RESULT, "median"
             ),
-            self._bound(
+            self._of_nodes(
+                "place",
+                max(nodes, self.capacity),
+                *(*_RESULT, "median", "regions", *bins, "nodes", "corners", "last", "predicted"),
+                *("first_of_bin", "next", "claims", "tracked"),
+            ),
+            self._of_nodes(
                 "match",
                 nodes,
                 *("corners", *chains, "last", "predicted", "colour"),
-                *("nearest", "residual", "claims", "counts"),
+                *("nearest", "residual", "claims", "tracked"),
             ),
-            self._bound(
+            self._of_nodes(
                 "agree",
                 nodes,
                 *("corners", "last", "predicted", "nearest", "residual", "claims"),
-                *("nodes", "seen_status", "seen_sigma", "torn", "owner", "counts"),
+                *("nodes", "seen_status", "seen_sigma", "torn", "owner", "tracked"),
             ),
-            self._bound(
+            self._of_nodes(
                 "check",
                 nodes,
                 *("corners", *chains, "claims", "owner", "nodes", "torn", "stencils"),
-                *("seen_status", "counts"),
+                *("seen_status", "tracked"),
             ),
         ]
 
-    def _bound(self, name: str, items: int, *arguments: Any) -> Launch:
+    def _of_nodes(self, name: str, items: int, *arguments: Any) -> Launch:
+        return self._bound(name, (multiple(items, GROUP), self._count), (GROUP, 1), *arguments)
+
+    def _bound(
+        self, name: str, items: tuple[int, ...], group: tuple[int, ...], *arguments: Any
+    ) -> Launch:
+        """Bind a kernel to its arguments, numbers and names of arrays."""
         given = [self._parts[each] if isinstance(each, str) else each for each in arguments]
-        kernel = self._kernels.bind(name, *given)
-        return Launch(name, kernel, (multiple(items, GROUP), self._count), (GROUP, 1), {})
+        return Launch(name, self._kernels.bind(name, *given), items, group, {})
 
-    def reset(self, grids: Sequence[Grid]) -> None:
-        """Take the nodes of a frame that was numbered otherwise, at rest from then on.
+    def begin(self, grids: Sequence[Grid]) -> bool:
+        """Go on from the nodes of these grids, which are on the device; return whether they are
+        enough. Enqueues a copy: they do not move."""
+        cl.enqueue_copy(self._queue, self._parts["last"], self._parts["nodes"])
+        return all(not grid.ambiguous and grid.valid.mean() >= 1 - LOST for grid in grids)
 
-        Holes get predictions. Enqueues the upload to the plan.
-        """
-        arrays = self._inputs.arrays
-        for view, grid in enumerate(grids):
-            put(arrays, view, grid)
-        self._work.arrays["last"][:] = arrays["nodes"]
-        self._inputs.upload()
-        self._work.upload()
-
-    def start(self, found: Sequence[Corners]) -> list[tuple[str, cl.Event]] | None:
-        """Enqueue the tracking of a frame; None if a view has more corners than there is room."""
-        if max(map(len, found)) > self._capacity:
-            return None
-        for view, corners in enumerate(found):
-            self._given.arrays["corners"][view, : len(corners)] = records(corners)
-            self._given.arrays["found"][view] = len(corners)
-        self._given.upload()
-        for name, value in (("first_of_bin", -1), ("counts", 0)):
-            part = self._parts[name]
-            cl.enqueue_fill_buffer(self._queue, part, np.array([value], np.int32), 0, part.size)
-        events = [
+    def start(self, result: cl.Buffer, room: int) -> list[tuple[str, cl.Event]]:
+        """Enqueue the tracking of a frame. result: its corners in the layout of
+        kernels/result.clh, with room for so many in each view."""
+        for launch in self.launches[:2]:
+            launch.kernel.set_arg(0, result)
+            launch.kernel.set_arg(1, np.uint32(RESULT_HEAD + RESULT_FIELDS * room))
+            launch.kernel.set_arg(2, np.uint32(room))
+        bins = self._parts["first_of_bin"]
+        cl.enqueue_fill_buffer(self._queue, bins, np.array([-1], np.int32), 0, bins.size)
+        return [
             (
                 each.stage,
                 cl.enqueue_nd_range_kernel(self._queue, each.kernel, each.items, each.group),
             )
             for each in self.launches
         ]
-        self._kept.download()
-        self._inputs.download()
-        return events
 
-    def read(self) -> list[Tracked]:
-        """Return what was found in each view, once the launches have ended."""
+    def holds(self, arrays: Mapping[str, NDArray[Any]], corners: Sequence[int]) -> bool:
+        """Return whether the numbers of the frame before hold in all views.
+
+        arrays: of the frame, see `FieldPlan.read`. corners: their number in each view.
+        """
+        return max(corners) <= self.capacity and all(
+            each.holds(self.shape) and not each.lost + each.astray for each in self.found(arrays)
+        )
+
+    def found(self, arrays: Mapping[str, NDArray[Any]]) -> list[Tracked]:
+        """Return what was found in each view. arrays: of the frame, see `FieldPlan.read`."""
         return [
             Tracked(
                 lost=int(numbers[0]),
@@ -215,18 +247,15 @@ class Tracker:
                 beyond=tuple(numbers[3:7].tolist()),
                 gone=tuple(numbers[7:11].tolist()),
             )
-            for numbers in self._kept.arrays["counts"]
+            for numbers in arrays["tracked"]
         ]
 
 
-def records(corners: Corners) -> NDArray[np.float32]:
-    """Return corners as kernels/track.cl takes them, (N, 4): x, y, first boundary, sigma."""
-    torn = ~(corners.sigma < TORN) | (corners.refusal != Refusal.NONE.value)
-    found = np.empty((len(corners), 4), np.float32)
-    found[:, :2] = corners.xy
-    found[:, 2] = corners.edges[:, 0]
-    found[:, 3] = np.where(torn, -corners.sigma, corners.sigma)
-    return found
+def differing(one: Grid, other: Grid) -> int:
+    """Return the number of nodes for which two grids of the same corners have different ones."""
+    both = (one.index[:, 0] >= 0) & (other.index[:, 0] >= 0)
+    moved = both & (one.index != other.index).any(axis=1)
+    return int(np.count_nonzero(moved))
 
 
 def colour_of(rest: Grid, corners: Corners) -> int:
@@ -264,7 +293,7 @@ def stencils() -> NDArray[np.float32]:
         for columns in range(16):
             reach = (-(rows // 4), rows % 4), (-(columns // 4), columns % 4)
             total, mean = 0.0, np.zeros((7, 7))
-            for weight, factors in PREDICTORS:
+            for weight, factors in _predictors():
                 if all(
                     low <= step <= high
                     for place in factors
@@ -275,4 +304,18 @@ def stencils() -> NDArray[np.float32]:
                         mean[r + 3, c + 3] += weight * factor
             if total >= STRONG:
                 found[rows, columns] = mean / total
+    return found
+
+
+def _predictors() -> list[tuple[float, dict[tuple[int, int], float]]]:
+    """Return the predictions of a node from those around, each with its weight."""
+    found: list[tuple[float, dict[tuple[int, int], float]]] = []
+    for r, c in ((0, 1), (1, 0)):
+        line = {(-r, -c): 4 / 6, (r, c): 4 / 6, (-2 * r, -2 * c): -1 / 6, (2 * r, 2 * c): -1 / 6}
+        found += [(12, line), (4, {(-r, -c): 0.5, (r, c): 0.5})]
+    for r, c in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        found.append((1.5, {(r, 0): 1, (0, c): 1, (r, c): -1}))
+    for r, c in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+        found.append((0.7, {(r, c): 2, (2 * r, 2 * c): -1}))
+        found.append((0.7, {(r, c): 3, (2 * r, 2 * c): -3, (3 * r, 3 * c): 1}))
     return found

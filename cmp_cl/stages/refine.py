@@ -161,8 +161,13 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
         fields = row[RESULT_HEAD:][: RESULT_FIELDS * padded].reshape(RESULT_FIELDS, padded)
         decisions = fields[METHOD].view(np.uint8)  # methods, then why another was rejected
         method = decisions[:count]
-        octave = decisions[2 * padded : 2 * padded + count] if plan.octaves else None
-        sigma, doubtful = _deviation(fields[:, :count], method, octave)
+        octave = decisions[2 * padded : 2 * padded + count]
+        if not plan.octaves:
+            octave = np.zeros(count, np.uint8)
+        # A plain number: comparing an array with a member of an enumeration is slower.
+        accepted = method == Method.EDGE_STEP.value
+        accepted &= not math.isnan(radius)
+        sigma, doubtful = _deviation(fields[:, :count], octave, accepted)
         pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
         if plan.scale is not None:
             pixel = full_pixels(pixel, plan.shape, plan.scale)
@@ -170,7 +175,7 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
             Corners(
                 xy=fields[POSITION].reshape(-1, 2)[:count],
                 pixel=pixel,
-                octave=np.zeros(count, np.uint8) if octave is None else octave,
+                octave=octave,
                 response=fields[RESPONSE, :count],
                 method=method,
                 refusal=decisions[padded : padded + count],
@@ -208,33 +213,23 @@ def no_corners(device: str) -> Corners:
 
 
 def _deviation(
-    fields: NDArray[np.float32], method: NDArray[np.uint8], octave: NDArray[np.uint8] | None
+    fields: NDArray[np.float32], octave: NDArray[np.uint8], accepted: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return the standard deviation of each position, px, and which corners are doubtful.
 
     A corner is doubtful whose residual autocorrelation exceeds the median of its octave by
-    DOUBTFUL_EXCESS: its surroundings do not look like the corner model. Corners that EDGE_STEP did
-    not refine have an autocorrelation of -inf. octave: (N,), or None if the frame is all.
+    DOUBTFUL_EXCESS: its surroundings do not look like the corner model. accepted: (N,), whose
+        EDGE_STEP was accepted; the others have an autocorrelation of -inf.
     """
     variance, correlation = fields[VARIANCE], fields[CORRELATION]
-    # A plain number: comparing an array with a member of an enumeration is slower.
-    accepted = method == Method.EDGE_STEP.value
-    if octave is None or not octave.any():
-        excess = _excess(correlation, accepted)
-        return np.sqrt(variance + VARIANCE_OF_EXCESS * excess * excess), excess > DOUBTFUL_EXCESS
-    excess = np.zeros_like(variance)
-    for n in np.unique(octave):
-        here = octave == n
-        excess[here] = _excess(correlation[here], accepted[here])
-    in_frame = excess * np.float32(2) ** octave
-    return np.sqrt(variance + VARIANCE_OF_EXCESS * in_frame**2), excess > DOUBTFUL_EXCESS
-
-
-def _excess(correlation: NDArray[np.float32], accepted: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return how far each autocorrelation exceeds the median of those that are accepted."""
-    count = int(np.count_nonzero(accepted))
-    if not count:
-        return np.zeros_like(correlation)
-    middle = len(correlation) - 1 - count // 2  # the lower median
-    excess: NDArray[np.float32] = correlation - np.partition(correlation, middle)[middle]
-    return np.maximum(excess, 0)
+    sigma, doubtful = np.sqrt(variance), np.zeros(len(variance), np.bool_)
+    for n in range(int(octave.max(initial=0)) + 1):
+        here = octave == n if octave.any() else slice(None)
+        count, values = int(np.count_nonzero(accepted[here])), correlation[here]
+        if not count:
+            continue
+        middle = len(values) - 1 - count // 2  # the lower median
+        excess = np.maximum(values - np.partition(values, middle)[middle], 0)
+        sigma[here] = np.sqrt(variance[here] + 4**n * VARIANCE_OF_EXCESS * excess * excess)
+        doubtful[here] = excess > DOUBTFUL_EXCESS
+    return sigma, doubtful

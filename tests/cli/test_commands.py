@@ -486,7 +486,7 @@ def test_two_views_without_a_calibration_are_explained(run, recording, monkeypat
     def two(*_, **__):
         raise GridError("two patterns are seen")
 
-    monkeypatch.setattr("cmp_cl.measure.frames.find_pattern", two)
+    monkeypatch.setattr("cmp_cl.measure.views.find_pattern", two)
     fails_in_one_line(
         run("run", recording, "--out", "a.npz"),
         "frame 0, the frame at rest: two patterns",

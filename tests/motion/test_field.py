@@ -111,10 +111,10 @@ def run(device):
         )
         made.append(plan)
         for view, (grid, whole) in enumerate(zip(now, complete or now, strict=True)):
-            plan.inputs.arrays["nodes"][view] = whole.xy
-            plan.inputs.arrays["seen_status"][view] = grid.status
-            plan.inputs.arrays["seen_sigma"][view] = grid.image_sigma
-        plan.inputs.upload()
+            plan.frame.arrays["nodes"][view] = whole.xy
+            plan.frame.arrays["seen_status"][view] = grid.status
+            plan.frame.arrays["seen_sigma"][view] = grid.image_sigma
+        plan.frame.upload()
         plan.start()
         results = plan.read()
         return plan, results, plan.field(results)

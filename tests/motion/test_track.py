@@ -9,12 +9,23 @@ import pytest
 from cmp_cl import Corners
 from cmp_cl.grid.grid import Grid, NodeStatus, Sides
 from cmp_cl.motion.memory import Memory
-from cmp_cl.motion.track import Tracker, can_track, colour_of, records
+from cmp_cl.motion.nodes import put
+from cmp_cl.motion.track import Tracker, can_track, colour_of
 from cmp_cl.opencl.program import programs_of
 from cmp_cl.reference import track as oracle
+from cmp_cl.stages.refine import (
+    CORRELATION,
+    EDGES,
+    METHOD,
+    POSITION,
+    RESULT_FIELDS,
+    RESULT_HEAD,
+    VARIANCE,
+)
 
 SIZE = 420, 460
 CELL = 17.0
+ROOM = 1024  # corners of a view
 FIELDS = ("xy", "pixel", "response", "method", "refusal", "sigma", "edges", "doubtful")
 
 
@@ -68,21 +79,40 @@ def joined(one, other):
     return dataclasses.replace(one, **both)
 
 
+def records(corners):
+    """Return what the kernels take of corners, (N, 4): x, y, first boundary, sigma, negative for
+    torn ones."""
+    whole = (corners.sigma < 0.15) & (corners.refusal == 0)
+    sigma = np.where(whole, corners.sigma, -corners.sigma)
+    return np.column_stack([corners.xy, corners.edges[:, 0], sigma]).astype(np.float64)
+
+
+def result_of(found, room):
+    """Return corners of some views as kernels/result.clh lays them out."""
+    result = np.zeros((len(found), RESULT_HEAD + RESULT_FIELDS * room), np.float32)
+    for row, corners in zip(result, found, strict=True):
+        count, padded = len(corners), -(-len(corners) // 8) * 8
+        row[:1].view(np.uint32)[0] = count
+        fields = row[RESULT_HEAD:][: RESULT_FIELDS * padded].reshape(RESULT_FIELDS, padded)
+        fields[POSITION].reshape(-1)[: 2 * count] = corners.xy.ravel()
+        fields[EDGES].reshape(-1)[: 4 * count] = corners.edges.ravel()
+        fields[METHOD].view(np.uint8)[:count] = corners.method
+        fields[METHOD].view(np.uint8)[padded : padded + count] = corners.refusal
+        fields[VARIANCE, :count] = corners.sigma**2
+        fields[CORRELATION, :count] = 0.2
+    return result
+
+
 @pytest.fixture
 def tracker_of(device):
-    """Return tracker_of(rests): a tracker of views at rest, and the inputs that it writes."""
+    """Return tracker_of(rests): follow(corners) of views at rest, which returns what was found and
+    the arrays of the frame, and reset()."""
     made = []
 
     def of(*rests):
         programs = programs_of(device.handle)
         queue = cl.CommandQueue(programs.context)
-        nodes = len(rests), *rests[0].shape[:2]
-        layout = {
-            "nodes": ((*nodes, 2), np.float32),
-            "seen_status": (nodes, np.uint8),
-            "seen_sigma": (nodes, np.float32),
-        }
-        inputs = Memory(queue, layout)
+        frame = Memory(queue, Tracker.layout(len(rests), rests[0].shape[:2]))
         views = [(grid_of(xy), corners_at(xy)) for xy in rests]
         tracker = Tracker(
             queue,
@@ -90,18 +120,29 @@ def tracker_of(device):
             device,
             views=views,
             sizes=[SIZE] * len(rests),
-            inputs=inputs,
-            capacity=1000,
+            regions=[None] * len(rests),
+            frame=frame,
+            octaves=0,
         )
-        tracker.reset([grid for grid, _ in views])
         made.append(tracker)
 
-        def follow(*found):
-            tracker.start(found)
-            queue.finish()
-            return tracker.read()
+        def reset():
+            for view, each in enumerate(views):
+                put(frame.arrays, view, *each)
+            frame.upload()
+            assert tracker.begin([grid for grid, _ in views])
 
-        return tracker, inputs.arrays, follow
+        def follow(*found):
+            given = result_of(found, ROOM)
+            flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+            tracker.start(cl.Buffer(queue.context, flags, hostbuf=given), ROOM)
+            frame.download()
+            queue.finish()
+            arrays = {name: values.copy() for name, values in frame.arrays.items()}
+            return tracker.found(arrays), arrays
+
+        reset()
+        return follow, reset
 
     yield of
     for tracker in made:
@@ -111,7 +152,7 @@ def tracker_of(device):
 def test_nodes_are_those_of_the_oracle(tracker_of):
     rng = np.random.default_rng(2)
     rest = lattice(13, 15)
-    tracker, inputs, follow = tracker_of(rest, rest)
+    follow, _ = tracker_of(rest, rest)
     colour = colour_of(grid_of(rest), corners_at(rest))
     before = [rest, rest]
     nodes = [rest, rest]
@@ -129,15 +170,14 @@ def test_nodes_are_those_of_the_oracle(tracker_of):
             edges[40] = np.nan
             corners = dataclasses.replace(corners, edges=edges)
             found.append(some(corners, rng.random(len(corners)) > 0.02))
-        numbers = follow(*found)
+        numbers, arrays = follow(*found)
         for view in range(2):
-            given = records(found[view]).astype(np.float64)
-            expected = oracle.track(before[view], nodes[view], given, colour)
+            expected = oracle.track(before[view], nodes[view], records(found[view]), colour)
             assert expected.margin > 1e-4
-            kept = tracker.owner[view]
+            kept = arrays["owner"][view]
             np.testing.assert_array_equal(kept, expected.owner)
-            np.testing.assert_allclose(inputs["nodes"][view], expected.nodes, rtol=0, atol=1e-3)
-            astray = (kept >= 0) & (inputs["seen_status"][view] == NodeStatus.MISSING)
+            np.testing.assert_allclose(arrays["nodes"][view], expected.nodes, rtol=0, atol=1e-3)
+            astray = (kept >= 0) & (arrays["seen_status"][view] == NodeStatus.MISSING)
             np.testing.assert_array_equal(astray, expected.astray)
             assert numbers[view].crossed == expected.crossed
             assert numbers[view].lost == np.count_nonzero(kept < 0)
@@ -151,23 +191,23 @@ def test_nodes_are_those_of_the_oracle(tracker_of):
 )
 def test_a_slip_by_whole_cells_is_refused(tracker_of, slip):
     rest = lattice(20, 20, bend=0.5)
-    _, _, follow = tracker_of(rest)
+    follow, reset = tracker_of(rest)
     step = slip[0] * (rest[1, 0] - rest[0, 0]) + slip[1] * (rest[0, 1] - rest[0, 0])
-    (found,) = follow(corners_at(rest + step))
+    (found,), _ = follow(corners_at(rest + step))
     assert not found.holds((20, 20))
-    _, _, again = tracker_of(rest)
-    (found,) = again(corners_at(rest + 0.25 * step / np.linalg.norm(step) * CELL))
+    reset()
+    (found,), _ = follow(corners_at(rest + 0.25 * step / np.linalg.norm(step) * CELL))
     assert found.holds((20, 20))
 
 
 def test_random_jumps_are_refused_or_numbered_right(tracker_of):
     rng = np.random.default_rng(11)
     rest = lattice(18, 22)
-    tracker, inputs, follow = tracker_of(rest)
+    follow, reset = tracker_of(rest)
     refused = accepted = 0
     middle = rest.mean(axis=(0, 1))
     for trial in range(300):
-        tracker.reset([grid_of(rest)])
+        reset()
         size = (0.25, 1.5, 3.0)[trial % 3]
         turn, zoom = rng.normal() * 0.03 * size, 1 + rng.normal() * 0.01 * size
         rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
@@ -179,14 +219,14 @@ def test_random_jumps_are_refused_or_numbered_right(tracker_of):
         apart = np.linalg.norm(false[:, :, None, None] - xy, axis=4).min(axis=(2, 3)).ravel()
         other = some(corners_at(false, turn=rng.uniform(0, 3)), apart > 0.35 * CELL)
         corners = joined(corners, other)
-        (found,) = follow(corners)
+        (found,), arrays = follow(corners)
         if not found.holds(rest.shape[:2]):
             refused += 1
             continue
         accepted += 1
-        owner = tracker.owner[0].ravel()
+        owner = arrays["owner"][0].ravel()
         numbers = np.append(truth[kept], np.full(len(other), -2))
-        here = inputs["seen_status"][0].ravel() == NodeStatus.DETECTED
+        here = arrays["seen_status"][0].ravel() == NodeStatus.DETECTED
         assert (numbers[owner[here]] == truth[here]).all(), trial
     assert accepted > 40
     assert refused > 150
