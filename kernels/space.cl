@@ -24,7 +24,7 @@ typedef float REAL;
 #define LAST_MEASURED 3 /* of NodeStatus: detected, attached, found by a second look */
 
 /* A camera: fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4, then rotation (9) and translation (3)
- * from the left camera, then the centre of the camera there (3). */
+ * from the left camera, then the centre of the camera there (3), then the window if MEDIA is not 0. */
 #define CAMERA 31
 #define K1 camera[4]
 #define K2 camera[5]
@@ -106,6 +106,62 @@ void cross_3(const REAL *a, const REAL *b, REAL *result) {
   result[2] = a[0] * b[1] - a[1] * b[0];
 }
 
+#if MEDIA
+#include "window.clh"
+#endif
+
+/* The middle of the shortest segment between two rays, the first from 0, the second from `offset`. */
+void between(const REAL *one, const REAL *two, const REAL *offset, REAL *middle) {
+  const REAL oo = dot_3(one, one), ot = dot_3(one, two), tt = dot_3(two, two);
+  const REAL ahead_one = dot_3(one, offset), ahead_two = dot_3(two, offset);
+  const REAL shared = oo * tt - ot * ot;
+  const REAL depth_one = (ahead_one * tt - ot * ahead_two) / shared;
+  const REAL depth_two = (ot * ahead_one - oo * ahead_two) / shared;
+  for (int k = 0; k < 3; ++k)
+    middle[k] = (depth_one * one[k] + depth_two * two[k] + offset[k]) / 2;
+}
+
+/* The point at which the rays of two image points (x, y, 1) meet best, in the frame of the left
+ * camera. */
+#if MEDIA
+/* turned: the second one in that frame. tangents: of both rays in air. */
+void meet_behind(__global const REAL *left, __global const REAL *right, const REAL *one,
+                 const REAL *turned, REAL *point, REAL *tangents) {
+  REAL from_one[3], from_two[3], first[3], second[3], offset[3];
+  tangents[0] = refract(left, one, from_one, first);
+  tangents[1] = refract(right, turned, from_two, second);
+  for (int k = 0; k < 3; ++k) offset[k] = from_two[k] - from_one[k];
+  between(first, second, offset, point);
+  for (int k = 0; k < 3; ++k) point[k] += from_one[k];
+}
+#else
+/* Sampson's step moves them onto each other's epipolar lines first. */
+void meet(__global const REAL *camera, const REAL *one, const REAL *two, REAL *point) {
+  REAL essential[9], line_one[3], line_two[3], moved[3], centre[3];
+  for (int j = 0; j < 3; ++j) {
+    const int next = (j + 1) % 3, last = (j + 2) % 3; /* row j of the matrix of the cross product */
+    for (int k = 0; k < 3; ++k)
+      essential[3 * j + k] =
+          TRANSLATION[next] * ROTATION[3 * last + k] - TRANSLATION[last] * ROTATION[3 * next + k];
+  }
+  for (int j = 0; j < 3; ++j) {
+    line_one[j] = two[0] * essential[j] + two[1] * essential[3 + j] + essential[6 + j];
+    line_two[j] =
+        essential[3 * j] * one[0] + essential[3 * j + 1] * one[1] + essential[3 * j + 2];
+  }
+  const REAL square = line_one[0] * line_one[0] + line_one[1] * line_one[1] +
+                      line_two[0] * line_two[0] + line_two[1] * line_two[1];
+  const REAL step = dot_3(line_one, one) / (square > TINY ? square : TINY);
+  const REAL first[3] = {one[0] - step * line_one[0], one[1] - step * line_one[1], 1};
+  const REAL second[3] = {two[0] - step * line_two[0], two[1] - step * line_two[1], 1};
+  for (int k = 0; k < 3; ++k) {
+    moved[k] = second[0] * ROTATION[k] + second[1] * ROTATION[3 + k] + second[2] * ROTATION[6 + k];
+    centre[k] = CENTRE[k];
+  }
+  between(first, moved, centre, point);
+}
+#endif
+
 /* The shift of a node by bent edges, px: parabolas along both lines and lines across them, fitted
  * to BEND x BEND nodes; see bend_shift in cmp_cl/filter/bends.py. bend_down, bend_along: the
  * weights of the value of the line and of the first and second derivative of the parabola. It is 0
@@ -143,9 +199,9 @@ float2 bend_of(__global const float2 *nodes, __global const uchar *status, const
   return radius * radius / 6 / area * (bend_d * t_along - bend_a * t_down);
 }
 
-/* Triangulate the nodes that both views show, and subtract their position at rest. Sampson's step
- * moves the image points onto each other's epipolar lines; then the middle of the shortest segment
- * between their rays; then one Gauss-Newton step on the reprojection error, weighted by 1 / sigma^2.
+/* Triangulate the nodes that both views show, and subtract their position at rest: the point at
+ * which the rays meet best, then one Gauss-Newton step on the reprojection error, weighted by
+ * 1 / sigma^2.
  *
  * nodes: of both views, complete, px of the view; status: of NodeStatus; sigma: px, not positive if
  * unknown. rest: positions (3 planes), rest_*: their status, source, covariance (6 planes) and
@@ -176,47 +232,25 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
   const int invertible = undistort(left, pixel, one) & undistort(right, pixel + 2, two);
   one[2] = two[2] = 1;
 
-  /* Sampson's step */
-  __global const REAL *turn = right + 16, *move = right + 25, *camera = right;
-  REAL essential[9];
-  for (int j = 0; j < 3; ++j) {
-    const int next = (j + 1) % 3, last = (j + 2) % 3; /* row j of the matrix of the cross product */
-    for (int k = 0; k < 3; ++k)
-      essential[3 * j + k] = move[next] * turn[3 * last + k] - move[last] * turn[3 * next + k];
-  }
-  REAL line_one[3], line_two[3];
-  for (int j = 0; j < 3; ++j) {
-    line_one[j] = two[0] * essential[j] + two[1] * essential[3 + j] + essential[6 + j];
-    line_two[j] =
-        essential[3 * j] * one[0] + essential[3 * j + 1] * one[1] + essential[3 * j + 2];
-  }
-  const REAL square = line_one[0] * line_one[0] + line_one[1] * line_one[1] +
-                      line_two[0] * line_two[0] + line_two[1] * line_two[1];
-  const REAL step = dot_3(line_one, one) / (square > TINY ? square : TINY);
-  REAL first[3] = {one[0] - step * line_one[0], one[1] - step * line_one[1], 1};
-  const REAL second[3] = {two[0] - step * line_two[0], two[1] - step * line_two[1], 1};
-
-  /* The middle of the shortest segment between the rays */
-  REAL turned[3], unmoved[3], centre[3], across[3], point[3];
-  for (int k = 0; k < 3; ++k) {
-    turned[k] = second[0] * turn[k] + second[1] * turn[3 + k] + second[2] * turn[6 + k];
-    unmoved[k] = two[0] * turn[k] + two[1] * turn[3 + k] + two[2] * turn[6 + k];
-    centre[k] = CENTRE[k];
-  }
-  const REAL oo = dot_3(first, first), ot = dot_3(first, turned), tt = dot_3(turned, turned);
-  const REAL ahead_one = dot_3(first, centre), ahead_two = dot_3(turned, centre);
-  const REAL shared = oo * tt - ot * ot;
-  const REAL depth_one = (ahead_one * tt - ot * ahead_two) / shared;
-  const REAL depth_two = (ot * ahead_one - oo * ahead_two) / shared;
+  __global const REAL *turn = right + 16;
+  REAL turned[3], across[3], point[3];
   for (int k = 0; k < 3; ++k)
-    point[k] = (depth_one * first[k] + depth_two * turned[k] + centre[k]) / 2;
-  cross_3(one, unmoved, across);
-  const REAL sine_2 = dot_3(across, across) / (dot_3(one, one) * dot_3(unmoved, unmoved));
+    turned[k] = two[0] * turn[k] + two[1] * turn[3 + k] + two[2] * turn[6 + k];
+  cross_3(one, turned, across);
+  const REAL sine_2 = dot_3(across, across) / (dot_3(one, one) * dot_3(turned, turned));
 
   /* One Gauss-Newton step */
   REAL jacobian[12];
+#if MEDIA
+  REAL tangents[2];
+  meet_behind(left, right, one, turned, point, tangents);
+  const REAL depth_left = project_behind(left, point, tangents[0], seen, jacobian);
+  const REAL depth_right = project_behind(right, point, tangents[1], seen + 2, jacobian + 6);
+#else
+  meet(right, one, two, point);
   const REAL depth_left = project(left, point, seen, jacobian);
   const REAL depth_right = project(right, point, seen + 2, jacobian + 6);
+#endif
   if (!(depth_left > 0 && depth_right > 0)) now = BEHIND;
   if (!(sine_2 >= least_sine * least_sine)) now = PARALLEL;
   if (!invertible) now = INCONSISTENT;

@@ -30,7 +30,7 @@ from cmp_cl.motion.track import Tracker
 from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.launches import GROUP, Launch, multiple
 from cmp_cl.opencl.program import Programs
-from cmp_cl.space import Points3D, PointStatus, StereoRig
+from cmp_cl.space import Points3D, PointStatus, StereoRig, Window
 from cmp_cl.space.rig import MIN_PARALLAX
 
 LARGEST_ERROR = 3.0  # px, of the reprojection, as in `StereoRig.triangulate`
@@ -69,7 +69,7 @@ class FieldPlan:
         self._double = has_double(device)
         self._down, self._along = axis_tables(rows), axis_tables(columns)
         files = ["space", "filter", *(["strain"] if strain else [])]
-        self.kernels = programs.kernels(files, self._defines())
+        self.kernels = programs.kernels(files, self._defines(rig))
         self._at_rest = filter_at_rest(rest.xyz, measured=np.isin(rest.source, MEASURED))
         bend = 0.0 if rest.bend_shift is None else rest.bend_shift
         self._position = self._at_rest.values - bend
@@ -100,7 +100,7 @@ class FieldPlan:
 
     # What is compiled and allocated
 
-    def _defines(self) -> dict[str, str | int]:
+    def _defines(self, rig: StereoRig) -> dict[str, str | int]:
         rows, columns = self.shape
         down, along = self._down, self._along
         return {
@@ -115,6 +115,8 @@ class FieldPlan:
             "BEND_DOWN": down.bend.shape[2],
             "BEND_ALONG": along.bend.shape[2],
             "STRAIN_REACH": STRAIN_REACH,
+            "MEDIA": 0 if rig.window is None else len(rig.window.layers) + 1,
+            "NEAR": "1e-7" if self._double else "1e-3f",
             "DOUBLE": int(self._double),
             "EXACT": "1e-9" if self._double else "1e-3f",
             "TINY": "1e-300" if self._double else "1e-30f",
@@ -145,8 +147,10 @@ class FieldPlan:
             "gram_slope_along": np.moveaxis(self._along.grams.slope, 1, 3).astype(np.float32),
             "rows_noise": NOISE_GAUSSIAN,
             "rows_risk": RISK_GAUSSIAN,
-            "left": camera_numbers(rig.K1, rig.D1, np.eye(3), np.zeros(3)).astype(real),
-            "right": camera_numbers(rig.K2, rig.D2, rig.R, rig.T).astype(real),
+            "left": camera_numbers(
+                rig.K1, rig.D1, np.eye(3), np.zeros(3), window=rig.window
+            ).astype(real),
+            "right": camera_numbers(rig.K2, rig.D2, rig.R, rig.T, window=rig.window).astype(real),
             "rest": _planes(rest.xyz).astype(real),
             "rest_status": rest.status,
             "rest_source": rest.source,
@@ -405,9 +409,8 @@ class _Change:
 
 
 def fits(rig: StereoRig) -> bool:
-    """Return whether kernels/space.cl has the model of both cameras: no window, and not a tilted
-    sensor's lens."""
-    return rig.window is None and max(len(rig.D1), len(rig.D2)) <= _COEFFICIENTS
+    """Return whether kernels/space.cl has the lens model of both cameras: not a tilted sensor's."""
+    return max(len(rig.D1), len(rig.D2)) <= _COEFFICIENTS
 
 
 _VIEWS = ("left", "right")
@@ -418,16 +421,22 @@ def has_double(device: Device) -> bool:
     return "cl_khr_fp64" in device.handle.extensions
 
 
-def camera_numbers(matrix: Array, distortion: Array, rotation: Array, move: Array) -> Array:
-    """Return a camera as kernels/space.cl takes it, (31,).
+def camera_numbers(
+    matrix: Array, distortion: Array, rotation: Array, move: Array, *, window: Window | None = None
+) -> Array:
+    """Return a camera as kernels/space.cl takes it, (31,), and its window after it.
 
     rotation, move: from the frame of the left camera. The coefficients of distortion are at most
-    12; those of a tilted sensor have no place.
+    12; those of a tilted sensor have no place. window: before the camera; None is air.
     """
     coefficients = np.zeros(_COEFFICIENTS)
     coefficients[: len(distortion)] = distortion
-    focal, centre = matrix[[0, 1], [0, 1]], matrix[:2, 2]
-    return np.concatenate([focal, centre, coefficients, rotation.ravel(), move, -move @ rotation])
+    focal, middle, centre = matrix[[0, 1], [0, 1]], matrix[:2, 2], -move @ rotation
+    numbers = [focal, middle, coefficients, rotation.ravel(), move, centre]
+    if window is not None:
+        media = [*window.layers, (0.0, window.index)]
+        numbers += [window.normal, np.array([window.height(centre)]), np.ravel(media)]
+    return np.concatenate(numbers)
 
 
 def _six(matrices: Array) -> Array:

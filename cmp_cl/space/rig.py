@@ -306,7 +306,8 @@ class StereoRig:
         """
         if not len(xyz):
             return xyz, np.empty(0), np.empty((0, 3, 3)), np.empty((0, 3, 3)), xyz
-        projected, jacobian, by_rig = self._projected(xyz)
+        known_rig = self.covariance is not None
+        projected, jacobian, by_rig = self._projected(xyz, by_rig=known_rig)
         residual = seen - projected
         known = np.isfinite(sigma.sum(axis=1))
         weight = np.repeat(1 / np.where(known[:, None], sigma, 1), 2, axis=1)
@@ -325,14 +326,15 @@ class StereoRig:
         return xyz + step[..., 0], error, own, shared, (by_image @ bent[..., None])[..., 0]
 
     def project(self, xyz: Array) -> tuple[Array, Array]:
-        """Project points xyz (N, 3) in the frame of the left camera to both views, (N, 2) px.
+        """Project points to both views, (N, 2) px each.
 
-        Points in front of the last face of the window are NaN. Raises FieldError for other points.
+        xyz: (N, 3), in the frame of the left camera. Points in front of the last face of the window
+        are NaN. Raises FieldError for other points.
         """
         points = as_numbers("xyz", xyz, FieldError)
         if points.ndim != 2 or points.shape[1] != 3:
             raise FieldError(f"xyz must be (N, 3), not {points.shape}")
-        seen = self._projected(points)[0]
+        seen = self._projected(points, by_rig=False)[0]
         return seen[:, :2], seen[:, 2:]
 
     def bias_sigma(self, field: DisplacementField) -> Array:
@@ -357,37 +359,42 @@ class StereoRig:
     def _by_rig(self, xyz: Array) -> Array:
         """Return the derivatives of points (N, 3) by the parameters of `covariance`, (N, 3, P), at
         fixed positions in the image."""
-        _, jacobian, by_rig = self._projected(xyz)
+        _, jacobian, by_rig = self._projected(xyz, by_rig=True)
         turned = jacobian.transpose(0, 2, 1)
         found: Array = -inverse_symmetric(turned @ jacobian) @ turned @ by_rig
         return found
 
-    def _projected(self, xyz: Array) -> tuple[Array, Array, Array]:
+    def _projected(self, xyz: Array, *, by_rig: bool) -> tuple[Array, Array, Array]:
         """Project points into both cameras.
 
-        Returns (N, 4) px, its derivatives with respect to the point, (N, 4, 3), and with respect
-        to the P parameters of `covariance`, (N, 4, P).
+        Returns (N, 4) px, its derivatives with respect to the point, (N, 4, 3), and, if `by_rig`,
+        with respect to the P parameters of `covariance`, (N, 4, P), else (N, 4, 0).
         """
         one = camera_of(self.K1, self.D1, np.eye(3), np.zeros(3))
         two = camera_of(self.K2, self.D2, self.R, self.T)
-        straight = [xyz, xyz]
-        if self.window is not None:
-            bent = [self.window.apparent(c, xyz) for c in (np.zeros(3), self._centre)]
-            straight = [each.points for each in bent]
+        window, straight = self.window, (xyz, xyz)
+        if window is not None:
+            bent = window.apparent(np.zeros(3), xyz), window.apparent(self._centre, xyz)
+            straight = bent[0].points, bent[1].points
         left, by_left = projected(Lens.PINHOLE, straight[0], one)
         right, by_right = projected(Lens.PINHOLE, straight[1], two)
         # By the translation, which is by the rotated point.
-        by_point = [by_left[..., -3:], by_right[..., -3:] @ self.R]
-        by_rig = np.zeros((len(xyz), 4, 2 * ESTIMATED + POSE))
-        by_rig[:, :2, :ESTIMATED] = by_left[..., :ESTIMATED]
-        by_rig[:, 2:, ESTIMATED : 2 * ESTIMATED] = by_right[..., :ESTIMATED]
-        by_rig[:, 2:, 2 * ESTIMATED :] = by_right[..., -POSE:]
-        if self.window is not None:
-            by_rig[:, 2:, 2 * ESTIMATED :] += by_point[1] @ bent[1].by_centre @ self._centre_by_pose
-            by_window = [by @ each.by_window for by, each in zip(by_point, bent, strict=True)]
-            by_point = [by @ each.by_point for by, each in zip(by_point, bent, strict=True)]
-            by_rig = np.concatenate([by_rig, np.concatenate(by_window, axis=1)], axis=2)
-        return np.hstack([left, right]), np.concatenate(by_point, axis=1), by_rig
+        slopes = by_left[..., -3:], by_right[..., -3:] @ self.R
+        by_point = slopes
+        if window is not None:
+            by_point = slopes[0] @ bent[0].by_point, slopes[1] @ bent[1].by_point
+        jacobian = np.concatenate(by_point, axis=1)
+        by = np.zeros((len(xyz), 4, 0))
+        if by_rig:
+            by = np.zeros((len(xyz), 4, 2 * ESTIMATED + POSE))
+            by[:, :2, :ESTIMATED] = by_left[..., :ESTIMATED]
+            by[:, 2:, ESTIMATED : 2 * ESTIMATED] = by_right[..., :ESTIMATED]
+            by[:, 2:, 2 * ESTIMATED :] = by_right[..., -POSE:]
+            if window is not None:
+                by[:, 2:, 2 * ESTIMATED :] += slopes[1] @ bent[1].by_centre @ self._centre_by_pose
+                shown = [slope @ each.by_window for slope, each in zip(slopes, bent, strict=True)]
+                by = np.dstack([by, np.concatenate(shown, axis=1)])
+        return np.hstack([left, right]), jacobian, by
 
     @property
     def _centre_by_pose(self) -> Array:

@@ -18,21 +18,79 @@ Array = NDArray[np.float64]
 
 WINDOW = 3  # parameters that are estimated: the normal along both of its `axes`, the distance
 _MOST_STEPS = 50
-_EXACT = 1e-13  # of Newton's method, share of the depth
+_NEAR = 1e-8  # share of the depth; a step of Newton's method squares such an error
 _TINY = 1e-300
 
 
 class Apparent(NamedTuple):
-    """Where a camera in air would see points.
+    """Where a camera in air would see N points: the points of the same depth on straight rays.
 
-    points: (N, 3). by_point, by_centre: (N, 3, 3), derivatives by the point and by the camera's
-    centre. by_window: (N, 3, 3), by the normal along both of its `axes`, and by the distance.
+    window, centre: through which the camera sees, and where it is. depth, lateral: (N,), the
+    components of the points from the centre along the normal and along the unit vectors `ahead`
+    (N, 3) across it. tangent, inside: (N,), of the ray's angle in air and behind the window. slope:
+    (N,), of the lateral distance by the tangent.
+
+    With depth D, lateral distance L and the height H of the first face above the centre,
+    slope d tangent = dL - inside dD - (tangent - inside) dH.
     """
 
-    points: Array
-    by_point: Array
-    by_centre: Array
-    by_window: Array
+    window: "Window"
+    centre: Array
+    depth: Array
+    lateral: Array
+    ahead: Array
+    tangent: Array
+    inside: Array
+    slope: Array
+
+    @property
+    def points(self) -> Array:
+        """Return these points, (N, 3); NaN for points in front of the last face."""
+        direction = self.window.normal + self.tangent[:, None] * self.ahead
+        points: Array = self.centre + self.depth[:, None] * direction
+        return points
+
+    @property
+    def by_point(self) -> Array:
+        """Return their derivatives by the points, (N, 3, 3)."""
+        w, rate = self.window.normal, self.depth / self.slope
+        along = w + (self.tangent - self.inside * rate)[:, None] * self.ahead
+        return self._across + _product(along, w) + _product(rate[:, None] * self.ahead, self.ahead)
+
+    @property
+    def by_centre(self) -> Array:
+        """Return their derivatives by the centre, (N, 3, 3)."""
+        return np.eye(3) - self.by_point - _product(self._by_height, self.window.normal)
+
+    @property
+    def by_window(self) -> Array:
+        """Return their derivatives by the normal along both of its `axes` and by the distance,
+        (N, 3, 3)."""
+        w, ahead, depth, lateral = self.window.normal, self.ahead, self.depth, self.lateral
+        stretch, rate = depth * self.tangent / lateral, depth / self.slope
+        turned = lateral * self.tangent - rate * (depth + self.inside * lateral)
+        along = (lateral * (1 - stretch))[:, None] * w + turned[:, None] * ahead
+        by_normal = (
+            depth[:, None, None] * (np.eye(3) - self._across)
+            + _product(along, ahead)
+            - _product(self._by_height, self.centre)
+        )
+        return np.dstack([by_normal @ self.window.axes.T, self._by_height])
+
+    @property
+    def _across(self) -> Array:
+        """Return the stretch across the normal and the ray, (N, 3, 3)."""
+        w, stretch = self.window.normal, self.depth * self.tangent / self.lateral
+        flat = np.eye(3) - np.outer(w, w)
+        across: Array = stretch[:, None, None] * (flat - _product(self.ahead, self.ahead))
+        return across
+
+    @property
+    def _by_height(self) -> Array:
+        by_height: Array = (
+            self.ahead * (self.depth * (self.inside - self.tangent) / self.slope)[:, None]
+        )
+        return by_height
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -137,91 +195,42 @@ class Window:
         return at, ahead
 
     def apparent(self, centre: Array, points: Array) -> Apparent:
-        """Return the points of the same depth that a camera in air sees where it sees `points`.
+        """Return where a camera in air would see points.
 
-        centre: (3,), of the camera. points: (N, 3). All are NaN for points in front of the last
+        centre: (3,), of the camera. points: (N, 3). All is NaN for points in front of the last
         face.
 
         Over the depths d_k of all media, the lateral distance of a point from the camera is the sum
         of d_k q / sqrt(n_k^2 + (n_k^2 - 1) q^2), with q the tangent of the ray's angle in air. It
         is concave in q, so Newton's method from the paraxial q climbs to the solution.
         """
-        w = self.normal
-        offset = points - centre
-        depth = offset @ w
-        across = offset - depth[:, None] * w
+        depth = (points - centre) @ self.normal
+        across = points - centre - depth[:, None] * self.normal
         lateral = np.maximum(np.linalg.norm(across, axis=1), _TINY)
-        height = self.height(centre)
-        behind = depth - height - self.thickness
-        depth = np.where(behind >= 0, depth, np.nan)
-        depths = [
-            np.full_like(depth, height),
-            *(np.full_like(depth, thickness) for thickness, _ in self.layers),
-            behind,
-        ]
-        squares = [1.0, *(index**2 for _, index in self.layers), self.index**2]
-        q = lateral / sum(d / np.sqrt(n) for d, n in zip(depths, squares, strict=True))
+        behind = depth - self.height(centre) - self.thickness
+        behind[~(behind >= 0)] = np.nan
+        above = [(self.height(centre), 1.0), *self.layers]
+        media = [*((np.full_like(behind, d), n) for d, n in above), (behind, self.index)]
+        q = lateral / np.sum([d / n for d, n in media], axis=0)
         for _ in range(_MOST_STEPS):
-            roots = [np.sqrt(n + (n - 1) * q * q) for n in squares]
-            reach = sum(d * q / root for d, root in zip(depths, roots, strict=True))
-            slope = sum(d * n / root**3 for d, n, root in zip(depths, squares, roots, strict=True))
+            reach, slope = np.zeros_like(q), np.zeros_like(q)
+            for d, n in media:
+                root = np.sqrt(n**2 + (n**2 - 1) * q * q)
+                reach += d * q / root
+                slope += d * n**2 / (root * root * root)
             off = lateral - reach
+            inside = q / root  # of the last medium
             q = q + off / slope
-            if not (np.abs(off) > _EXACT * depth).any():
+            if not (np.abs(off) > _NEAR * depth).any():
                 break
-        inside = q / np.sqrt(self.index**2 + (self.index**2 - 1) * q * q)
         ahead = across / lateral[:, None]
-        return _apparent(w, centre, depth, lateral, ahead, q, inside, slope, self.axes)
+        return Apparent(self, centre, depth + 0 * behind, lateral, ahead, q, inside, slope)
 
 
-def _apparent(
-    w: Array,
-    centre: Array,
-    depth: Array,
-    lateral: Array,
-    ahead: Array,
-    q: Array,
-    inside: Array,
-    slope: Array,
-    axes: Array,
-) -> Apparent:
-    """Return the apparent points and their derivatives.
-
-    w: (3,), the normal. depth, lateral: (N,), the components of the points from the centre along w
-    and along the unit vectors `ahead` (N, 3). q, inside: (N,), the tangents of the ray's angle in
-    air and behind the window. slope: (N,), of the lateral distance by q.
-
-    With depth D, lateral distance L and height H of the window above the centre, the apparent point
-    is at D (w + q ahead), and slope dq = dL - inside dD - (q - inside) dH.
-    """
-    stretch, rate = depth * q / lateral, depth / slope
-
-    def times(values: Array, one: Array, other: Array) -> Array:
-        """Return the matrices of a product, values * one other^T, (N, 3, 3)."""
-        outer: Array = values[:, None, None] * one[..., :, None] * other[..., None, :]
-        return outer
-
-    one = np.ones_like(depth)
-    across = np.eye(3) - times(one, w, w) - times(one, ahead, ahead)
-    by_point = (
-        stretch[:, None, None] * across
-        + times(one, w, w)
-        + times(rate, ahead, ahead)
-        + times(q - inside * rate, ahead, w)
-    )
-    by_height = (-rate * (q - inside))[:, None] * ahead
-    by_normal = (
-        depth[:, None, None] * (np.eye(3) - stretch[:, None, None] * across)
-        + times(lateral * (1 - stretch), w, ahead)
-        + times(lateral * q - rate * (depth + inside * lateral), ahead, ahead)
-        - by_height[:, :, None] * centre
-    )
-    return Apparent(
-        points=centre + depth[:, None] * (w + q[:, None] * ahead),
-        by_point=by_point,
-        by_centre=np.eye(3) - by_point - by_height[:, :, None] * w,
-        by_window=np.concatenate([by_normal @ axes.T, by_height[:, :, None]], axis=2),
-    )
+def _product(one: Array, other: Array) -> Array:
+    """Return the matrices one other^T, (N, 3, 3), of (N, 3) and (N, 3) or (3,)."""
+    product: Array = one[:, :, None] * other[..., None, :]
+    return product
 
 
 def _finite(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from cmp_cl import StereoRig
+from cmp_cl import StereoRig, Window
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
 from cmp_cl.motion import displacement
 from cmp_cl.motion import plan as plans
@@ -27,10 +27,29 @@ FEW = 1e-3  # largest part of the noise by which a displacement may differ from 
 RADIUS = 8.0  # px, of the corners' discs
 
 
-def rig_with(lens="pinhole"):
+WINDOWS = {
+    "no window": None,
+    "acrylic and gel": Window((0.05, -0.02, 1.0), 15.0, ((5.0, 1.49),), 1.41),
+    "one medium": Window((0.0, 0.0, 1.0), 30.0, (), 1.33),
+    "an air gap": Window((-0.1, 0.0, 1.0), 20.0, ((3.0, 1.5), (1.0, 1.0), (2.0, 1.6)), 1.41),
+}
+
+
+def rig_with(lens="pinhole", window="no window"):
     k1, _, k2, _, r, t = default_rig(SHAPE)[:6]
     one, two = LENSES[lens]
-    return StereoRig(k1, one, k2, two, r, t)
+    return StereoRig(k1, one, k2, two, r, t, window=WINDOWS[window])
+
+
+def window_of(rig):
+    """Return the window of a rig as the oracle takes it."""
+    window = rig.window
+    if window is None:
+        return None
+    thickness, index = np.array([*window.layers, (0.0, window.index)]).T
+    return space.Window(
+        normal=window.normal, distance=window.distance, thickness=thickness[:-1], index=index
+    )
 
 
 def views_of(rig, xyz, rng, noise=0.03, shared=0.0):
@@ -42,7 +61,10 @@ def views_of(rig, xyz, rng, noise=0.03, shared=0.0):
     for name in ("1", "2"):
         turn, move = (np.eye(3), np.zeros(3)) if name == "1" else (rig.R, rig.T)
         camera = camera_of(rig, name)
-        local = xyz @ turn.T + move
+        straight, window = xyz, window_of(rig)
+        if window is not None:
+            straight = np.array([window.straight(-move @ turn, x) for x in xyz.reshape(-1, 3)])
+        local = straight.reshape(xyz.shape) @ turn.T + move
         plane = (local[..., :2] / local[..., 2:]).reshape(-1, 2)
         pixels = np.array([space.seen(camera, point) for point in plane]).reshape(*xyz.shape[:2], 2)
         error = rng.standard_normal(pixels.shape)
@@ -134,6 +156,7 @@ def expected(rig, rest, now, complete):
         tuple(grid.image_sigma for grid in now),
         cameras,
         (RADIUS, RADIUS),
+        window_of(rig),
     )
     status = np.where(points.status == space.VALID, at_rest.status, points.status)
     valid = status == space.VALID
@@ -160,12 +183,19 @@ CASES = {
 
 
 @pytest.mark.parametrize(
-    ("case", "lens"),
-    [*((case, "pinhole") for case in CASES), ("whole", "rational"), ("whole", "thin prism")],
+    ("case", "lens", "window"),
+    [
+        *((case, "pinhole", "no window") for case in CASES),
+        ("whole", "rational", "no window"),
+        ("whole", "thin prism", "no window"),
+        ("holes and a tear", "pinhole", "acrylic and gel"),
+        ("whole", "pinhole", "one medium"),
+        ("whole", "rational", "an air gap"),
+    ],
 )
-def test_the_field_is_the_oracles(run, case, lens):
+def test_the_field_is_the_oracles(run, case, lens, window):
     shape, holes, wrong = CASES[case]
-    rng, rig = np.random.default_rng(3), rig_with(lens)
+    rng, rig = np.random.default_rng(3), rig_with(lens, window)
     rest = views_of(rig, surface(*shape), rng)
     complete = views_of(rig, surface(*shape, press=1.0), rng)
     for node in wrong:
@@ -248,17 +278,20 @@ def test_a_whole_lattice_has_the_field_that_displacement_returns(run):
         np.testing.assert_array_equal(one.source, two.source)
 
 
-def test_points_that_no_rig_can_see_say_why(run):
-    rng, rig = np.random.default_rng(6), rig_with()
+@pytest.mark.parametrize("window", ["no window", "acrylic and gel"])
+def test_points_that_no_rig_can_see_say_why(run, window):
+    rng, rig = np.random.default_rng(6), rig_with(window=window)
     rest = views_of(rig, surface(9, 9), rng)
     now = views_of(rig, surface(9, 9), rng)
     now[1].xy[2, 2] += (0, 12)  # off its epipolar line
     now[1].xy[4, 4] = now[0].xy[4, 4] + 300  # behind the cameras
+    now[1].xy[4, 6] += (-250, 0)  # far in front of the pattern, and of a window
     now = tuple(with_holes(grid, (6, 6)) for grid in now)
     _, _, field = run(rig, rest, now, complete=tuple(map(_filled, now)))
     other = rig.triangulate(*now)
     np.testing.assert_array_equal(field.status, other.status)
     assert set(np.unique(field.status)) >= {PointStatus.MISSING, PointStatus.INCONSISTENT}
+    assert field.status[4, 6] == (PointStatus.VALID if rig.window is None else PointStatus.BEHIND)
 
 
 def _filled(grid):
@@ -273,8 +306,11 @@ def test_the_same_nodes_give_the_same_bytes(run):
         assert values.tobytes() == again[name].tobytes(), name
 
 
-def test_a_device_without_double_precision_errs_by_hundredths_of_a_micrometre(run, monkeypatch):
-    rng, rig = np.random.default_rng(8), rig_with()
+@pytest.mark.parametrize("window", ["no window", "acrylic and gel"])
+def test_a_device_without_double_precision_errs_by_hundredths_of_a_micrometre(
+    run, monkeypatch, window
+):
+    rng, rig = np.random.default_rng(8), rig_with(window=window)
     rest, now = (views_of(rig, surface(16, 16, press), rng) for press in (0.0, 1.0))
     _, _, exact = run(rig, rest, now)
     monkeypatch.setattr(plans, "has_double", lambda device: False)
