@@ -10,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from stereo_data import gel, grid_of, toed_in_rig
 
-from cmp_cl import CalibrationError, StereoRig, Window
+from cmp_cl import CalibrationError, StereoRig, Window, build_grid, detect
 from cmp_cl.motion import displacement
 from cmp_cl.reference import space as oracle
 from cmp_cl.space import PointStatus, undistort
+from cmp_cl.synthetic import Scene, default_rig, render_stereo
 
 GEL = Window((0.02, -0.03, 1.0), 20.0, ((5.0, 1.49),), 1.41)
 
@@ -202,3 +203,38 @@ def test_the_bias_of_a_field_is_what_an_error_of_the_rig_does_to_it():
         off = np.linalg.norm(moved.displacement - right.displacement, axis=2)
         stated = dataclasses.replace(rig, covariance=np.outer(error, error)).bias_sigma(right)
         np.testing.assert_allclose(stated, off, rtol=0.1, atol=2e-5)
+
+
+def seen_press(scene, rig, device):
+    """Return the displacement that rendered images of a press give, and the true one, mm."""
+    moments, like = [], (None, None)
+    for each in (scene.at_rest(), scene):
+        *views, xyz = render_stereo(each, rig)
+        grids = [
+            build_grid(detect(v.image, device=device), v.image, shape=xyz.shape[:2], like=known)
+            for v, known in zip(views, like, strict=True)
+        ]
+        moments.append((rig.triangulate(*grids), xyz))
+        like = grids
+    (rest, before), (now, after) = moments
+    return displacement(rest, now), after - before
+
+
+def test_images_through_a_window_show_the_press_as_exactly_as_in_air(device):
+    """The renderer bends the light by its own way, bisection of Snell's law."""
+    scene = Scene(markers=20, shape=(320, 240), side=22.0, severity=0.5, corrosion=0.5, seed=3)
+    air = StereoRig(*default_rig(scene.shape))
+    facing = np.array([0.0, 0.0, 1.0]) + air.R[2]
+    facing /= np.linalg.norm(facing)
+    glass = Window(facing, 20.0, ((5.0, 1.49),), 1.41)
+    behind = dataclasses.replace(air, window=glass)
+    errors = {}
+    for name, rig in (("air", air), ("behind", behind)):
+        field, truth = seen_press(scene, rig, device)
+        assert field.valid.mean() > 0.97
+        off = (field.displacement - truth)[field.valid]
+        errors[name] = np.sqrt(np.square(off).sum(axis=1).mean())
+    assert errors["behind"] < 1.5 * errors["air"]
+    views = render_stereo(scene, behind)
+    for view, seen in zip(views[:2], behind.project(views[2].reshape(-1, 3)), strict=True):
+        np.testing.assert_allclose(view.truth.reshape(-1, 2), seen, rtol=0, atol=1e-7)

@@ -1,7 +1,8 @@
 """The cameras that look at the gel, and the pose of the gel in front of them."""
 
 import math
-from typing import NamedTuple, Protocol
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -11,11 +12,28 @@ from cmp_cl.synthetic.raster import Array
 from cmp_cl.synthetic.scene import Scene
 
 DISTANCE = 45.0  # mm from the camera to the gel, with one camera
+_HALVINGS = 40  # of the range of a sine: below 1e-8 px
 FILL = 0.92  # share of the shorter image side that the pattern covers
 
 
+class Glass(Protocol):
+    """Flat layers before the cameras, lengths in mm, as `cmp_cl.Window`."""
+
+    @property
+    def normal(self) -> Array: ...
+    @property
+    def distance(self) -> float: ...
+    @property
+    def layers(self) -> Sequence[tuple[float, float]]: ...
+    @property
+    def index(self) -> float: ...
+
+
 class Rig(Protocol):
-    """Two cameras in OpenCV's convention: X_right = R X_left + T, lengths in mm."""
+    """Two cameras in OpenCV's convention: X_right = R X_left + T, lengths in mm.
+
+    It may also have a `window`, as `cmp_cl.StereoRig` has.
+    """
 
     @property
     def K1(self) -> Array: ...
@@ -83,9 +101,11 @@ def checked_rig(rig: Rig) -> Cameras:
 
 
 class PinholeCamera:
-    """A pinhole camera with OpenCV's distortion k1 k2 p1 p2 k3."""
+    """A pinhole camera with OpenCV's distortion k1 k2 p1 p2 k3, and a window before it or None."""
 
-    def __init__(self, matrix: Array, distortion: Array, R: Array, T: Array) -> None:
+    def __init__(
+        self, matrix: Array, distortion: Array, R: Array, T: Array, window: Glass | None = None
+    ) -> None:
         self.matrix = np.asarray(matrix, dtype=np.float64)
         coefficients = np.asarray(distortion, dtype=np.float64).ravel()
         if coefficients.size > 5 and np.any(coefficients[5:]):
@@ -95,9 +115,12 @@ class PinholeCamera:
         self.distortion = np.concatenate([coefficients, np.zeros(5)])[:5]
         self.R = np.asarray(R, dtype=np.float64)
         self.T = np.asarray(T, dtype=np.float64)
+        self.window = window
 
     def project(self, points: Array) -> Array:
-        """Project points (..., 3), mm, to (..., 2), px."""
+        """Project points (..., 3), mm, to (..., 2), px; NaN in front of the window's last face."""
+        if self.window is not None:
+            points = straightened(self.window, -self.T @ self.R, points)
         seen = points @ self.R.T + self.T
         x, y = seen[..., 0] / seen[..., 2], seen[..., 1] / seen[..., 2]
         if np.any(self.distortion):
@@ -116,6 +139,34 @@ class PinholeCamera:
             ],
             axis=-1,
         )
+
+
+def straightened(window: Glass, centre: Array, points: Array) -> Array:
+    """Return points (..., 3) on the straight rays by which a camera at `centre` sees points.
+
+    The ray of a point with the sine s in air has the sine s / n in a medium of index n, and moves
+    sideways by s / sqrt(n^2 - s^2) per depth there. All media together move it by the lateral
+    distance of the point; s is found by bisection.
+    """
+    across = points - centre
+    depth = across @ window.normal
+    across = across - depth[..., None] * window.normal
+    lateral = np.linalg.norm(across, axis=-1)
+    height = window.distance - centre @ window.normal
+    behind = depth - height - sum(thickness for thickness, _ in window.layers)
+    media: list[tuple[Any, float]] = [*window.layers, (behind, window.index)]
+    low, high = np.zeros_like(depth), np.ones_like(depth)
+    for _ in range(_HALVINGS):
+        s = (low + high) / 2
+        reach = height * s / np.sqrt(1 - s * s)
+        for thickness, index in media:
+            reach += thickness * s / np.sqrt(index**2 - s * s)
+        short = reach < lateral
+        low, high = np.where(short, s, low), np.where(short, high, s)
+    tangent = np.where(behind >= 0, s / np.sqrt(1 - s * s), np.nan)
+    stretch = depth * tangent / np.maximum(lateral, 1e-300)
+    straight: Array = centre + depth[..., None] * window.normal + stretch[..., None] * across
+    return straight
 
 
 class Pose(NamedTuple):

@@ -73,7 +73,8 @@ def render_stereo(scene: Scene, rig: Rig) -> tuple[Rendered, Rendered, Array]:
     """Render both views of the scene.
 
     The gel faces both cameras alike, where their optical axes meet. If the axes do not meet, it
-    stands 45 mm in front of the midpoint between the cameras.
+    stands 45 mm in front of the midpoint between the cameras. If the rig has a window, the light
+    bends in its layers.
 
     Returns the left view, the right view and the nodes (N, N, 3) float64, mm, in the left camera's
     frame. The rig projects these nodes to both truths.
@@ -83,8 +84,9 @@ def render_stereo(scene: Scene, rig: Rig) -> tuple[Rendered, Rendered, Array]:
     """
     check_kind("scene", scene, Scene, ConfigError)
     cameras = checked_rig(rig)
-    left = PinholeCamera(cameras.K1, cameras.D1, np.eye(3), np.zeros(3))
-    right = PinholeCamera(cameras.K2, cameras.D2, cameras.R, cameras.T)
+    window = getattr(rig, "window", None)
+    left = PinholeCamera(cameras.K1, cameras.D1, np.eye(3), np.zeros(3), window)
+    right = PinholeCamera(cameras.K2, cameras.D2, cameras.R, cameras.T, window)
     axes, centre = facing_both(cameras.R, cameras.T)
     pose = Pose.of(scene, axes, centre, float(left.matrix[0, 0]))
     xyz = pose.place(surface(scene, nodes_at_rest(scene)))
