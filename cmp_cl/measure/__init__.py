@@ -14,13 +14,15 @@ mirrors:
             if frame.image is not None:
                 measure(frame.image).field.save(f"press-{frame.index:04}.vtp")
 
-`OneView` does the same with one camera, in the image or in the plane of a flat pattern.
+`OneView` does the same with one camera, in the image or in the plane of a flat pattern. `Sensor` is
+a loop in a thread, with the calls that PyTac3D's users know.
 `find_board` returns the grids from which `cmp_cl.calibrate` makes the rig.
 """
 
 from cmp_cl.measure.boards import MAX_SIGMA, find_board, square_sides, trusted
 from cmp_cl.measure.frames import Measured, Measurement, OneView, Tally, TwoViews
 from cmp_cl.measure.patterns import Region, align_views, cell_of, find_pattern
+from cmp_cl.measure.sensor import Sensor, pytac3d
 
 __all__ = [
     "MAX_SIGMA",
@@ -28,12 +30,14 @@ __all__ = [
     "Measurement",
     "OneView",
     "Region",
+    "Sensor",
     "Tally",
     "TwoViews",
     "align_views",
     "cell_of",
     "find_board",
     "find_pattern",
+    "pytac3d",
     "square_sides",
     "trusted",
 ]

@@ -1,0 +1,309 @@
+"""A gel and its cameras as a sensor: frames arrive in a thread, with the calls of PyTac3D."""
+
+import collections
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Callable, Generator
+from os import PathLike
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from cmp_cl.cameras import Source
+from cmp_cl.closing import Closing
+from cmp_cl.errors import ConfigError, FieldError, ImageError, check_kind
+from cmp_cl.field import DisplacementField
+from cmp_cl.image import GreyImage
+from cmp_cl.measure.frames import Measured, TwoViews
+from cmp_cl.points import PointStatus
+from cmp_cl.series import SeriesWriter, read_series
+from cmp_cl.space import BinocularSplit, StereoRig
+
+Frame = dict[str, Any]
+Callback = Callable[[Frame, Any], object]
+
+
+class _Loop(Closing):
+    """Frames of a thread, of which the newest few wait to be taken."""
+
+    def __init__(self, recvCallback: Callback | None, maxQSize: int, callbackParam: Any) -> None:
+        check_kind("maxQSize", maxQSize, int, ConfigError)
+        if maxQSize < 1:
+            raise ConfigError(f"maxQSize must be 1 or more, not {maxQSize}")
+        self._callback, self._parameter = recvCallback, callbackParam
+        self._waiting: collections.deque[Frame] = collections.deque(maxlen=maxQSize)
+        self._changed = threading.Condition()
+        self._closed = threading.Event()
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="cmp_cl sensor", daemon=True)
+
+    def getFrame(self, SN: str = "") -> Frame | None:
+        """Return the oldest frame that waits, None if none does; raise what ended the loop.
+
+        The dictionary is that of `DisplacementField.as_pytac3d`. SN: ignored; a sensor is one.
+        """
+        del SN
+        with self._changed:
+            if self._waiting:
+                return self._waiting.popleft()
+            if self._error is not None:
+                raise self._error
+            return None
+
+    def waitForFrame(self, SN: str = "", timeout: float = math.inf) -> None:
+        """Wait until a frame is there, as long as `timeout`, s.
+
+        SN: ignored. Raises ImageError if none came or will come, or what ended the loop.
+        """
+        del SN
+        end = time.monotonic() + timeout
+        with self._changed:
+            while not self._waiting:
+                if self._error is not None:
+                    raise self._error
+                if not self._thread.is_alive():
+                    raise ImageError("the source has ended: there are no further frames")
+                left = end - time.monotonic()
+                if left <= 0:
+                    raise ImageError(f"no frame came within {timeout:g} s")
+                self._changed.wait(min(left, 0.1))
+
+    def close(self) -> None:
+        """End the loop and wait for it."""
+        self._closed.set()
+        if self._thread.is_alive() and self._thread is not threading.current_thread():
+            self._thread.join()
+
+    def _frames(self) -> Generator[Frame, None, None]:
+        raise NotImplementedError
+
+    def _run(self) -> None:
+        try:
+            with contextlib.closing(self._frames()) as frames:
+                for frame in frames:
+                    with self._changed:
+                        self._waiting.append(frame)
+                        self._changed.notify_all()
+                    if self._callback is not None:
+                        self._callback(frame, self._parameter)
+                    if self._closed.is_set():
+                        return
+        except BaseException as error:
+            with self._changed:
+                self._error = error
+                self._changed.notify_all()
+
+
+class Sensor(_Loop):
+    """Measures the frames of a source in a thread, against its first frame or a later one.
+
+    source: a camera's number, a device, an address or a video, see `cmp_cl.cameras.Source`, whose
+        frames hold two views. The gel is at rest in the first one.
+    rig: the cameras, or the path of their file. split: the two views in a frame; None is halves.
+    shape: (rows, columns) of the pattern's corners; None takes what is seen at rest.
+    serial: the name of the sensor in its frames.
+    recvCallback: is called in the thread with each frame and `callbackParam`.
+    maxQSize: how many frames wait for `getFrame`; older ones are dropped.
+    device: as for `Detector`.
+
+    Raises ConfigError, FileNotFoundError or ImageError for a source or a rig that cannot be opened.
+    What happens in the thread is raised by `getFrame` and `waitForFrame`: GridError if the frame at
+    rest shows no pattern, ImageError if a camera fails, what a callback raises.
+
+        with Sensor("0", "rig.yaml", shape=(40, 40)) as sensor:
+            sensor.waitForFrame()
+            moved = sensor.getFrame()["3D_Displacements"]
+    """
+
+    def __init__(
+        self,
+        source: str,
+        rig: StereoRig | str | PathLike[str],
+        *,
+        split: BinocularSplit | None = None,
+        shape: tuple[int, int] | None = None,
+        serial: str = "",
+        recvCallback: Callback | None = None,
+        maxQSize: int = 5,
+        callbackParam: Any = None,
+        device: str | None = None,
+    ) -> None:
+        super().__init__(recvCallback, maxQSize, callbackParam)
+        self._source = Source(source, from_start=True)
+        self._rig = rig if isinstance(rig, StereoRig) else StereoRig.load(rig)
+        self._split, self._shape, self._device = split, shape, device
+        self._serial = serial
+        self._lock = threading.Lock()  # of the three below
+        self._new_rest = True
+        self._series: SeriesWriter | None = None
+        self._path: str | PathLike[str] | None = None
+        self._thread.start()
+
+    def calibrate(self, SN: str = "") -> None:
+        """Take the next frame as the one at rest: nothing may touch the gel then.
+
+        SN: ignored. Raises ConfigError while a series is recorded, which has one frame at rest.
+        """
+        del SN
+        with self._lock:
+            if self._path is not None or self._series is not None:
+                raise ConfigError("stop recording first, record(None): a series has one rest")
+            self._new_rest = True
+
+    def record(self, path: str | PathLike[str] | None) -> None:
+        """Write the frames from the next one on to a series, in the format of the suffix.
+
+        None ends it and completes the file. Raises ConfigError if one is being written already.
+        """
+        with self._lock:
+            if path is None:
+                self._end_series()
+            elif self._path is not None or self._series is not None:
+                raise ConfigError("a series is being recorded; end it by record(None)")
+            self._path = path
+
+    @staticmethod
+    def replay(
+        path: str | PathLike[str],
+        *,
+        serial: str = "",
+        recvCallback: Callback | None = None,
+        maxQSize: int = 5,
+        callbackParam: Any = None,
+    ) -> "Replay":
+        """Return a sensor that gives the frames of a series, .npz or .h5, at their times.
+
+        The other arguments are those of `Sensor`. Raises FieldError if the file is no series in
+        space.
+        """
+        return Replay(path, serial, recvCallback, maxQSize, callbackParam)
+
+    def close(self) -> None:
+        """End the loop, complete the series, and release the device."""
+        super().close()
+        with self._lock:
+            self._end_series()
+
+    def _frames(self) -> Generator[Frame, None, None]:
+        measure: TwoViews | None = None
+        with contextlib.closing(self._source.frames()) as frames, contextlib.ExitStack() as opened:
+            for frame in frames:
+                if self._closed.is_set():
+                    return
+                if frame.image is None:
+                    continue
+                with self._lock:
+                    again, self._new_rest = self._new_rest, False
+                if again or measure is None:
+                    opened.close()
+                    measure = opened.enter_context(self._at_rest(frame.image))
+                measured = measure(frame.image)
+                self._keep(measure, measured, frame.index, frame.time_ms)
+                yield measured.field.as_pytac3d(
+                    serial=self._serial, index=frame.index, time_s=frame.time_ms / 1e3
+                )
+
+    def _at_rest(self, rest: GreyImage) -> TwoViews:
+        split = self._split or BinocularSplit.halves(width=rest.shape[1], height=rest.shape[0])
+        return TwoViews(rest, self._rig, split, shape=self._shape, device=self._device)
+
+    def _keep(self, measure: TwoViews, measured: Measured, index: int, time_ms: float) -> None:
+        with self._lock:
+            if self._path is not None:
+                self._series = SeriesWriter(self._path, description=None, **measure.constants)
+                self._path = None
+            if self._series is not None:
+                ambiguous = measured.ambiguous
+                self._series.append(
+                    index=index, time_ms=time_ms, ambiguous=ambiguous, **measured.arrays
+                )
+
+    def _end_series(self) -> None:
+        self._path = None
+        if self._series is not None:
+            series, self._series = self._series, None
+            series.close()
+
+
+class Replay(_Loop):
+    """Gives the frames of a recorded series as a `Sensor` does, see `Sensor.replay`."""
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        serial: str,
+        recvCallback: Callback | None,
+        maxQSize: int,
+        callbackParam: Any,
+    ) -> None:
+        super().__init__(recvCallback, maxQSize, callbackParam)
+        self._serial = serial
+        self._series = read_series(path, ("rest", "displacement", "time_ms", "unit"))
+        if (
+            not {"rest", "displacement"} <= self._series.keys()
+            or self._series["rest"].shape[2] != 3
+        ):
+            raise FieldError(f"{str(path)!r}: a sensor replays a series in space, of two views")
+        self._thread.start()
+
+    def _frames(self) -> Generator[Frame, None, None]:
+        start = time.monotonic()
+        series = self._series
+        for index, time_ms, moved in zip(
+            series["index"], series["time_ms"], series["displacement"], strict=True
+        ):
+            if np.isfinite(time_ms):
+                self._closed.wait(max(0.0, start + float(time_ms) / 1e3 - time.monotonic()))
+            field = _field_of(series["rest"], moved, str(series["unit"]))
+            seconds = float(time_ms) / 1e3
+            yield field.as_pytac3d(serial=self._serial, index=int(index), time_s=seconds)
+
+
+def _field_of(rest: Any, moved: Any, unit: str) -> DisplacementField:
+    """Return the field of a frame of a series; its covariances are unknown."""
+    known = np.isfinite(moved).all(axis=2)
+    status = np.where(known, PointStatus.VALID, PointStatus.MISSING).astype(np.uint8)
+    unknown = np.full((*known.shape, 3, 3), np.nan)
+    return DisplacementField(
+        position=np.where(known[..., None], rest, np.nan),
+        displacement=moved,
+        covariance=unknown,
+        position_covariance=unknown,
+        status=status,
+        source=np.zeros(known.shape, np.uint8),
+        unit=unit,
+    )
+
+
+def pytac3d(source: str, rig: StereoRig | str | PathLike[str], **settings: Any) -> SimpleNamespace:
+    """Return what stands for the module PyTac3D in a script that was written for it.
+
+    source, rig, settings: of `Sensor`. In the script only the import changes:
+
+        from cmp_cl.measure import pytac3d
+        PyTac3D = pytac3d("0", "rig.yaml", shape=(40, 40), serial="gel-1")
+
+    `PyTac3D.Sensor` takes recvCallback, maxQSize and callbackParam; its port is ignored. There are
+    no forces in a frame: `frame.get("3D_Forces")` is None.
+    """
+
+    def sensor(
+        recvCallback: Callback | None = None,
+        port: int = 9988,
+        maxQSize: int = 5,
+        callbackParam: Any = None,
+    ) -> Sensor:
+        del port
+        return Sensor(
+            source,
+            rig,
+            recvCallback=recvCallback,
+            maxQSize=maxQSize,
+            callbackParam=callbackParam,
+            **settings,
+        )
+
+    return SimpleNamespace(Sensor=sensor, PYTAC3D_VERSION="cmp_cl")

@@ -1,0 +1,148 @@
+"""A sensor for robots: frames from a thread, as a script for PyTac3D takes them."""
+
+import contextlib
+import dataclasses
+import threading
+import time
+
+import numpy as np
+import pytest
+from videos import write_video
+
+from cmp_cl import BinocularSplit, ConfigError, FieldError, GridError, ImageError, StereoRig
+from cmp_cl.measure import Sensor, TwoViews, pytac3d
+from cmp_cl.media import read_frames
+from cmp_cl.series import read_series
+from cmp_cl.synthetic import Indenter, Mode, Scene, binocular_frame, default_rig, render_stereo
+
+VIEW = (240, 216)
+RIG = StereoRig(*default_rig(VIEW))
+GEL = Scene(markers=12, shape=VIEW, indenter=Indenter.TORUS, mode=Mode.TWIST, seed=5)
+SCRIPT = """
+got = []
+def receive(frame, param):
+    got.append((param, frame["SN"], frame["index"], frame["3D_Displacements"]))
+sensor = PyTac3D.Sensor(recvCallback=receive, port=9988, maxQSize=5, callbackParam="mine")
+sensor.waitForFrame()
+frame = sensor.getFrame()
+forces = frame.get("3D_Forces")
+"""
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory):
+    """Return the path of a video: at rest, pressed twice."""
+    path = tmp_path_factory.mktemp("sensor") / "press.mp4"
+    frames = []
+    for severity in (0.0, 0.3, 0.6):
+        left, right, _ = render_stereo(dataclasses.replace(GEL, severity=severity), RIG)
+        frames.append(binocular_frame(left, right))
+    write_video(path, frames, "mp4v")
+    return str(path)
+
+
+def fields(video, rest=0):
+    frames = [frame.image for frame in read_frames(video)]
+    split = BinocularSplit.halves(*frames[0].shape[::-1])
+    with TwoViews(frames[rest], RIG, split, shape=(12, 12)) as measure:
+        return [measure(frame).field.displacement.reshape(-1, 3) for frame in frames]
+
+
+def all_frames(sensor):
+    """Return the frames until the source ends."""
+    found = []
+    with contextlib.suppress(ImageError):
+        while True:
+            sensor.waitForFrame(timeout=60)
+            found.append(sensor.getFrame())
+    sensor._thread.join(60)
+    with pytest.raises(ImageError, match="has ended"):
+        sensor.waitForFrame()
+    return found
+
+
+def test_a_script_for_pytac3d_runs_with_only_its_import_changed(video, tmp_path):
+    RIG.save(tmp_path / "rig.yaml")
+    names = {"PyTac3D": pytac3d(video, tmp_path / "rig.yaml", shape=(12, 12), serial="gel-1")}
+    exec(SCRIPT, names)
+    with names["sensor"] as sensor:
+        all_frames(sensor)
+    assert names["forces"] is None
+    assert [entry[:3] for entry in names["got"]] == [("mine", "gel-1", k) for k in range(3)]
+    for (*_, moved), expected in zip(names["got"], fields(video), strict=True):
+        np.testing.assert_allclose(moved, expected, atol=1e-4)
+
+
+def test_what_was_recorded_is_replayed_at_its_times(video, tmp_path):
+    path = tmp_path / "press.npz"
+    sensor = Sensor(video, RIG, shape=(12, 12), maxQSize=9)
+    with sensor:
+        sensor.record(path)
+        live = all_frames(sensor)
+    recorded = read_series(path)["index"]
+    with Sensor.replay(path, serial="again", maxQSize=9) as replayed:
+        start = time.monotonic()
+        again = all_frames(replayed)
+        assert time.monotonic() - start > (again[-1]["sendTimestamp"] or 0) * 0.9
+    assert [frame["index"] for frame in again] == list(recorded)
+    by_index = {frame["index"]: frame for frame in live}
+    for frame in again:
+        assert frame["SN"] == "again"
+        for key in ("3D_Positions", "3D_Displacements", "3D_Normals", "sendTimestamp"):
+            np.testing.assert_allclose(frame[key], by_index[frame["index"]][key], atol=1e-6)
+
+
+def test_a_new_rest_is_taken_while_running(video):
+    got, made = [], threading.Event()
+
+    def receive(frame, _):
+        made.wait(60)
+        got.append(frame["3D_Displacements"])
+        if frame["index"] == 0:
+            sensor.calibrate()
+
+    with Sensor(video, RIG, shape=(12, 12), recvCallback=receive) as sensor:
+        made.set()
+        all_frames(sensor)
+    np.testing.assert_allclose(got[1], 0, atol=1e-4)
+    np.testing.assert_allclose(got[2], fields(video, rest=1)[2], atol=1e-4)
+
+
+def test_of_frames_that_nobody_takes_the_newest_stay(video):
+    with Sensor(video, RIG, shape=(12, 12), maxQSize=1) as sensor:
+        sensor._thread.join(60)
+        assert sensor.getFrame()["index"] == 2
+        assert sensor.getFrame() is None
+
+
+def test_errors_reach_the_caller(video, tmp_path):
+    def fail(frame, _):
+        raise RuntimeError("the user's")
+
+    with Sensor(video, RIG, recvCallback=fail) as sensor:
+        sensor._thread.join(60)
+        sensor.getFrame()
+        with pytest.raises(RuntimeError, match="user's"):
+            sensor.getFrame()
+    with Sensor(video, RIG, shape=(13, 40)) as sensor, pytest.raises(GridError):
+        sensor.waitForFrame(timeout=60)
+    with pytest.raises(ConfigError, match="maxQSize must be 1 or more"):
+        Sensor(video, RIG, maxQSize=0)
+    with pytest.raises(FileNotFoundError):
+        Sensor(str(tmp_path / "none.mp4"), RIG)
+    with Sensor(video, RIG, shape=(12, 12)) as sensor:
+        sensor.record(tmp_path / "one.npz")
+        with pytest.raises(ConfigError, match="being recorded"):
+            sensor.record(tmp_path / "two.npz")
+        with pytest.raises(ConfigError, match="stop recording first"):
+            sensor.calibrate()
+    plane = tmp_path / "plane.npz"
+    np.savez(
+        plane,
+        index=[0],
+        time_ms=[0.0],
+        rest=np.zeros((3, 3, 2)),
+        displacement=np.zeros((1, 3, 3, 2)),
+    )
+    with pytest.raises(FieldError, match="in space, of two views"):
+        Sensor.replay(plane)
