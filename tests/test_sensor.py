@@ -80,8 +80,8 @@ def test_what_was_recorded_is_replayed_at_its_times(video, tmp_path):
         sensor.record(path)
         live = all_frames(sensor)
     recorded = read_series(path)["index"]
+    start = time.monotonic()
     with Sensor.replay(path, serial="again", maxQSize=9) as replayed:
-        start = time.monotonic()
         again = all_frames(replayed)
         assert time.monotonic() - start > (again[-1]["sendTimestamp"] or 0) * 0.9
     assert [frame["index"] for frame in again] == list(recorded)
