@@ -1,57 +1,33 @@
-"""Fields against exact truth in space, numbering and its time, order of frames, and boards of
-known squares.
+"""From a frame to its field: its time, its errors against exact truth, and what its sigma covers.
 
-    python bench/field.py --quick       two scenes and the boards, about a minute
-    python bench/field.py               everything; writes results/field.json
+    python bench/field.py --quick       a film of each kind, two minutes
+    python bench/field.py               everything, about ten minutes
 
-Rendered pairs: both views of a 40 x 40 pattern, 32 mm wide, in one 1600 x 1200 frame, through
-cameras that are known exactly. Errors are of the nodes, in micrometres. The photographs lie
-in ../shared/data beside the repository and are not part of it.
+Rendered films: two views of 40 x 40 corners on 32 mm in a frame of 1600 x 1200, through cameras
+that are known exactly. A row of results/field.csv is a figure: `what` was measured, in which
+`case`, over how many `frames`, its `value` and `unit`, and the `goal`. Times are ratios to the
+detection of the same frame, which is measured in turns with it.
 """
 
-import contextlib
 import dataclasses
-import hashlib
+import re
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
-from environment import DATA, environment, parser_of, write_result
+from environment import parser_of, write_table
 from scenes import TEST_SEED
 
-from cmp_cl import (
-    BinocularSplit,
-    Detector,
-    DetectorConfig,
-    Device,
-    EdgeLines,
-    Grid,
-    NodeStatus,
-    StereoRig,
-    build_grid,
-    calibrate,
-    select_device,
-)
-from cmp_cl.cli.progress import Progress
-from cmp_cl.field import DisplacementField
+from cmp_cl import BinocularSplit, Detector, DetectorConfig, StereoRig
+from cmp_cl.field import green_lagrange
 from cmp_cl.image import GreyImage
-from cmp_cl.measure import (
-    MAX_SIGMA,
-    TwoViews,
-    align_views,
-    find_pattern,
-    square_sides,
-    trusted,
-)
-from cmp_cl.motion import filter_positions
-from cmp_cl.points import sides
-from cmp_cl.space import Calibration
+from cmp_cl.measure import Measured, OneView, TwoViews
 from cmp_cl.synthetic import (
-    Indenter,
     Mode,
     Rendered,
     Scene,
@@ -65,405 +41,200 @@ from cmp_cl.synthetic import (
 VIEW = (1200, 800)
 MARKERS = 40
 CELL = 17.5  # px, of such a view
-SEVERITIES = (0.5, 1.0, 1.5)
-OBJECTS = tuple(kind for kind in Indenter if kind is not Indenter.NONE)
-FIRST_SEED = TEST_SEED + 500
-CONFIGS = {
-    "run (EDGE_STEP)": DetectorConfig.for_cell(CELL),
-    "EDGE_LINES": DetectorConfig.for_cell(CELL).replace(refinement=EdgeLines()),
+SMALL, SMALL_CELL = 44, 9.0  # corners a side of a view of 640 x 480, px
+SEED = TEST_SEED + 500
+RIG = StereoRig(*default_rig(VIEW))
+SPLIT = BinocularSplit.halves(2 * VIEW[1], VIEW[0])
+STEPS = tuple(0.1 * k for k in range(1, 16))  # a press that tracking follows
+LIGHT = "severity to 0.5"
+BOUNDS = {LIGHT: 0.5, "severity to 1": 1.0, "severity above 1": 2.0}
+JUMPS = {  # severities; a jump comes before the last AFTER frames
+    "sudden contact": (0.01, 0.02, 1.0, 1.01, 1.02),
+    "release": (0.25, 0.5, 0.01, 0.02, 0.03),
+    "slip": (0.25, 0.5, 0.1, 0.11, 0.12),
 }
+AFTER = 3
+FILE_FRAMES = 300
+COLUMNS = ("what", "case", "frames", "value", "unit", "goal")
 
 
 class Shot(NamedTuple):
-    """A rendered pair. xyz: (N, N, 3), mm, in the frame of the left camera."""
+    """A rendered frame. xyz: (N, N, 3), the nodes, mm. case: the rows in which it counts."""
 
     left: Rendered
     right: Rendered
     xyz: np.ndarray
+    case: str
 
     @property
     def frame(self) -> GreyImage:
         return binocular_frame(self.left, self.right)
 
 
-def wrongly_numbered(grid: Grid, view: Rendered) -> int:
-    """Count the nodes that are more than half a cell from their true position."""
-    off = np.linalg.norm(grid.xy - view.truth, axis=2)
-    return int(np.count_nonzero(off > 0.5 * view.cell))
+Film = list[Shot]  # the first is at rest
+Row = tuple[str, str, int, float, str, str]
 
 
-def scene_of(seed: int, indenter: Indenter, mode: Mode, severity: float) -> Scene:
-    """Return the press of that seed; what else a seed draws is the same for all its presses."""
-    return random_scene(
-        seed, markers=MARKERS, shape=VIEW, indenter=indenter, mode=mode, severity=severity
-    )
+def film_of(scene: Scene, severities: Sequence[float], cases: Sequence[str]) -> Film:
+    """Render a film that begins at rest; cases: of the frames after that one."""
+    scenes = [dataclasses.replace(scene, severity=level) for level in (0.0, *severities)]
+    named = zip(scenes, ("", *cases), strict=True)
+    return [Shot(*render_stereo(each, RIG), case) for each, case in named]
 
 
-def of_seed(
-    seed: int, scenes: Sequence[Scene], device: Device, progress: Progress
-) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Measure every press of a seed with every configuration, and whether their order matters."""
-    rig = StereoRig(*default_rig(VIEW))
-    split = BinocularSplit.halves(2 * VIEW[1], VIEW[0])
-    rest = Shot(*render_stereo(scenes[0].at_rest(), rig))
-    rows: list[dict[str, Any]] = []
-    frames, digests = [], []
-    with contextlib.ExitStack() as stack:
-        measures = {
-            name: stack.enter_context(
-                TwoViews(
-                    rest.frame, rig, split, shape=(MARKERS, MARKERS), config=config, device=device
-                )
-            )
-            for name, config in CONFIGS.items()
-        }
-        main = measures[next(iter(CONFIGS))]
+def films(count: int) -> list[Film]:
+    """Render as many films of each kind: presses, then those that jump."""
+    scenes = [random_scene(seed, markers=MARKERS, shape=VIEW) for seed in range(SEED, SEED + count)]
+    cases = [next(case for case, most in BOUNDS.items() if level <= most) for level in STEPS]
+    made = [film_of(scene, STEPS, cases) for scene in scenes]
+    for case, levels in JUMPS.items():
         for scene in scenes:
-            shot = Shot(*render_stereo(scene, rig))
-            for name, measure in measures.items():
-                rows.append({"config": name, "seed": seed, **answer(measure, scene, rest, shot)})
-            frames.append(shot.frame)
-            digests.append(digest(main(shot.frame).arrays))
-            progress.step()
-        order = np.random.default_rng(seed).permutation(len(frames)).tolist()
-        same = sum(digest(main(frames[number]).arrays) == digests[number] for number in order)
-    return rows, {"seed": seed, "order": order, "same_bytes": same}
+            moved = dataclasses.replace(scene, mode=Mode.SHEAR) if case == "slip" else scene
+            before = [LIGHT] * (len(levels) - AFTER)
+            made.append(film_of(moved, levels, [*before, *[case] * AFTER]))
+    return made
 
 
-def digest(arrays: dict[str, np.ndarray]) -> str:
-    """Return a digest of everything that goes into a series for one frame."""
-    whole = hashlib.sha256()
-    for array in arrays.values():
-        whole.update(array.tobytes())
-    return whole.hexdigest()
+def errors(made: Sequence[Film]) -> list[Row]:
+    """Measure the films in their order; return what the fields err by, and what sigma covers."""
+    found: dict[str, list[np.ndarray]] = {}
+    for film in made:
+        with TwoViews(film[0].frame, RIG, SPLIT, shape=(MARKERS, MARKERS), strain=True) as measure:
+            for shot in film[1:]:
+                answer = error_of(measure(shot.frame), film[0], shot)
+                found.setdefault(shot.case, []).append(answer)
+    rows: list[Row] = []
+    for case in [*BOUNDS, *JUMPS]:
+        count, (square, within, *_) = len(found[case]), np.mean(found[case], axis=0)
+        rows.append(("displacement, RMS error", case, count, np.sqrt(square), "um", ""))
+        rows.append(("displacement within 2 sigma", case, count, 100 * within, "%", "90 to 98"))
+    every = np.concatenate(list(found.values()))
+    _, _, strain, low, nodes, wrong = np.mean(every, axis=0)
+    for what, value, unit, goal in (
+        ("strain within 2 sigma", 100 * strain, "%", "93 to 97"),
+        ("the same, lowest 5 % of sigma", 100 * low, "%", "93 to 97"),
+        ("nodes with a displacement", 100 * nodes, "%", ""),
+        ("nodes with a wrong number", wrong * len(every), "", "0"),
+    ):
+        rows.append((what, "all", len(every), value, unit, goal))
+    return rows
 
 
-def answer(measure: TwoViews, scene: Scene, rest: Shot, now: Shot) -> dict[str, Any]:
-    """Return the accuracy of one frame: numbering, and squared errors in um2 for later means."""
-    frame = now.frame
-    start = time.perf_counter()
-    found = measure(frame)
-    ms = (time.perf_counter() - start) * 1e3
-    left, right = found.grids
-    wrong = wrongly_numbered(left, now.left) + wrongly_numbered(right, now.right)
-    wrong += sum(
-        wrongly_numbered(grid, view)
-        for grid, view in zip(measure.rest_grids, (rest.left, rest.right), strict=True)
+def error_of(measured: Measured, rest: Shot, now: Shot) -> np.ndarray:
+    """Return of a frame: the mean squared error, um2; the shares of errors within two sigma, along
+    each node's own axes, of strains within theirs, of those with the lowest sigma, of nodes with a
+    displacement; and how many nodes are more than half a cell from their true place in a view."""
+    field, valid = measured.field, measured.field.valid
+    off = (field.displacement - (now.xyz - rest.xyz))[valid]
+    values, axes = np.linalg.eigh(field.covariance[valid])
+    along = np.abs(np.einsum("nij,ni->nj", axes, off))
+    strain = np.abs(field.strain - green_lagrange(rest.xyz, now.xyz)) <= 2 * field.strain_sigma
+    low = field.strain_sigma <= np.nanpercentile(field.strain_sigma, 5, axis=(0, 1))
+    return np.array(
+        [
+            1e6 * np.square(off).sum(axis=1).mean(),
+            (along <= 2 * np.sqrt(values.clip(0))).mean(),
+            strain[np.isfinite(field.strain_sigma)].mean(),
+            strain[low].mean(),
+            valid.mean(),
+            sum(
+                np.count_nonzero(np.linalg.norm(grid.xy - view.truth, axis=2) > view.cell / 2)
+                for grid, view in zip(measured.grids, (now.left, now.right), strict=True)
+            ),
+        ]
     )
-    field, raw = found.field, found.field.raw
-    truth = now.xyz - rest.xyz
-    valid = field.valid
-    place = np.linalg.norm(field.position + field.displacement - now.xyz, axis=2)[valid] * 1e3
-    moved = np.linalg.norm(field.displacement - truth, axis=2)[valid] * 1e3
-    raw_place = np.linalg.norm(found.points.xyz - now.xyz, axis=2)[valid] * 1e3
-    raw_moved = np.linalg.norm(raw.displacement - truth, axis=2)[valid] * 1e3
-    return {
-        "object": scene.indenter.value,
-        "mode": scene.mode.value,
-        "severity": scene.severity,
-        "wrong_index": wrong,
-        "nodes": len(place),
-        "interpolated": int(np.count_nonzero(found.points.source == NodeStatus.INTERPOLATED)),
-        "place_um2": float(np.mean(place**2)),
-        "place_p95_um": float(np.percentile(place, 95)),
-        "moved_um2": float(np.mean(moved**2)),
-        "moved_p95_um": float(np.percentile(moved, 95)),
-        "raw_place_um2": float(np.mean(raw_place**2)),
-        "raw_moved_um2": float(np.mean(raw_moved**2)),
-        "within_2": within(field, truth),
-        "raw_within_2": within(raw, truth),
-        "ms": ms,
-    }
 
 
-def within(field: DisplacementField, truth: np.ndarray) -> float:
-    """Return the share of errors within two standard deviations, along each node's own axes."""
-    known = np.isfinite(field.covariance).all(axis=(2, 3)) & field.valid
-    values, axes = np.linalg.eigh(field.covariance[known])
-    off = np.einsum("nij,ni->nj", axes, (field.displacement - truth)[known])
-    return float(np.mean(np.abs(off) <= 2 * np.sqrt(values.clip(0))))
+def times(presses: Sequence[Film], rounds: int) -> list[Row]:
+    """Time detection and fields in turns, to and fro through each press."""
+    spent: dict[bool, list[list[float]]] = {True: [], False: []}  # by whether the press is light
+    for film in presses:
+        frames = [shot.frame for shot in film]
+        with (
+            Detector(shape=frames[0].shape, config=DetectorConfig.for_cell(CELL)) as detector,
+            TwoViews(frames[0], RIG, SPLIT, shape=(MARKERS, MARKERS)) as plain,
+            TwoViews(frames[0], RIG, SPLIT, shape=(MARKERS, MARKERS), strain=True) as strained,
+        ):
+            for number in to_and_fro(len(frames), rounds):
+                took = in_turn((detector, plain, strained), frames[number])
+                spent[film[number].case == LIGHT].append(took)
+    rows = ratios("two views", LIGHT, spent[True], "at most 1.6")
+    rows += ratios("two views", "severity 0.5 to 1.5", spent[False], "at most 2")
+    detection, field, strain = np.transpose(spent[True] + spent[False])
+    more = np.median((strain - field) / detection)
+    rows.append(("strain on top", "two views", len(detection), more, "times", "at most 1"))
+    scene = random_scene(SEED, markers=SMALL, severity=0.0)
+    frames = [render(dataclasses.replace(scene, severity=level)).image for level in STEPS[:6]]
+    with (
+        Detector(shape=frames[0].shape, config=DetectorConfig.for_cell(SMALL_CELL)) as detector,
+        OneView(frames[0], shape=(SMALL, SMALL)) as measure,
+    ):
+        order = to_and_fro(len(frames), 2 * rounds)
+        small = [in_turn((detector, measure), frames[number]) for number in order]
+    return rows + ratios("one view", "640 x 480, 44 x 44", small, "at most 1.8")
 
 
-def grouped(rows: Sequence[dict[str, Any]], *keys: str) -> list[dict[str, Any]]:
-    """Return root mean squares, and shares of frames, over the rows that agree in those keys."""
-    groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
-    for row in rows:
-        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+def to_and_fro(count: int, rounds: int) -> list[int]:
+    """Return the numbers of frames in an order in which no motion is larger than a step."""
+    return [*range(1, count), *range(count - 2, 0, -1)] * rounds
+
+
+def in_turn(used: Sequence[Callable[[GreyImage], Any]], frame: GreyImage) -> list[float]:
+    """Return the time of each with the same frame, ms."""
+    moments = [time.perf_counter()]
+    for each in used:
+        each(frame)
+        moments.append(time.perf_counter())
+    return [1e3 * took for took in np.diff(moments)]
+
+
+def ratios(what: str, case: str, spent: Sequence[Sequence[float]], goal: str) -> list[Row]:
+    """Return the second time over the first: the median, its ms, and the 99th percentile."""
+    detection, field = np.array(spent)[:, :2].T
+    middle, late = np.median(field), np.percentile(field, 99)
+    what = f"frame to field, {what}"
     return [
-        {
-            **dict(zip(keys, values, strict=True)),
-            "frames": len(group),
-            "index_right": float(np.mean([row["wrong_index"] == 0 for row in group])),
-            "nodes_placed": float(np.mean([row["nodes"] for row in group])) / MARKERS**2,
-            "place_rms_um": float(np.sqrt(np.mean([row["place_um2"] for row in group]))),
-            "moved_rms_um": float(np.sqrt(np.mean([row["moved_um2"] for row in group]))),
-            "moved_p95_um": float(np.median([row["moved_p95_um"] for row in group])),
-            **{
-                f"{name}_rms_um": float(np.sqrt(np.mean([row[f"{name}_um2"] for row in group])))
-                for name in ("raw_place", "raw_moved")
-            },
-            **{
-                name: float(np.mean([row[name] for row in group]))
-                for name in ("within_2", "raw_within_2")
-            },
-            "ms": float(np.median([row["ms"] for row in group])),
-        }
-        for values, group in groups.items()
+        (what, case, len(field), middle / np.median(detection), "times", goal),
+        (what, case, len(field), middle, "ms", ""),
+        (f"{what}, 99 %", case, len(field), late / np.median(detection), "times", ""),
     ]
 
 
-# the time of the numbering
+def from_a_file(film: Film) -> Row:
+    """Measure a film of MJPG with `cmp-cl run`; return its frames a second."""
+    import av
 
-NUMBERED = 44  # corners a side, in 640 x 480
-STREAMS = {"whole": (0.0, 0.1, 0.2, 0.3, 0.4, 0.5), "torn": (0.6, 0.75, 0.9, 1.0)}  # severities
-
-
-def numbering(device: Device, rounds: int) -> list[dict[str, Any]]:
-    """Measure the time of `detector.grid` after the detection, in both forms, one frame after
-    another.
-
-    The frames of a press come in another order in every round. Those of the first stream show
-    every corner to the detector, those of the second leave some to the second look.
-    """
-    scene = random_scene(
-        FIRST_SEED, markers=NUMBERED, indenter=Indenter.TORUS, mode=Mode.TWIST, severity=1.0
-    )
-    config = DetectorConfig()
-    shape = (NUMBERED, NUMBERED)
-    rows: list[dict[str, Any]] = []
-    with Detector(shape=scene.shape, config=config, device=device) as detector:
-        rest = detector.grid(render(scene.at_rest()).image, shape=shape)[1]
-        for stream, severities in STREAMS.items():
-            shots = [render(dataclasses.replace(scene, severity=level)) for level in severities]
-            frames = [(shot, detector(shot.image)) for shot in shots]
-            for form in ("shape", "like"):
-                wanted: dict[str, Any] = {"shape": shape} if form == "shape" else {"like": rest}
-                draw = np.random.default_rng(0)
-                spent, wrong = [], 0
-                for turn in range(rounds + 1):  # the first is not counted
-                    for number in draw.permutation(len(frames)).tolist():
-                        shot, corners = frames[number]
-                        start = time.perf_counter()
-                        grid = build_grid(corners, shot.image, **wanted)
-                        ms = (time.perf_counter() - start) * 1e3
-                        if turn:
-                            spent.append(ms)
-                            wrong += wrongly_numbered(grid, shot)
-                rows.append(
-                    {
-                        "stream": stream,
-                        "severities": severities,
-                        "form": form,
-                        "frames": len(spent),
-                        "corners": float(np.mean([len(corners) for _, corners in frames])),
-                        "wrong_index": wrong,
-                        "ms": float(np.median(spent)),
-                        "ms_p95": float(np.percentile(spent, 95)),
-                    }
-                )
-    return rows
-
-
-# boards
-
-
-def with_lines(config: Callable[[float], DetectorConfig]) -> Callable[[float], DetectorConfig]:
-    return lambda cell: config(cell).replace(refinement=EdgeLines())
-
-
-BOARD_CONFIGS: dict[str, Callable[[float], DetectorConfig]] = {
-    "EDGE_LINES": with_lines(DetectorConfig.for_cell),
-    "EDGE_STEP": DetectorConfig.for_cell,
-}
-
-
-def board(path: Path, shape: tuple[int, int], config: Callable[[float], DetectorConfig]) -> Grid:
-    view = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    device = select_device()
-    cell, _ = find_pattern(view, shape=shape, device=device)
-    with Detector(shape=view.shape, config=config(cell), device=device) as detector:
-        return detector.grid(view, shape=shape)[1]
-
-
-def pairs(folder: Path, count: int, shape: tuple[int, int], config: Any) -> list[tuple[Grid, Grid]]:
-    found = []
-    for number in range(1, count + 1):
-        left = board(folder / f"left{number:02}.jpg", shape, config)
-        found.append(
-            (left, align_views(left, board(folder / f"right{number:02}.jpg", shape, config)))
-        )
-    return found
-
-
-def boards() -> list[dict[str, Any]]:
-    """Measure squares with the published rig, and on boards that the calibration has not seen."""
-    rows: list[dict[str, Any]] = []
-    published = DATA / "stereo_bumblebee2"
-    own = DATA / "stereo_opencv"
-    for name, config in BOARD_CONFIGS.items():
-        if published.is_dir():
-            rig = published_rig(published / "stereo.yaml")
-            views = pairs(published, 4, (6, 4), config)
-            for kind, chosen in (("", views), (", filtered", [*map(lattice_filtered, views)])):
-                sides = [square_sides(rig.triangulate(*pair)) for pair in chosen]
-                row = {"set": "bumblebee2", "config": name + kind, "true": 30.0}
-                rows.append(row | spread(sides))
-        if own.is_dir():
-            views = pairs(own, 5, (6, 9), config)
-            rows.append({"set": "opencv", "config": name, "true": 25.0, **left_out(views)})
-            if "STEP" in name:
-                smooth = [lattice_filtered(pair) for pair in views]
-                row = {"set": "opencv", "config": f"{name}, filtered", "true": 25.0}
-                rows.append(row | left_out(smooth))
-                row = {"set": "opencv", "config": f"{name}, filtered, free board", "true": 25.0}
-                rows.append(row | left_out(smooth, free_board=True))
-                sure = [
-                    (trusted(left, MAX_SIGMA), trusted(right, MAX_SIGMA)) for left, right in views
-                ]
-                name = f"{name}, filtered, sigma <= {MAX_SIGMA:g} px"
-                rows.append({"set": "opencv", "config": name, "true": 25.0, **left_out(sure)})
-    return rows
-
-
-def lattice_filtered(pair: tuple[Grid, Grid]) -> tuple[Grid, Grid]:
-    left, right = (filter_positions(grid)[0] for grid in pair)
-    return left, right
-
-
-def left_out(views: Sequence[tuple[Grid, Grid]], *, free_board: bool = False) -> dict[str, Any]:
-    """Measure each pair with the calibration of the others.
-
-    With a free board each side is also compared with the same side of the board that the others
-    found, whose sides are 25 mm long on average: `repeated` is the deviation from it, `board` that
-    of its own sides.
-    """
-    lengths, off, boards = [], [], []
-    for out, pair in enumerate(views):
-        others = [view for place, view in enumerate(views) if place != out]
-        found = calibrated(others, free_board=free_board)
-        half_turn = 2 if pair[0].parity != others[0][0].parity else 0
-        points = found.rig().triangulate(*(grid.turned(half_turn) for grid in pair))
-        lengths.append(square_sides(points))
-        if found.board is not None:
-            boards.append(every_side(found.board))
-            off.append(every_side(points.xyz) - boards[-1])
-    error = calibrated(views, free_board=free_board).error
-    row = {"calibration_error_px": error, **spread(lengths)}
-    if free_board:
-        row["repeated"], row["board"] = (float(np.nanstd(each)) for each in (off, boards))
-    return row
-
-
-def calibrated(views: Sequence[tuple[Grid, Grid]], *, free_board: bool) -> Calibration:
-    left, right = zip(*views, strict=True)
-    sizes = {"left": (640, 480), "right": (640, 480)}
-    return calibrate({"left": left, "right": right}, spacing=25, sizes=sizes, free_board=free_board)
-
-
-def every_side(xyz: np.ndarray) -> np.ndarray:
-    return np.concatenate([each.ravel() for each in sides(xyz)])
-
-
-def spread(sides: Sequence[np.ndarray]) -> dict[str, Any]:
-    every = np.concatenate(sides)
-    return {
-        "sides": len(every),
-        "mean": float(every.mean()),
-        "deviation": float(every.std()),
-        "pair_means": [float(part.mean()) for part in sides],
-        "pair_deviations": [float(part.std()) for part in sides],
-    }
-
-
-def published_rig(path: Path) -> StereoRig:
-    sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
-    from stereo_data import bumblebee_rig
-
-    return bumblebee_rig(path)
-
-
-def show(result: dict[str, Any]) -> None:
-    """Print the summary."""
-    print("\nboth views of 40 x 40 corners, RMS errors in space, um")
-    print(
-        f"{'settings':30}{'severity':>9}{'frames':>8}{'index right':>13}{'placed':>8}"
-        f"{'position':>10}{'raw':>7}{'displacement':>14}{'raw':>7}"
-        f"{'within 2':>9}{'raw':>6}{'ms':>7}"
-    )
-    for row in result["by_severity"]:
-        print(
-            f"{row['config']:30}{row['severity']:9}{row['frames']:8}{row['index_right']:13.0%}"
-            f"{row['nodes_placed']:8.2%}{row['place_rms_um']:10.1f}{row['raw_place_rms_um']:7.1f}"
-            f"{row['moved_rms_um']:14.1f}{row['raw_moved_rms_um']:7.1f}"
-            f"{row['within_2']:9.0%}{row['raw_within_2']:6.0%}"
-            f"{row['ms']:7.0f}"
-        )
-    for row in result["numbering"]:
-        print(
-            f"numbering, {row['form'] + '=':7}{row['stream']:6}{row['corners']:7.0f} corners: "
-            f"median {row['ms']:.2f} ms, 95 % {row['ms_p95']:.2f} ms, "
-            f"{row['wrong_index']} wrong in {row['frames']} frames"
-        )
-    for run in result["orders"]:
-        print(
-            f"seed {run['seed']}: {run['same_bytes']} of {len(run['order'])} frames gave the same "
-            "bytes in another order"
-        )
-    for row in result["boards"]:
-        error = row.get("calibration_error_px")
-        told = "published calibration" if error is None else f"reprojection error {error:.3f} px"
-        print(
-            f"{row['set']:11}{row['config']:44}{row['mean']:8.3f} +- {row['deviation']:.3f} mm of "
-            f"{row['true']:g}, {told}{free_board_figures(row)}"
-        )
-    if not result["boards"]:
-        print(f"left out: no photographs in {DATA}")
-
-
-def free_board_figures(row: dict[str, Any]) -> str:
-    if "board" not in row:
-        return ""
-    return (
-        f"; {row['repeated']:.3f} from the board of the others, whose sides vary {row['board']:.3f}"
-    )
+    order = [0, *to_and_fro(len(film), FILE_FRAMES)][:FILE_FRAMES]
+    with tempfile.TemporaryDirectory() as folder:
+        RIG.save(Path(folder, "rig.yaml"))
+        with av.open(str(Path(folder, "film.avi")), "w") as container:
+            stream = container.add_stream("mjpeg", rate=100)
+            stream.height, stream.width = film[0].frame.shape
+            stream.pix_fmt, stream.codec_context.qmax = "yuvj420p", 4
+            for number in order:
+                picture = av.VideoFrame.from_ndarray(film[number].frame, "gray")
+                container.mux(stream.encode(picture.reformat(format="yuvj420p")))
+            container.mux(stream.encode())
+        command = [sys.executable, "-m", "cmp_cl", "run", "film.avi", "--stereo", "rig.yaml"]
+        command += ["--grid", f"{MARKERS}x{MARKERS}", "--out", "film.h5"]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    rate, limit = re.search(r"([\d.]+) frames a second, (limited by \w+)", done.stdout).groups()
+    case = f"two views, to .h5, {limit}"
+    return "cmp-cl run from MJPG", case, FILE_FRAMES, float(rate), "1/s", "at least 100"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = parser_of(__doc__, quick="about a minute")
-    parser.add_argument("--seeds", type=int, default=2, help="presses of each kind; default: 2")
-    arguments = parser.parse_args(argv)
-    around, device = environment(), select_device()
-    print(f"{around['device']}, driver {around['driver']}, commit {around['commit']}")
-    cases = [(kind, mode, severity) for kind in OBJECTS for mode in Mode for severity in SEVERITIES]
-    seeds = range(FIRST_SEED, FIRST_SEED + arguments.seeds)
-    if arguments.quick:
-        cases = [(Indenter.TORUS, Mode.TWIST, 1.0), (Indenter.CUBE, Mode.PRESS, 0.5)]
-        seeds = seeds[:1]
-    numbered = numbering(device, 5 if arguments.quick else 30)  # as in a process of its own
-    rows: list[dict[str, Any]] = []
-    orders = []
-    with Progress(len(cases) * len(seeds), "pairs") as progress:
-        for seed in seeds:
-            scenes = [scene_of(seed, *case) for case in cases]
-            answers, order = of_seed(seed, scenes, device, progress)
-            rows += answers
-            orders.append(order)
-    result = {
-        "kind": "field",
-        "environment": around,
-        "view": VIEW,
-        "markers": MARKERS,
-        "seeds": list(seeds),
-        "configs": {name: dataclasses.asdict(config) for name, config in CONFIGS.items()},
-        "by_severity": grouped(rows, "config", "severity"),
-        "by_case": grouped(rows, "config", "object", "mode", "severity"),
-        "frames": rows,
-        "orders": orders,
-        "numbering": numbered,
-        "boards": boards(),
-    }
-    show(result)
-    write_result(result, arguments.out, quick=arguments.quick)
+    arguments = parser_of(__doc__, quick="two minutes").parse_args(argv)
+    made = films(1 if arguments.quick else 6)
+    presses = [film for film in made if len(film) > len(STEPS)]
+    rows = times(presses[:3], 1 if arguments.quick else 6)
+    rows.append(from_a_file(presses[0]))
+    rows += errors(made)
+    for what, case, frames, value, unit, goal in rows:
+        print(f"{what:34}{case:40}{frames:6} frames {value:9.3g} {unit:6}{goal}")
+    if not arguments.quick or arguments.out:
+        table = [dict(zip(COLUMNS, row, strict=True)) for row in rows]
+        write_table("field", table, arguments.out)
     return 0
 
 
