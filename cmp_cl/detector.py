@@ -345,7 +345,8 @@ class Detector(Closing):
 
     def _lattice_of(self, plan: Plan) -> LatticePlan:
         """Return the plan that numbers the corners of this one where they are."""
-        if self._lattice is None or self._lattice.corners_of != plan.arrays["result"]:
+        # By identity: a new buffer may have the address of one that was released.
+        if self._lattice is None or self._lattice.corners_of is not plan.arrays["result"]:
             self._lattice = LatticePlan.of(plan, self._programs)
         return self._lattice
 
