@@ -4,10 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from lattices import board
 
 from cmp_cl.errors import GridError
-from cmp_cl.grid import Grid, NodeStatus, build_grid
+from cmp_cl.grid import Grid, NodeStatus
 from cmp_cl.grid.grid import Rival
 from cmp_cl.grid.markers import profiles, refine_markers
 from cmp_cl.opencl.device import select_device
@@ -26,8 +25,13 @@ def grid_at(xy: np.ndarray, parity: int = 0) -> Grid:
     )
 
 
+def regular(rows: int, columns: int) -> Grid:
+    row, column = np.mgrid[:rows, :columns] * 10.0
+    return grid_at(np.stack([column + 0.1 * row, row], axis=2))
+
+
 def test_three_markers_on_each_edge_give_the_papers_count_and_density():
-    grid = build_grid(board(40, 40).corners)
+    grid = regular(40, 40)
     dense = grid.with_virtual_markers(3)
     assert dense.valid.sum() == 1600 + 3 * 2 * 40 * 39
     assert round(dense.valid.sum() / 32**2, 1) == 10.7  # per mm^2, on 32 mm
@@ -36,24 +40,21 @@ def test_three_markers_on_each_edge_give_the_papers_count_and_density():
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5])
 def test_nodes_stay_where_they_are_and_markers_divide_the_edges(count):
-    corners, _, _ = board(6, 9)
-    grid = build_grid(corners)
+    grid = regular(6, 9)
     dense = grid.with_virtual_markers(count)
     times = count + 1
     assert dense.shape == (5 * times + 1, 8 * times + 1)
     np.testing.assert_array_equal(dense.xy[::times, ::times], grid.xy)
     np.testing.assert_array_equal(dense.status[::times, ::times], grid.status)
     np.testing.assert_array_equal(dense.sigma[::times, ::times], grid.sigma)
-    np.testing.assert_array_equal(dense.xy[tuple(dense.index.T)], corners.xy)
+    np.testing.assert_array_equal(dense.xy[tuple(dense.index.T)], grid.xy.reshape(-1, 2))
     assert np.isnan(dense.sigma[dense.status == NodeStatus.VIRTUAL]).all()
     row, column = np.indices(dense.shape)
     np.testing.assert_array_equal(dense.valid, (row % times == 0) | (column % times == 0))
 
 
 def test_numbers_and_doubts_of_the_nodes_remain():
-    grid = dataclasses.replace(
-        build_grid(board(6, 9).corners), origin=(-2, 1), confidence=0.0, rival=Rival(1, -1)
-    )
+    grid = dataclasses.replace(regular(6, 9), origin=(-2, 1), confidence=0.0, rival=Rival(1, -1))
     dense = grid.with_virtual_markers(3)
     assert dense.origin == (-8, 4)
     assert dense.ambiguous
@@ -99,7 +100,12 @@ def test_grids_of_a_line_or_less_get_markers_too(shape):
 @pytest.mark.parametrize("count", [0, -1, 1.5, True])
 def test_a_count_below_one_is_refused(count):
     with pytest.raises(GridError, match="at least 1"):
-        build_grid(board(4, 4).corners).with_virtual_markers(count)
+        regular(4, 4).with_virtual_markers(count)
+
+
+def test_more_markers_than_a_grid_may_have_nodes_are_refused():
+    with pytest.raises(GridError, match="nodes"):
+        regular(4, 4).with_virtual_markers(100_000)
 
 
 def checkerboard(dtype: type, parity: int) -> tuple[np.ndarray, Grid]:

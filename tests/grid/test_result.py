@@ -1,4 +1,4 @@
-"""A grid kept in a file: what comes back is what was saved, or one line says what is wrong."""
+"""A grid as a result: turned, cut, aligned with another, printed, and kept in a file."""
 
 import dataclasses
 import math
@@ -6,9 +6,10 @@ import math
 import numpy as np
 import pytest
 from lattices import drawn
+from scenes import board, corners_of
 
-from cmp_cl import Grid, GridError, build_grid, detect
-from cmp_cl.grid import Rival, Sides
+from cmp_cl import ConfigError, Grid, GridError, build_grid, detect
+from cmp_cl.grid import Rival, Sides, align
 
 
 @pytest.fixture(scope="module")
@@ -89,3 +90,57 @@ def test_what_is_no_npz_is_refused_and_what_is_missing_is_not_found(grid, tmp_pa
         grid.save(tmp_path / "rest.csv")
     with pytest.raises(FileNotFoundError, match="there is no folder"):
         grid.save(tmp_path / "nowhere" / "rest.npz")
+
+
+@pytest.mark.parametrize("quarters", [0, 1, 2, 3, 4, -1])
+def test_a_turned_grid_has_the_same_nodes_and_turning_back_gives_the_grid(grid, quarters):
+    grid = dataclasses.replace(grid, border=Sides(top=True), seen_shape=(7, 9))
+    other = grid.turned(quarters)
+    np.testing.assert_array_equal(other.xy, np.rot90(grid.xy, quarters))
+    known = other.index[:, 0] >= 0
+    one, same = other.xy[tuple(other.index[known].T)], grid.xy[tuple(grid.index[known].T)]
+    np.testing.assert_array_equal(one, same)
+    side = (Sides(top=True), Sides(left=True), Sides(bottom=True), Sides(right=True))
+    assert other.border == side[quarters % 4]
+    back = other.turned(-quarters)
+    for name in ("xy", "status", "sigma", "index"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(grid, name))
+    for name in ("parity", "border", "seen_shape", "reach"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(grid, name))
+
+
+def test_a_grid_cut_to_another_has_its_numbers(grid):
+    rest = dataclasses.replace(grid, origin=(2, -1))
+    cut = grid.cut_to(rest)
+    assert (cut.shape, cut.origin) == (grid.shape, rest.origin)
+    np.testing.assert_array_equal(cut.xy[:4, 1:], grid.xy[2:, :8])
+    assert not cut.valid[4:].any()
+    assert not cut.valid[:, 0].any()
+    assert not grid.covers(rest)
+    assert grid.covers(dataclasses.replace(rest, xy=rest.xy[:4, 1:], origin=(2, 0)))
+    known = cut.index[:, 0] >= 0
+    np.testing.assert_array_equal(cut.index[known], grid.index[known] - [2, -1])
+    assert known.sum() == cut.valid.sum() == 32
+    np.testing.assert_array_equal(cut.cut_to(grid).xy[2:, :8], grid.xy[2:, :8])
+
+
+def test_views_of_a_board_are_numbered_alike_whichever_way_the_cameras_are_turned():
+    views = [board(number) for number in range(4)]
+    grids = align([build_grid(corners_of(view), view.image) for view in views])
+    for view, grid in zip(views, grids, strict=True):
+        away = np.linalg.norm(grid.xy - view.corners[:, :2].reshape(6, 9, 2), axis=2)
+        turned = np.linalg.norm(grid.turned(2).xy - view.corners[:, :2].reshape(6, 9, 2), axis=2)
+        assert min(away.max(), turned.max()) < 0.5
+        assert (away.max() < 0.5) == (grids[0].xy[0, 0, 0] < grids[0].xy[0, 8, 0])
+    with pytest.raises(GridError, match="numbered alike"):
+        align([grids[0], grids[0].cut_to(dataclasses.replace(grids[0], xy=grids[0].xy[:5]))])
+
+
+def test_a_grid_says_in_one_line_what_it_is_and_gives_opencv_its_points(grid):
+    assert repr(grid) == "<Grid of 6 x 9 nodes: 54 detected>"
+    nodes, points = grid.to_opencv(2.5)
+    assert nodes.shape == (54, 1, 3)
+    np.testing.assert_array_equal(nodes[-1, 0], [8 * 2.5, 5 * 2.5, 0])
+    np.testing.assert_array_equal(points[-1, 0], grid.xy[5, 8])
+    with pytest.raises(ConfigError, match="spacing"):
+        grid.to_opencv(0)

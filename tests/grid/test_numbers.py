@@ -1,0 +1,567 @@
+"""What a grid promises: every number is right or the grid says so, in any orientation and order."""
+
+import contextlib
+import functools
+import json
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scenes import (
+    BOARD,
+    SCENES,
+    SIZE,
+    Camera,
+    View,
+    board,
+    corners_of,
+    cut,
+    drawn,
+    endless,
+    fisheye,
+    gravel,
+    mirrored,
+    plane,
+    rendered,
+    reordered,
+    scored,
+    squares,
+    turned,
+)
+
+from cmp_cl import Corners, Detector, Grid, GridError, ImageError, NodeStatus, build_grid, detect
+from cmp_cl import number as number_points
+from cmp_cl.grid import build_grids
+from cmp_cl.synthetic import Indenter, random_scene
+
+DATA = Path(__file__).parents[3] / "shared" / "data"
+
+
+@functools.cache
+def seen(name: str) -> tuple[View, Corners]:
+    """Return the view of a scene, and its corners."""
+    view = SCENES[name].view()
+    return view, corners_of(view)
+
+
+def grid_of(view: View, **given: object) -> Grid:
+    return build_grid(corners_of(view), view.image, **given)
+
+
+def assert_right_or_told(grid: Grid, view: View, known: str = "") -> None:
+    """Assert that every measured node is a corner with its number, or the grid has a doubt."""
+    assert grid.doubts or scored(grid, view, known=known).clean, scored(grid, view, known=known)
+
+
+# one view
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(
+            name, marks=[pytest.mark.xfail(strict=True, reason=case.xfail)] * bool(case.xfail)
+        )
+        for name, case in SCENES.items()
+    ],
+)
+def test_every_number_is_right_or_the_grid_says_so(name):
+    view, corners = seen(name)
+    grid = build_grid(corners, view.image)
+    score = scored(grid, view)
+    assert score.share >= SCENES[name].share, score
+    assert score.wrong == 0, score
+    assert score.false <= SCENES[name].false, score
+
+
+@pytest.mark.parametrize("name", ["gel, severity 1.5", "board", "gel, cut at left", "16 bits"])
+def test_a_grid_says_where_its_corners_are(name):
+    view, corners = seen(name)
+    grid = build_grid(corners, view.image)
+    row, column = np.nonzero(grid.status == NodeStatus.DETECTED)
+    owner = np.full(grid.shape, -1)
+    known = grid.index[:, 0] >= 0
+    owner[tuple(grid.index[known].T)] = np.flatnonzero(known)
+    np.testing.assert_array_equal(grid.xy[row, column], corners.xy[owner[row, column]])
+    np.testing.assert_array_equal(grid.status == NodeStatus.MISSING, ~grid.valid)
+    middle = (grid.xy[:-1, :-1] + grid.xy[1:, 1:]) / 2
+    at = np.argwhere(~np.isnan(middle[..., 0]))
+    x, y = np.rint(middle[tuple(at.T)]).T.astype(int)
+    bright = view.image[y, x] > np.median(view.image[y, x])
+    assert np.mean(bright == ((at.sum(axis=1) + grid.parity) % 2 == 1)) > 0.95
+    assert np.nanmedian(grid.sigma[row, column]) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "border"),
+    [
+        ("gel, severity 1.0", (1, 1, 1, 1)),
+        ("board", (1, 1, 1, 1)),
+        ("board before bars, 0", (1, 1, 1, 1)),
+        ("board, cut at left", (1, 1, 0, 1)),
+        ("gel, cut at top", (0, 1, 1, 1)),
+        ("gel, cut at all sides", (0, 0, 0, 0)),
+        ("endless, turned", (0, 0, 0, 0)),
+    ],
+)
+def test_the_sides_on_which_a_pattern_ends_are_known(name, border):
+    view, corners = seen(name)
+    assert build_grid(corners, view.image).border == border
+
+
+@pytest.mark.parametrize("name", ["gel, severity 1.0", "board, cut at left", "torn gel 62"])
+@pytest.mark.parametrize("change", [1, 2, 3, "mirrored"])
+def test_a_turned_or_mirrored_image_has_the_same_nodes(name, change):
+    view, corners = seen(name)
+    grid = build_grid(corners, view.image)
+    other = mirrored(view) if change == "mirrored" else turned(view, change)
+    again = grid_of(other)
+    xy = grid.xy.astype(np.float64)
+    if change == "mirrored":
+        xy[..., 0] = view.image.shape[1] - 1 - xy[..., 0]
+        xy = xy[:, ::-1]
+    else:
+        moved = View(view.image, np.concatenate([xy, xy], axis=2).reshape(-1, 4), (0, 0), 1)
+        xy = np.rot90(turned(moved, change).corners[:, :2].reshape(xy.shape), change)
+    assert again.shape == xy.shape[:2]  # row 0 is at the top of either image
+    both = ~np.isnan(xy[..., 0]) & again.valid
+    assert both.sum() >= 0.995 * grid.valid.sum()
+    torn = "torn" in name
+    assert np.quantile(np.abs(again.xy - xy)[both], 0.98 if torn else 1) < (0.2 if torn else 0.02)
+
+
+@pytest.mark.parametrize("name", ["gel, severity 1.5", "torn gel 61", "board before blocks, 1"])
+def test_the_order_of_the_corners_changes_no_byte(name):
+    view, corners = seen(name)
+    grid = build_grid(corners, view.image)
+    order = np.random.default_rng(1).permutation(len(corners))
+    again = build_grid(reordered(corners, order), view.image)
+    for field in ("xy", "status", "sigma"):
+        np.testing.assert_array_equal(getattr(again, field), getattr(grid, field))
+    np.testing.assert_array_equal(again.index, grid.index[order])
+    assert again.doubts == grid.doubts
+
+
+def test_12_and_16_bits_get_the_numbers_of_8_bits():
+    whole = grid_of(board(1))
+    for bits in (12, 16):
+        view = board(1, bits=bits)
+        grid = grid_of(view)
+        assert grid.shape == whole.shape
+        assert np.abs(grid.xy - whole.xy).max() < 0.05
+        assert grid.border == whole.border
+
+
+def test_positions_are_nearer_to_the_truth_than_sigma_says_in_most_nodes():
+    for name in ("gel, severity 0.0", "board", "board with dots"):
+        view, corners = seen(name)
+        grid = build_grid(corners, view.image)
+        xy = grid.xy[grid.valid & np.isfinite(grid.sigma)]
+        off = np.linalg.norm(xy[:, None] - view.corners[None, :, :2], axis=2).min(axis=1)
+        assert np.quantile(off, 0.95) < 0.5, name
+
+
+def test_lost_corners_leave_holes_and_false_ones_no_nodes():
+    view, corners = seen("gel, severity 1.0")
+    draw = np.random.default_rng(3)
+    kept = np.flatnonzero(draw.random(len(corners)) > 0.1)
+    some = reordered(corners, kept)
+    false = draw.choice(len(kept), 30, replace=False)
+    some.xy[false] += draw.uniform(4, 5, (30, 2)).astype(np.float32)
+    grid = build_grid(some, view.image)
+    score = scored(grid, view)
+    assert score.wrong == 0
+    assert score.false <= 1
+    assert score.right >= len(kept) - 36
+    assert grid.shape == (24, 24)
+
+
+def test_corners_outside_a_region_belong_to_no_node():
+    view, corners = seen("gel, severity 0.5")
+    grid = build_grid(corners, view.image, region=(150, 0, 400, 160))
+    used = corners.xy[grid.index[:, 0] >= 0]
+    assert (used >= (150, 0)).all()
+    assert (used <= (400, 160)).all()
+    assert len(used) > 100
+    assert scored(grid, view).clean
+
+
+# other patterns in view
+
+
+def two_boards() -> View:
+    """Return a board of 6 x 9 corners beside one of 5 x 4; `corners` are those of the first."""
+    first = drawn(plane(cell=20, middle=(120, 150), about=(4, 2.5), turn=4), SIZE, BOARD)
+    second = drawn(plane(cell=22, middle=(330, 150), about=(1.5, 2), turn=-9), SIZE, (5, 4))
+    image = np.where(np.arange(SIZE[1]) < 250, first.image, second.image)
+    return first._replace(image=image)
+
+
+def test_the_larger_board_is_numbered_and_the_other_is_told_or_given_on_demand():
+    view = two_boards()
+    grid = grid_of(view)
+    assert_right_or_told(grid, view)
+    assert scored(grid, view).right == 54
+    boards = build_grids(corners_of(view), view.image)
+    assert [each.shape for each in boards] == [(6, 9), (5, 4)]
+    owned = np.sum([each.index[:, 0] >= 0 for each in boards], axis=0)
+    assert owned.max() == 1
+    alone = grid_of(view, region=(250, 0, 400, 300))
+    assert alone.shape == (5, 4)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_floor_of_squares_is_not_taken_for_the_board_in_silence(seed):
+    view = board(seed, ground=squares(SIZE, 40 + seed))
+    with contextlib.suppress(GridError):
+        assert_right_or_told(grid_of(view), view)
+    sized = grid_of(view, shape=BOARD)
+    assert scored(sized, view, known="board").right == 54
+    assert not sized.doubts
+
+
+@pytest.mark.parametrize("cell", [18.0, 36.0])
+def test_a_board_of_known_size_before_gravel_is_found(cell):
+    size = (432, 576)
+    camera = plane(cell=cell, middle=(288, 216), about=(4, 2.5), turn=3)
+    view = drawn(camera, size, BOARD, ground=gravel(size, 0), margin=0.4)
+    grid = grid_of(view, shape=BOARD)
+    assert scored(grid, view, known="board").right == 54
+    assert not grid.doubts
+
+
+# a known size
+
+
+@pytest.mark.parametrize("shape", [(6, 9), (9, 6)])
+@pytest.mark.parametrize("number", range(4))
+def test_a_board_of_known_size_has_its_numbers_whichever_way_it_is_asked(number, shape):
+    view = board(number)
+    grid = grid_of(view, shape=shape)
+    assert grid.shape == shape
+    assert scored(grid, view, known="board").right == 54
+    assert not grid.doubts
+
+
+@pytest.mark.parametrize("asked", [(5, 9), (6, 8), (7, 9), (6, 10), (4, 7)])
+def test_a_wrong_size_is_told_where_the_whole_board_is_in_view(asked):
+    view = board(1)
+    grid = grid_of(view, shape=asked)
+    assert grid.doubts
+    rows, columns = asked
+    assert f"looks like 6 x 9 corners; {rows} x {columns} were asked for" in grid.doubts[0]
+    with pytest.raises(GridError, match="looks like 6 x 9"):
+        grid_of(view, shape=asked, strict=True)
+
+
+@pytest.mark.parametrize("side", range(4))
+@pytest.mark.parametrize("number", range(3))
+def test_a_board_that_is_cut_at_a_side_has_the_numbers_of_the_whole_or_says_so(number, side):
+    view = turned(cut(turned(board(number), side), (0.45, 0, 1, 1)), -side)
+    assert_right_or_told(grid_of(view, shape=BOARD), view, "board")
+
+
+def test_a_view_without_a_border_does_not_say_which_part_of_a_board_it_is():
+    view = cut(board(0, ground=205.0), (0.35, 0.35, 0.7, 0.7))
+    grid = grid_of(view, shape=BOARD)
+    assert grid.shape == BOARD
+    assert grid.ambiguous
+    assert "ambiguous" in grid.doubts[0]
+
+
+LOST = pytest.mark.xfail(strict=True, reason="nodes at the rim are lost, or another board is seen")
+RIM = [
+    (2.0, (0, 0), (0, 0)),
+    (1.6, (0.35, 0), (0, 0)),
+    pytest.param(1.8, (0.4, 0.4), (0, 0), marks=LOST),
+    pytest.param(1.8, (-0.5, 0.3), (0, 0), marks=LOST),
+    pytest.param(2.0, (0.5, -0.5), (0.5, 0), marks=LOST),
+]
+
+
+def at_the_rim(far: float, tilt: tuple[float, float], aside: tuple[float, float]) -> Camera:
+    """Return a fisheye close to a board of 6 x 8 corners."""
+    return fisheye(180.0, (*tilt, 0.0), np.array([*aside, far]), (3.5, 2.5), (480, 640))
+
+
+@pytest.mark.parametrize(("far", "tilt", "aside"), RIM)
+def test_a_board_close_to_a_fisheye_keeps_all_corners_that_are_found(far, tilt, aside):
+    view = drawn(at_the_rim(far, tilt, aside), (480, 640), (6, 8), margin=-0.3, noise=1.5)
+    corners = corners_of(view)
+    away = np.linalg.norm(corners.xy[:, None] - view.corners[:, :2], axis=2).min(axis=0)
+    grid = build_grid(corners, view.image, shape=(6, 8))
+    score = scored(grid, view, known="board")
+    assert score.right >= np.count_nonzero(away < 1.5), score
+    assert score.clean
+    assert not grid.doubts
+
+
+# like a grid at rest
+
+
+TURNED = pytest.mark.xfail(strict=True, reason="a whole board is numbered by its least motion")
+
+
+@pytest.mark.parametrize(
+    "number", [1, 2, pytest.param(3, marks=TURNED), pytest.param(4, marks=TURNED)]
+)
+def test_a_whole_board_that_a_hand_moved_has_its_numbers_at_rest(number):
+    rest, view = board(0), board(number)
+    at_rest = grid_of(rest, shape=BOARD)
+    grid = grid_of(view, like=at_rest)
+    assert scored(grid, view, known="board").right == 54
+    assert not grid.doubts
+
+
+FRAMES = [44, 45, pytest.param(46, marks=TURNED), 47]
+
+
+def pose(frame: int) -> Camera:
+    """Return a fisheye before a board that a hand holds anywhere and any way round."""
+    draw = np.random.default_rng(frame)
+    lean = draw.uniform(-0.7, 0.7, 2)
+    turn = draw.uniform(-np.pi, np.pi)
+    far = draw.uniform(10, 14)
+    place = np.array([*draw.uniform(-0.25, 0.25, 2) * far, far])
+    one, other = (_matrix(each) for each in ((*lean, 0), (0, 0, turn)))
+    return fisheye(336.0, _vector(one @ other), place, (4, 2.5), (480, 640))
+
+
+def _matrix(vector: tuple[float, ...]) -> np.ndarray:
+    return cv2.Rodrigues(np.array(vector, np.float64))[0]
+
+
+def _vector(matrix: np.ndarray) -> np.ndarray:
+    return cv2.Rodrigues(matrix)[0].ravel()
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_a_whole_board_before_a_fisheye_has_the_same_nodes_like_the_rest_as_by_its_size(frame):
+    straight = fisheye(336.0, (0, 0, 0), np.array([2.0, -1.0, 13.0]), (4, 2.5), (480, 640))
+    rest, view = (drawn(camera, (480, 640), BOARD) for camera in (straight, pose(frame)))
+    at_rest = grid_of(rest, shape=BOARD)
+    sized, liked = grid_of(view, shape=BOARD), grid_of(view, like=at_rest)
+    assert scored(sized, view, known="board").right == 54
+    assert scored(liked, view, known="board").right == 54
+    assert not liked.ambiguous
+
+
+@pytest.mark.parametrize("severity", [0.5, 1.5, 2.0])
+def test_a_pressed_gel_has_its_numbers_at_rest(severity):
+    scene = random_scene(81, markers=24, shape=SIZE, severity=severity, indenter=Indenter.TORUS)
+    rest, view = rendered(scene.at_rest()), rendered(scene)
+    at_rest = grid_of(rest)
+    offset = _truth_at_rest(at_rest, rest)
+    grid = grid_of(view, like=at_rest)
+    moved = view._replace(corners=view.corners - offset)
+    assert_right_or_told(grid, moved, "truth")
+    assert scored(grid, moved, known="truth").share > 0.97
+
+
+def _truth_at_rest(grid: Grid, view: View) -> np.ndarray:
+    """Return (0, 0, rows, columns): the number of the true node that grid's node (0, 0) is."""
+    first = np.argwhere(grid.valid)[0]
+    away = np.linalg.norm(view.corners[:, :2] - grid.xy[tuple(first)], axis=1)
+    return np.array([0, 0, *(view.corners[away.argmin(), 2:] - first)])
+
+
+SHIFTS = [(0, 0), (0.3, 0), (0, -0.45), (0.5, 0.5), (1, 1), (2, 0), (1.3, -0.6), (3, 1)]
+
+
+@pytest.mark.parametrize("wear", [0.0, 0.03])
+@pytest.mark.parametrize("shift", SHIFTS)
+def test_an_open_pattern_is_never_numbered_wrongly_in_silence(shift, wear):
+    rest, view = (
+        endless(number, middle=(200 + 12 * x, 150 + 12 * y), wear=wear)
+        for number, (x, y) in enumerate([(0, 0), shift])
+    )
+    at_rest = grid_of(rest)
+    view = view._replace(corners=view.corners - _truth_at_rest(at_rest, rest))
+    grid = grid_of(view, like=at_rest)
+    score = scored(grid, view, known="truth")
+    assert grid.ambiguous or score.clean, (score, grid.confidence)
+    if score.wrong and grid.rival is not None and grid.rival.quarters == 0:
+        assert grid.doubts[0].startswith("the numbers are ambiguous")
+    if wear:
+        assert not grid.ambiguous
+        assert score.share > 0.99
+
+
+@pytest.mark.parametrize("moved", [{"turn": 12.0}, {"cell": 11.2}, {"cell": 12.9, "turn": -3.0}])
+def test_an_open_pattern_that_turned_or_came_nearer_keeps_its_numbers(moved):
+    rest, view = endless(0), endless(1, **moved)
+    at_rest = grid_of(rest)
+    view = view._replace(corners=view.corners - _truth_at_rest(at_rest, rest))
+    grid = grid_of(view, like=at_rest)
+    assert grid.ambiguous or scored(grid, view, known="truth").clean
+    assert scored(grid, view, known="truth").share > 0.97
+
+
+def test_a_film_of_an_open_pattern_is_followed_over_any_distance():
+    at_rest = before = None
+    for step in range(14):
+        shift = 0.35 * step
+        view = endless(
+            step,
+            wear=0.0,
+            middle=(200 + 12 * shift, 150 - 5 * shift),
+            cell=12 + 0.1 * (step % 5),
+            turn=4 + 1.5 * step,
+        )
+        if before is None:
+            at_rest = before = grid_of(view)
+            offset = _truth_at_rest(at_rest, view)
+            continue
+        grid = grid_of(view, like=at_rest, previous=before)
+        score = scored(grid, view._replace(corners=view.corners - offset), known="truth")
+        assert not grid.ambiguous
+        assert score.clean
+        assert score.share > 0.97
+        before = grid
+
+
+def test_a_jump_between_frames_is_ambiguous_and_so_is_what_follows_it():
+    rest, far = endless(0, wear=0.0), endless(1, wear=0.0, middle=(211.4, 150.0))
+    at_rest = grid_of(rest)
+    near = grid_of(endless(2, wear=0.0, middle=(203.0, 150.0)), like=at_rest, previous=at_rest)
+    assert not near.ambiguous
+    jumped = grid_of(far, like=at_rest, previous=near)
+    after = grid_of(far, like=at_rest, previous=jumped)
+    assert jumped.ambiguous
+    assert after.ambiguous
+
+
+# what cannot be numbered
+
+
+def stripes() -> np.ndarray:
+    y, x = np.indices(SIZE)
+    return np.where((x * 0.8 + y * 0.3) // 6 % 2 == 0, 30, 220).astype(np.uint8)
+
+
+def noise() -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 256, SIZE).astype(np.uint8)
+
+
+@pytest.mark.parametrize("image", [noise(), stripes(), np.zeros(SIZE, np.uint8)])
+def test_an_image_without_a_pattern_has_no_nodes_in_silence(image):
+    corners = detect(image)
+    start = time.perf_counter()
+    with contextlib.suppress(GridError):
+        grid = build_grid(corners, image)
+        assert grid.valid.sum() < 12 or grid.doubts
+    assert time.perf_counter() - start < 5
+
+
+def test_few_corners_give_an_empty_grid_or_that_of_the_known_size():
+    view, corners = seen("board")
+    for few in ([], [0], [0, 1, 2]):
+        some = reordered(corners, np.array(few, np.int64))
+        grid = build_grid(some, view.image)
+        assert grid.shape == (0, 0)
+        assert grid.index.shape == (len(few), 2)
+        assert (grid.index == -1).all()
+        known = build_grid(some, view.image, shape=BOARD)
+        assert known.shape == BOARD
+        assert not known.valid.any()
+
+
+def test_requests_that_make_no_sense_are_refused_in_one_line():
+    view, corners = seen("board")
+    rest = build_grid(corners, view.image)
+    empty = build_grid(reordered(corners, np.arange(2)), view.image)
+    other = build_grid(*seen("board, cut at left")[::-1][:1], seen("board, cut at left")[0].image)
+    nan, blind = (reordered(corners, np.arange(len(corners))) for _ in range(2))
+    nan.xy[3, 1] = np.nan
+    blind.edges[:] = np.nan
+    for said, kind, given in [
+        ("shape must be", GridError, {"shape": (0, 6)}),
+        ("shape must be", GridError, {"shape": "66"}),
+        ("has (6, 9)", GridError, {"shape": (5, 6), "like": rest}),
+        ("region must be", GridError, {"region": (50, 0, 40, 10)}),
+        ("region must be", GridError, {"region": "left"}),
+        ("like must be of type Grid", GridError, {"like": corners}),
+        ("no nodes", GridError, {"like": empty}),
+        ("needs the grid at rest", GridError, {"previous": rest}),
+        ("corners must be of type Corners", GridError, {"corners": corners.xy}),
+        ("no edge angles", GridError, {"corners": blind}),
+        ("finite", GridError, {"corners": nan}),
+        ("image", ImageError, {"image": np.zeros((10, 10))}),
+        ("the image that they were found in", ImageError, {"image": np.zeros((10, 10), np.uint8)}),
+        ("", GridError, {"shape": (100_000, 100_000)}),
+    ]:
+        with pytest.raises(kind) as caught:
+            build_grid(**({"corners": corners, "image": view.image} | given))
+        assert said in str(caught.value)
+        assert "\n" not in str(caught.value)
+    assert other.shape[0] == 6
+
+
+def test_a_grid_with_doubts_is_refused_on_demand():
+    view = cut(board(0, ground=205.0), (0.35, 0.35, 0.7, 0.7))
+    with pytest.raises(GridError, match="ambiguous"):
+        grid_of(view, shape=BOARD, strict=True)
+
+
+def test_a_detector_gives_the_grid_of_its_own_corners():
+    view, _ = seen("gel, severity 0.5")
+    with Detector(shape=view.image.shape) as detector:
+        corners, grid = detector.grid(view.image)
+        again = build_grid(corners, view.image)
+    for field in ("xy", "status", "index", "sigma"):
+        np.testing.assert_array_equal(getattr(grid, field), getattr(again, field))
+
+
+def test_points_of_any_detector_get_the_same_numbers():
+    for name in ("gel, severity 1.0", "board, cut at left", "endless"):
+        view, corners = seen(name)
+        grid = number_points(corners.xy, view.image)
+        whole = build_grid(corners, view.image)
+        assert grid.shape == whole.shape
+        both = (grid.index[:, 0] >= 0) & (whole.index[:, 0] >= 0)
+        assert both.mean() > 0.98
+        np.testing.assert_array_equal(grid.index[both], whole.index[both])
+
+
+# photographs, where they lie beside the repository
+
+
+def photograph(name: str) -> View:
+    path = DATA / f"{name}.json"
+    if not path.exists():
+        pytest.skip(f"the shared photographs are not at {DATA}")
+    listed = json.loads(path.read_text())
+    image = cv2.imread(str(path.with_name(listed["image"])), cv2.IMREAD_GRAYSCALE)
+    corners = np.array([(c["x"], c["y"], c["j"], c["i"]) for c in listed["corners"]], np.float64)
+    return View(image, corners, BOARD, listed["cell_px"]["median"])
+
+
+@pytest.mark.parametrize(
+    ("name", "share"),
+    [
+        ("puzzleboard/example1", 0.98),
+        ("curved/curve_4", 0.97),
+        pytest.param("water/reference_df", 0.99, marks=pytest.mark.exhaustive),
+    ],
+)
+def test_photographs_get_one_consistent_lattice(name, share):
+    view = photograph(name)
+    score = scored(grid_of(view), view)
+    assert score.wrong == 0
+    assert score.share >= share
+
+
+@pytest.mark.parametrize("name", ["left01", "left02", "left03", "right02", "right04"])
+def test_boards_in_a_room_are_found_whole_and_in_part(name):
+    view = photograph(f"stereo_opencv/{name}")
+    grid = grid_of(view, shape=BOARD)
+    score = scored(grid, view, known="board")
+    assert score.clean
+    assert score.right >= 53
+    part = cut(view, (0, 0, np.quantile(view.corners[:, 0], 0.7) / view.image.shape[1], 1))
+    for known in ({}, {"shape": BOARD}):
+        grid = grid_of(part, **known)
+        assert_right_or_told(grid, part, "board" if known else "")
+        assert scored(grid, part).share >= 0.95
