@@ -5,6 +5,7 @@ enough for `cmp_cl.media`, `cmp_cl.space` or `cmp_cl.reference`.
 """
 
 import importlib
+import importlib.metadata
 import importlib.util
 import os
 from typing import TYPE_CHECKING, Any
@@ -77,9 +78,10 @@ __all__ = sorted(_HOME)
 def __getattr__(name: str) -> Any:
     found: Any
     if name == "__version__":
-        from cmp_cl.version import package_version
-
-        found = package_version()
+        try:
+            found = importlib.metadata.version("cmp-cl")
+        except importlib.metadata.PackageNotFoundError:
+            found = "unknown"
     elif name in _HOME:
         found = getattr(importlib.import_module(f"cmp_cl.{_HOME[name]}"), name)
     elif not name.startswith("_") and importlib.util.find_spec(f"cmp_cl.{name}") is not None:

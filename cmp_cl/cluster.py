@@ -18,8 +18,7 @@ from typing import Any
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
-from cmp_cl.errors import ConfigError
-from cmp_cl.extras import extra
+from cmp_cl.errors import ConfigError, extra
 from cmp_cl.image import GreyImage, check_image
 
 _LEAST_AHEAD = 8  # parts that are on their way, although no worker may have come yet

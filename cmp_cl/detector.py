@@ -9,16 +9,14 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.arrays import Frame, as_frame
 from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
-from cmp_cl.corners import Corners
+from cmp_cl.corners import Corners, HarmonicMaps, Maps
 from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
 from cmp_cl.grid.grid import Grid
-from cmp_cl.image import GreyImage, check_dtype
+from cmp_cl.image import Frame, GreyImage, as_frame, check_dtype
 from cmp_cl.lattice.arrays import Board
 from cmp_cl.lattice.plan import LatticePlan
-from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
 from cmp_cl.opencl.program import Programs, programs_of
 from cmp_cl.stages.form import Form
@@ -135,7 +133,7 @@ class Detector(Closing):
         """Find the corners of one frame, (H, W), of the shape and dtype of this detector.
 
         This and the other methods also accept frames of other array libraries: see
-        `cmp_cl.arrays.as_frame`, which copies those on a CUDA device to the host. No other thread
+        `cmp_cl.image.as_frame`, which copies those on a CUDA device to the host. No other thread
         may change the frame during the call: on a CPU the kernels read it where it lies.
 
         Raises ImageError if the frame does not fit, CapacityError if the device is full,

@@ -1,6 +1,8 @@
 """The errors of cmp_cl. Each message says what was given, what was expected and what to do."""
 
+import contextlib
 import math
+from collections.abc import Iterator
 from numbers import Integral, Real
 from typing import Any, cast
 
@@ -124,3 +126,13 @@ def check_positive(name: str, value: object, error: type[CmpClError]) -> None:
     """Raise the error if an argument of that name is not a finite number above 0."""
     if not (isinstance(value, Real) and 0 < cast(float, value) < math.inf):
         raise error(f"{name} must be a positive number, not {value!r}")
+
+
+@contextlib.contextmanager
+def extra(name: str, what: str) -> Iterator[None]:
+    """Import in this block; if that fails, raise ConfigError, which names the extra to install."""
+    try:
+        yield
+    except ImportError as error:
+        missing = f" ({error.name} is not installed)" if error.name else ""
+        raise ConfigError(f"{what} needs pip install 'cmp-cl[{name}]'{missing}") from error

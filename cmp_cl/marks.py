@@ -12,10 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.arrays import Frame, as_frame
 from cmp_cl.corners import Corners, Method
 from cmp_cl.errors import ConfigError, ImageError, check_kind
-from cmp_cl.image import GreyImage
+from cmp_cl.image import Frame, GreyImage, as_frame
 
 Whole = NDArray[np.int64]
 Reals = NDArray[np.float64]

@@ -7,8 +7,8 @@ import pytest
 from comparison import assert_same_bytes
 
 from cmp_cl import Detector, DetectorConfig, RingHarmonic, detect
-from cmp_cl.arrays import as_frame
 from cmp_cl.errors import ImageError
+from cmp_cl.image import as_frame
 
 BOARD = images.eight_bits()["board"]
 IMAGE = np.arange(48, dtype=np.uint8).reshape(6, 8)

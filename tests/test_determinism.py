@@ -29,7 +29,7 @@ from cmp_cl import (
     SpectralCriteria,
     reference,
 )
-from cmp_cl.maps import Maps
+from cmp_cl.corners import Maps
 
 SCENES = {
     "board": Path(cmp_cl.__file__).parent / "data" / "board.png",

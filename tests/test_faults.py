@@ -358,31 +358,6 @@ def test_a_compilers_remarks_are_no_warnings(device, cache, monkeypatch):
     build(device)
 
 
-# --- kills ---------------------------------------------------------------------------------
-
-KILLED = """
-import os, sys
-sys.path[:0] = {path!r}
-from cmp_cl.files import whole_file
-with whole_file({name!r}) as file:
-    file.write(b"half of it")
-    file.flush()
-    os.fsync(file.fileno())
-    os.kill(os.getpid(), 9)
-"""
-
-
-@pytest.mark.skipif(os.name == "nt", reason="there is no kill -9 on Windows")
-@pytest.mark.parametrize("before", [None, b"what stood there"])
-def test_a_kill_in_the_middle_of_writing_leaves_what_was_there(tmp_path, before):
-    target = tmp_path / "corners.csv"
-    if before is not None:
-        target.write_bytes(before)
-    code = KILLED.format(path=sys.path, name=str(target))
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -9
-    assert (target.read_bytes() if target.exists() else None) == before
-
-
 # --- threads and processes -----------------------------------------------------------------
 
 

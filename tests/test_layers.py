@@ -11,11 +11,11 @@ import cmp_cl
 ROOT = Path(cmp_cl.__file__).parent
 # From the bottom up; a name is that of a module, or of a package and everything in it.
 LAYERS = [
-    {"closing", "errors", "version"},
-    {"extras", "files", "filter"},
+    {"closing", "errors"},
+    {"files", "filter"},
     {"image", "pattern"},
-    {"arrays", "config", "media"},
-    {"corners", "maps", "points"},
+    {"config", "media"},
+    {"corners", "points"},
     {"opencl"},
     {"stages"},
     {"lattice", "marks"},
@@ -23,13 +23,12 @@ LAYERS = [
     {"grid"},
     {"detector", "field"},
     {"series", "space"},
-    {"cameras"},
     {"motion"},
     {"viz"},
     {"cluster", "measure"},
     {"cli"},
 ]
-FOLDERS_TO_SHRINK = {".", "cli", "grid", "reference", "space", "stages"}  # over twelve modules
+FOLDERS_TO_SHRINK = {"cli", "grid", "reference", "space", "stages"}  # over twelve modules
 ASIDE = {"__main__", "__init__"}  # the entries, which import everything
 
 

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from plane_images import moved_board
 
-from cmp_cl.cameras import Source
 from cmp_cl.cli.main import main
 from cmp_cl.errors import FieldError, ImageError
+from cmp_cl.media.bags import mcap_images
+from cmp_cl.media.cameras import Source
 from cmp_cl.series import Description, SeriesWriter
-from cmp_cl.series.mcap import POINT_FIELDS, TOPIC, mcap_images
+from cmp_cl.series.mcap import POINT_FIELDS, TOPIC
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "ros_node.py"
 START = 1_700_000_000_123  # ms since 1970

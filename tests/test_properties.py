@@ -19,7 +19,7 @@ from cmp_cl import (
     RingHarmonic,
     SpectralCriteria,
 )
-from cmp_cl.maps import Maps
+from cmp_cl.corners import Maps
 
 SIDE = 47
 CONFIGS = [

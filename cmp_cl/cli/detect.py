@@ -254,7 +254,7 @@ class _Finder(Closing):
     def find(self, tally: _Tally) -> Iterator[tuple[int, GreyImage, Corners]]:
         """Yield the frames of a file that can be read: number, image and corners."""
         path, config, asked = tally.path, self._config, self._arguments
-        scale = media.full_scale(path) if asked.full_scale is None else asked.full_scale
+        scale = media.video_info(path).full_scale if asked.full_scale is None else asked.full_scale
         if config.full_scale is None:
             config = config.replace(full_scale=scale)
         for frame in media.read_frames(path):
@@ -332,7 +332,7 @@ def _frames_in(paths: Sequence[Path]) -> int | None:
     total = 0
     for path in paths:
         with suppress(ImageError, OSError):
-            total += media.count_frames(path) or 1
+            total += media.video_info(path).frames or 1
     return total
 
 

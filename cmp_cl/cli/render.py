@@ -8,6 +8,7 @@ import numpy as np
 from cmp_cl import media
 from cmp_cl.cli.arguments import check_files
 from cmp_cl.cli.messages import shown
+from cmp_cl.files import write_csv
 from cmp_cl.synthetic import Indenter, Mode, Scene, render
 
 
@@ -82,7 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
         f"cells of {rendered.cell:.1f} px"
     )
     if arguments.truth is not None:
-        media.write_csv(
+        write_csv(
             arguments.truth,
             ("row", "column", "x_px", "y_px"),
             ([*index, *rendered.truth[index]] for index in np.ndindex(rendered.truth.shape[:2])),

@@ -8,7 +8,6 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import Any, Self
 
-from cmp_cl.cameras import Source
 from cmp_cl.cli import derived, display, sources
 from cmp_cl.cli.arguments import (
     add_device,
@@ -32,6 +31,7 @@ from cmp_cl.errors import CmpClError, ConfigError, GridError
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import Measured, OneView, TwoViews
 from cmp_cl.media import Frame
+from cmp_cl.media.cameras import Source
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.series import SERIES_SUFFIXES, Description, SeriesWriter
 from cmp_cl.space import StereoRig

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from cmp_cl.cameras import CameraSettings, PairCount, Source, paired
 from cmp_cl.cli.arguments import positive_number
 from cmp_cl.cli.messages import counted, in_shell, shown
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.image import GreyImage
 from cmp_cl.media import Frame
+from cmp_cl.media.cameras import CameraSettings, PairCount, Source, paired
 
 PAIR_WITHIN = 20.0  # ms
 

@@ -4,10 +4,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.arrays import Frame, as_frame
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid.grid import Grid, NodeStatus
-from cmp_cl.image import GreyImage
+from cmp_cl.image import Frame, GreyImage, as_frame
 from cmp_cl.lattice.arrays import LOOKED, Board
 from cmp_cl.lattice.boards import boards
 from cmp_cl.lattice.plan import lattice_plan

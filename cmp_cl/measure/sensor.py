@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from cmp_cl.cameras import Source
 from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError, ImageError, check_kind
 from cmp_cl.field import DisplacementField
 from cmp_cl.image import GreyImage
 from cmp_cl.measure.frames import Measured, TwoViews
+from cmp_cl.media.cameras import Source
 from cmp_cl.points import PointStatus
 from cmp_cl.series import SeriesWriter, read_series
 from cmp_cl.space import BinocularSplit, StereoRig
@@ -100,8 +100,8 @@ class _Loop(Closing):
 class Sensor(_Loop):
     """Measures the frames of a source in a thread, against its first frame or a later one.
 
-    source: a camera's number, a device, an address or a video, see `cmp_cl.cameras.Source`, whose
-        frames hold two views. The gel is at rest in the first one.
+    source: a camera's number, a device, an address or a video, see `cmp_cl.media.cameras.Source`,
+        whose frames hold two views. The gel is at rest in the first one.
     rig: the cameras, or the path of their file. split: the two views in a frame; None is halves.
     shape: (rows, columns) of the pattern's corners; None takes what is seen at rest.
     serial: the name of the sensor in its frames.

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.config import BinaryRings, DetectorConfig, RapidCriteria
-from cmp_cl.corners import Corners
+from cmp_cl.corners import Corners, HarmonicMaps, Maps
 from cmp_cl.errors import ConfigError, ImageError, check_kind
 from cmp_cl.image import GreyImage, check_image
-from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.reference import (
     binarize,
     criteria,

@@ -14,7 +14,7 @@ from cmp_cl.reference import ring
 class Rapid:
     """The quantities of the rapid criteria at every pixel, and the decision.
 
-    Fields are those of `cmp_cl.maps.Maps`; response is before the gate.
+    Fields are those of `cmp_cl.corners.Maps`; response is before the gate.
     """
 
     inner_transitions: NDArray[np.uint8]

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.config import RingHarmonic
+from cmp_cl.corners import HarmonicMaps
 from cmp_cl.image import GreyImage
-from cmp_cl.maps import HarmonicMaps
 from cmp_cl.reference import gate, nms
 
 Whole = NDArray[np.int64]

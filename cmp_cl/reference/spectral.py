@@ -19,7 +19,7 @@ TIE = 1e-9
 class Spectral:
     """The quantities of the spectral criteria at every pixel, and the decision.
 
-    Fields are those of `cmp_cl.maps.Maps`; response is before the gate.
+    Fields are those of `cmp_cl.corners.Maps`; response is before the gate.
     """
 
     spectrum_12: NDArray[np.float32]

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, check_kind
-from cmp_cl.version import package_version
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -34,8 +33,10 @@ class Description:
     def entries(self) -> dict[str, str]:
         """Return cmp_cl's version, the time of writing (UTC, ISO 8601) and the settings, by
         name."""
+        from cmp_cl import __version__
+
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        return {"cmp_cl": package_version(), "written": now, **self.settings}
+        return {"cmp_cl": __version__, "written": now, **self.settings}
 
     def with_units(self) -> dict[str, Any]:
         """Return the units of the arrays, then the entries."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cmp_cl.extras import extra
+from cmp_cl.errors import extra
 from cmp_cl.series.base import Arrays, Description, Format
 from cmp_cl.series.disk import check_room
 

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.extras import extra
+from cmp_cl.errors import ConfigError, FieldError, extra
 from cmp_cl.files import check_path, suffix_of
 from cmp_cl.series.npz import CONSTANTS
 

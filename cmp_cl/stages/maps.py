@@ -13,7 +13,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.config import BinaryRings, DetectorConfig, RapidCriteria, RingHarmonic
-from cmp_cl.maps import HarmonicMaps, Maps
+from cmp_cl.corners import HarmonicMaps, Maps
 from cmp_cl.stages import spectral
 from cmp_cl.stages.plan import Plan
 

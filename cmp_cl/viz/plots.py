@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError, FieldError, check_kind, check_range
-from cmp_cl.extras import extra
+from cmp_cl.errors import ConfigError, FieldError, check_kind, check_range, extra
 from cmp_cl.files import suffix_of, whole_file, write_bytes
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.closing import Closing
-from cmp_cl.errors import ConfigError
-from cmp_cl.extras import extra
+from cmp_cl.errors import ConfigError, extra
 from cmp_cl.field import DisplacementField
 from cmp_cl.field.nodes import quadrilaterals
 from cmp_cl.grid.grid import Grid

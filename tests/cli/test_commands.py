@@ -1016,7 +1016,7 @@ def test_two_cameras_are_paired_as_they_come(run, recording, press, monkeypatch)
             pass
 
     start = time.monotonic() + 0.1
-    monkeypatch.setattr("cmp_cl.cameras.cv2.VideoCapture", Pair)
+    monkeypatch.setattr("cmp_cl.media.cameras.cv2.VideoCapture", Pair)
     status, out, _ = run("run", "--left", 0, "--right", 1, "--pair-within", 90, *STEREO)
     assert status == 0
     assert "wrote press.npz: 3 frames" in out

@@ -6,7 +6,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -15,6 +14,7 @@ from cmp_cl import CalibrationError, KernelBuildError
 from cmp_cl.cli import main as cli
 
 PROJECT = Path(__file__).parents[2]
+BOARD = PROJECT / "cmp_cl" / "data" / "board.png"
 (COMMANDS,) = (
     action.choices
     for action in cli._parser()._actions
@@ -85,21 +85,20 @@ def test_the_statuses_are_those_of_the_documentation():
 
 @pytest.mark.skipif(os.name == "nt", reason="there is no SIGTERM to send on Windows")
 def test_a_signal_from_outside_ends_a_command_with_130(tmp_path):
-    os.mkfifo(tmp_path / "pipe.png")
-    command = [sys.executable, "-m", "cmp_cl", "detect", "pipe.png", "--out", "c.csv"]
+    command = [sys.executable, "-m", "cmp_cl", "detect", *[str(BOARD)] * 5000, "--out", "c.csv"]
     child = subprocess.Popen(
         command,
         cwd=tmp_path,
+        stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         env={**os.environ, "PYTHONPATH": str(PROJECT)},
     )
-    with open(tmp_path / "pipe.png", "wb"):  # it waits for the image
-        time.sleep(0.2)
-        child.send_signal(signal.SIGTERM)
-        assert child.communicate(timeout=60)[1] == "cmp-cl: interrupted\n"
+    child.stdout.readline()  # it is among the images
+    child.send_signal(signal.SIGTERM)
+    assert child.communicate(timeout=60)[1] == "cmp-cl: interrupted\n"
     assert child.returncode == 130
-    assert os.listdir(tmp_path) == ["pipe.png"]
+    assert os.listdir(tmp_path) == []
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a signal to one process alone needs POSIX")

@@ -7,7 +7,7 @@ import tolerances
 from numpy.typing import NDArray
 
 from cmp_cl import Corners, Detector, reference
-from cmp_cl.maps import HarmonicMaps, Maps
+from cmp_cl.corners import HarmonicMaps, Maps
 
 FLOATS = ("spectrum_12", "spectrum_23", "correlation", "phase")
 RAPID = ("inner_transitions", "outer_transitions", "sector_difference", "ring_difference")

@@ -1,8 +1,7 @@
 """Frames with their times from files and cameras, and pairs of frames from two of these.
 
-The time of a frame of a video is that in its container if PyAV is installed (the extra `video`),
-else it comes from the frame rate. The time of a camera's frame is that of its arrival: a thread
-reads a camera, so that frames do not wait in the driver while others are measured.
+The time of a frame of a video is that in its container. The time of a camera's frame is that of
+its arrival: a thread reads a camera, so that frames do not wait in the driver.
 """
 
 import collections
@@ -20,11 +19,14 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
+from numpy.typing import NDArray
 
-from cmp_cl import media
-from cmp_cl.errors import ConfigError, ImageError, check_kind, check_positive, listed
-from cmp_cl.media import Frame
-from cmp_cl.series.mcap import mcap_images
+from cmp_cl.errors import ConfigError, ImageError, as_size, check_kind, check_positive
+from cmp_cl.image import GreyImage
+from cmp_cl.media.bags import mcap_images
+from cmp_cl.media.images import find_inputs
+from cmp_cl.media.videos import LONGEST_GAP, Frame, VideoInfo, read_frames, video_info
 
 _WAITING = 64  # the most frames of a camera that wait to be measured
 _LONGEST_WAIT = 10.0  # s, the longest wait for a frame of a camera
@@ -49,9 +51,7 @@ class CameraSettings:
         if self.fourcc is not None and not (isinstance(self.fourcc, str) and len(self.fourcc) == 4):
             raise ConfigError(f"a pixel format has four letters, such as MJPG, not {self.fourcc!r}")
         if self.size is not None:
-            sides = listed("size", self.size, int, ConfigError)
-            if len(sides) != 2 or min(sides) < 1:
-                raise ConfigError(f"size must be (width, height), px, not {self.size!r}")
+            as_size("size", self.size, ConfigError)
         if self.fps is not None:
             check_positive("fps", self.fps, ConfigError)
         if self.exposure is not None:
@@ -77,7 +77,8 @@ class Source:
     settings: those to request of a camera, or None.
     live: whether it is a camera or a stream, whose frames arrive whether or not they are read.
     paths: the files, () of a live source. period_ms: time between frames, NaN if unknown.
-    full_scale: largest grey level, None if unknown.
+    full_scale: largest grey level, None if unknown. total: how many frames, or how many files if
+    there are several; None if unknown.
     start_ns: time of the first frame of an .mcap, ns since 1970; None before it is read.
     from_start: whether times of a camera or an .mcap count from its first frame; else two of them
         have one clock, and can be paired.
@@ -99,23 +100,14 @@ class Source:
         check_kind("settings", self._settings, CameraSettings, ConfigError)
         self.live = is_live(name)
         self._opened_as: int | str = int(name) if self.live and name.isdigit() else name
-        self.paths = () if self.live else tuple(media.find_inputs([name]))
+        self.paths = () if self.live else tuple(find_inputs([name]))
         self.start_ns: int | None = None
-        self.full_scale, rate = None, self._settings.fps if self.live else None
+        info = VideoInfo(rate=self._settings.fps) if self.live else VideoInfo()
         if len(self.paths) == 1:
-            self.full_scale, rate = media.full_scale(self.paths[0]), media.frame_rate(self.paths[0])
-        self.period_ms = 1e3 / rate if rate else math.nan
-
-    @property
-    def total(self) -> int | None:
-        """Return how many frames there are, None if unknown."""
-        if len(self.paths) < 2:
-            return media.count_frames(self.paths[0]) if self.paths else None
-        total = 0
-        for path in self.paths:
-            with contextlib.suppress(ImageError):
-                total += media.count_frames(path) or 1
-        return total
+            info = video_info(self.paths[0])
+        self.full_scale = info.full_scale
+        self.total = len(self.paths) if len(self.paths) > 1 else info.frames
+        self.period_ms = 1e3 / info.rate if info.rate else math.nan
 
     def frames(self) -> Generator[Frame, None, None]:
         """Yield all frames in turn, those that cannot be read or are missed without an image.
@@ -135,7 +127,7 @@ class Source:
                     yield Frame(next(numbers), image, (stamp - zero) / 1e6)
                 continue
             try:
-                for each in media.read_frames(path):
+                for each in read_frames(path):
                     time_ms = each.time_ms if len(self.paths) == 1 else math.nan
                     yield Frame(next(numbers), each.image, time_ms, each.why)
             except ImageError as error:
@@ -200,7 +192,7 @@ def _read(capture: Any, waiting: _Queue, done: threading.Event) -> None:
     """
     index = gap = 0
     end: ImageError | None = None
-    while not done.is_set() and gap < media.LONGEST_GAP and end is None:
+    while not done.is_set() and gap < LONGEST_GAP and end is None:
         read, picture = capture.read()
         now = time.monotonic() * 1e3
         gap = 0 if read else gap + 1
@@ -209,7 +201,7 @@ def _read(capture: Any, waiting: _Queue, done: threading.Event) -> None:
                 with contextlib.suppress(queue.Empty):
                     waiting.get_nowait()
             try:
-                waiting.put(Frame(index, media.grey_of(picture), now))
+                waiting.put(Frame(index, grey_of(picture), now))
             except ImageError as error:
                 end = error
         index += 1
@@ -217,6 +209,15 @@ def _read(capture: Any, waiting: _Queue, done: threading.Event) -> None:
         with contextlib.suppress(queue.Full):
             waiting.put(end, timeout=0.1)
             return
+
+
+def grey_of(frame: NDArray[Any]) -> GreyImage:
+    """Return a frame that OpenCV captured, in BGR or raw, as (H, W); raises ImageError."""
+    if frame.ndim == 3 and frame.shape[2] == 3:
+        return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.uint8)
+    if frame.size != math.prod(frame.shape[:2]):
+        raise ImageError(f"OpenCV delivers frames of shape {frame.shape}, neither grey nor BGR")
+    return np.ascontiguousarray(frame.reshape(frame.shape[:2]))
 
 
 @dataclasses.dataclass

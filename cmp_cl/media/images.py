@@ -1,0 +1,149 @@
+"""Images, read and written by OpenCV, and the files that a name stands for."""
+
+import glob
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from os import PathLike
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import ImageError, check_kind
+from cmp_cl.files import check_path, suffix_of, write_bytes
+from cmp_cl.image import GreyImage
+
+IMAGE_SUFFIXES = frozenset(
+    {".bmp", ".jp2", ".jpeg", ".jpg", ".pbm", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff"}
+    | {".webp"}
+)
+VIDEO_SUFFIXES = frozenset(  # a GIF is read as a video: it may have several frames
+    {".264", ".265", ".3gp", ".asf", ".avi", ".flv", ".gif", ".h264", ".h265", ".hevc", ".m4v"}
+    | {".mjpeg", ".mjpg", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".mxf", ".ogv", ".ts"}
+    | {".webm", ".wmv", ".y4m"}
+)
+_OF_16_BITS = frozenset({".jp2", ".pgm", ".png", ".pnm", ".tif", ".tiff"})
+_OF_PAGES = frozenset({".tif", ".tiff"})
+_BLOCK = 1 << 26  # px of the pages that are decoded at once: OpenCV repeats all earlier ones
+
+
+def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    """Write an image in the format of the suffix, whole or not at all.
+
+    image: (H, W) or (H, W, 3) BGR. Raises ImageError if the suffix is not that of an image format,
+        or the format cannot hold such pixels; OSError if the folder is missing or not writable.
+    """
+    check_kind("image", image, np.ndarray, ImageError)
+    known = IMAGE_SUFFIXES if image.dtype == np.uint8 else _OF_16_BITS
+    written = suffix_of(path, ImageError) in known and image.dtype in (np.uint8, np.uint16)
+    if written:
+        try:
+            written, data = cv2.imencode(Path(path).suffix, image)
+        except cv2.error:
+            written = False
+    if not written:
+        raise ImageError(
+            f"cannot write {image.dtype} pixels of shape {image.shape} to {str(path)!r}; "
+            "the suffix names the format, .png takes 8 and 16 bits"
+        )
+    write_bytes(path, data.tobytes())
+
+
+def read_image(path: str | PathLike[str]) -> GreyImage:
+    """Read an image file as (H, W) uint8 or uint16; colour becomes grey as cv2.imread does it.
+
+    It reads the first of several pages, and rotates the image as its EXIF tag says. Raises
+    ImageError if the file cannot be read, is damaged, has more pixels than OpenCV's limit (2**28,
+    unless the variable OPENCV_IO_MAX_IMAGE_PIXELS is set before cmp_cl is imported), or is not an
+    image of 8 or 16 bits.
+    """
+    return next(read_pages(path))
+
+
+def read_pages(path: str | PathLike[str]) -> Iterator[GreyImage]:
+    """Read the pages of an image file one by one, as `read_image` does; only a TIFF has several."""
+    check_path(path, ImageError)
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise ImageError(f"{str(path)!r} is not a file")
+    try:
+        data = np.fromfile(path, np.uint8)
+    except OSError as error:
+        raise ImageError(f"cannot read {str(path)!r}: {error.strerror}") from error
+    first, pages = 0, decoded(data, path, 0, 1)
+    count = max(1, _BLOCK // max(pages[0].size, 1))
+    while pages:
+        yield from pages
+        first += len(pages)
+        several = suffix_of(path, ImageError) in _OF_PAGES
+        pages = decoded(data, path, first, count) if several else []
+
+
+def decoded(
+    data: NDArray[np.uint8], path: str | PathLike[str], first: int, count: int
+) -> list[GreyImage]:
+    """Decode at most `count` pages of an image file, from the page `first`; path: for messages.
+
+    Raises ImageError if there is no first page, or as `read_image`.
+    """
+    pages: Sequence[GreyImage] = ()
+    try:
+        if data.size:
+            how = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+            pages = cv2.imdecodemulti(data, how, range=(first, first + count))[1]  # type: ignore[assignment]
+    except cv2.error as error:
+        if "MAX_IMAGE" in str(error):
+            raise ImageError(
+                f"{str(path)!r} has more pixels than OpenCV's limit; the variable "
+                "OPENCV_IO_MAX_IMAGE_PIXELS raises it"
+            ) from error
+    if not first and not pages:
+        raise ImageError(f"{str(path)!r} is not an image that OpenCV can read, or is damaged")
+    for page in pages:
+        if page.dtype not in (np.uint8, np.uint16):
+            raise ImageError(
+                f"{str(path)!r} holds {page.dtype} pixels, expected 8 or 16 bits without sign; "
+                "scale it and save it as PNG"
+            )
+    return list(pages)
+
+
+def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
+    """Return the files to read: folders are replaced by the images and videos in them, by name.
+
+    Numbers in names count: 9.png comes before 10.png. Hidden files of a folder are left out. A name
+    with `*`, `?` or `[` that is not a file is a pattern, because some shells do not expand it.
+
+    Raises FileNotFoundError if a path does not exist, or a folder holds no image and no video.
+    """
+    if isinstance(paths, str | PathLike) or not isinstance(paths, Iterable):
+        raise FileNotFoundError(f"paths must be several names of files, not {paths!r}")
+    found: list[Path] = []
+    for name in paths:
+        check_path(name, FileNotFoundError)
+        path = Path(name)
+        if path.is_dir():
+            inside = [
+                entry
+                for entry in sorted(path.iterdir(), key=_by_number)
+                if entry.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES
+                and not entry.name.startswith(".")
+                and entry.is_file()
+            ]
+            if not inside:
+                raise FileNotFoundError(f"no image and no video in the folder {str(path)!r}")
+            found += inside
+        elif path.exists():
+            found.append(path)
+        elif matches := glob.glob(str(path)):
+            found += sorted(map(Path, matches), key=_by_number)
+        else:
+            raise FileNotFoundError(f"there is no file {os.fspath(name)!r}")
+    return found
+
+
+def _by_number(path: Path) -> list[str | int]:
+    """Return the name in parts, texts and numbers in turn, by which 9.png sorts before 10.png."""
+    parts = re.split(r"([0-9]+)", path.as_posix())
+    return [int(part) if place % 2 else part for place, part in enumerate(parts)]
