@@ -1,0 +1,749 @@
+"""`cmp-cl run` as a user has it, on small rendered frames."""
+
+import contextlib
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+from cases import some
+from disks import full_after
+from lattices import drawn
+from messages import fails_in_one_line
+from plane_images import moved_board
+from videos import write_deep_video, write_video
+
+from cmp_cl import (
+    BinocularSplit,
+    DetectorConfig,
+    DeviceError,
+    EdgeLines,
+    ImageError,
+    NodeStatus,
+    StereoRig,
+    media,
+    select_device,
+)
+from cmp_cl.cli.arguments import region_in
+from cmp_cl.measure import TwoViews
+from cmp_cl.media import Frame
+from cmp_cl.series import SeriesWriter, read_series
+from cmp_cl.synthetic import (
+    Indenter,
+    Mode,
+    Rendered,
+    Scene,
+    binocular_frame,
+    default_rig,
+    render_stereo,
+)
+
+CLOSE = 0.05  # mm, a third of a pixel
+VIEW = (240, 216)
+RIG = default_rig(VIEW)
+GEL = Scene(markers=12, shape=VIEW, indenter=Indenter.TORUS, mode=Mode.TWIST, seed=5)
+
+
+class Shot(NamedTuple):
+    """A rendered frame: its views, both in one image, and its nodes in space, mm."""
+
+    left: Rendered
+    right: Rendered
+    xyz: np.ndarray
+
+    @property
+    def frame(self):
+        return binocular_frame(self.left, self.right)
+
+
+@pytest.fixture(scope="session")
+def press():
+    """Return frames of a gel at rest and pressed more and more."""
+    return [
+        Shot(*render_stereo(dataclasses.replace(GEL, severity=severity), RIG))
+        for severity in (0.0, 0.4, 0.9)
+    ]
+
+
+@pytest.fixture
+def recording(press, tmp_path):
+    """Return a folder with these frames, and the rig's file beside it."""
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for number, shot in enumerate(press):
+        cv2.imwrite(str(folder / f"{number}.png"), shot.frame)
+    StereoRig(*RIG).save(tmp_path / "rig.yaml")
+    return folder
+
+
+@pytest.fixture
+def one_view(press, tmp_path):
+    """Return a folder with the left views."""
+    folder = tmp_path / "left"
+    folder.mkdir()
+    for number, shot in enumerate(press):
+        cv2.imwrite(str(folder / f"{number}.png"), shot.left.image)
+    return folder
+
+
+STEREO = "--stereo", "rig.yaml", "--grid", "12x12", "--out", "press.npz"
+
+
+def off_by(series, press, order):
+    """Return the root mean square error of every frame's displacement, mm; order: the shot of each
+    frame."""
+    truth = [press[number].xyz - press[0].xyz for number in order]
+    return [
+        np.sqrt(np.mean(np.square(found - true).sum(axis=2)))
+        for found, true in zip(series["displacement"], truth, strict=True)
+    ]
+
+
+def test_a_recording_becomes_its_displacements_in_any_order(run, recording, press, tmp_path):
+    status, out, err = run("run", recording, *STEREO)
+    assert (status, err) == (0, "")
+    assert "wrote press.npz: 3 frames; 144.0 of 144 nodes" in out
+    assert str(select_device()) in out
+    assert "frames a second, limited by" in out
+    series = np.load("press.npz")
+    assert series["index"].tolist() == [0, 1, 2]
+    assert str(series["unit"]) == "mm"
+    # The kernels compute the field, and NumPy the positions at rest: a nanometre apart.
+    np.testing.assert_allclose(series["displacement"][0], 0, rtol=0, atol=1e-6)
+    assert max(off_by(series, press, (0, 1, 2))) < CLOSE
+    assert f"moved by up to {np.linalg.norm(series['displacement'][2], axis=2).max():.3g} mm" in out
+    other = tmp_path / "other"
+    other.mkdir()
+    for place, number in enumerate((2, 0, 1)):
+        cv2.imwrite(str(other / f"{place}.png"), press[number].frame)
+    assert run("run", other, *STEREO, "--rest-frame", 1)[0] == 0
+    shuffled = np.load("press.npz")
+    for name in ("displacement", "sigma", "status", "source", "left", "right"):
+        np.testing.assert_array_equal(shuffled[name], series[name][[2, 0, 1]])
+
+
+def test_broken_frames_and_frames_without_the_pattern_do_not_end_a_run(run, recording, press):
+    (recording / "1a.png").write_bytes(b"broken")
+    cv2.imwrite(str(recording / "1b.png"), press[1].frame[:-1])
+    cv2.imwrite(str(recording / "1c.png"), np.full_like(press[0].frame, 90))
+    status, out, err = run("run", recording, *STEREO)
+    assert status == 0
+    assert "frame 2 cannot be read and is skipped: " in err
+    assert "1a.png' is not an image that OpenCV can read" in err
+    assert "frame 3 is 432 x 239 px" in err
+    assert "1 without the pattern; 2 left out" in out
+    series = np.load("press.npz")
+    assert series["index"].tolist() == [0, 1, 4, 5]
+    assert np.isnan(series["displacement"][2]).all()
+    assert (series["status"][2] == 0).all()
+    assert off_by(series, press, (0, 1, 0, 2))[3] < CLOSE
+
+
+def test_a_mirrored_view_is_reversed(run, recording, press):
+    run("run", recording, *STEREO)
+    straight = np.load("press.npz")["displacement"]
+    gap = np.full((VIEW[0], 10), 90, np.uint8)
+    for number, shot in enumerate(press):
+        other = np.hstack([gap, shot.right.image[:, ::-1], shot.left.image])
+        cv2.imwrite(str(recording / f"{number}.png"), other)
+    where = "226,0,216,240:10,0,216,240"
+    fails_in_one_line(run("run", recording, *STEREO, "--split", where), "the rig fits", "mirror")
+    status, _, _ = run("run", recording, *STEREO, "--split", where, "--mirror", "right")
+    assert status == 0
+    np.testing.assert_array_equal(np.load("press.npz")["displacement"], straight)
+
+
+def test_one_view_gives_positions_in_the_image(run, recording, press):
+    for number, shot in enumerate(press):
+        cv2.imwrite(str(recording / f"{number}.png"), shot.left.image)
+    status, out, _ = run("run", recording, "--out", "flat.npz")
+    assert status == 0
+    assert "px (frame 2) in the image: --stereo or --cell give lengths" in out
+    series = np.load("flat.npz")
+    assert series["xy"].shape == (3, 12, 12, 2)
+    off = series["xy"][2] - press[2].left.truth
+    assert np.sqrt(np.mean(np.square(off).sum(axis=2))) < 0.4
+    assert (series["source"] == NodeStatus.DETECTED).all()
+    assert np.isfinite(series["sigma"]).mean() > 0.98
+
+
+def test_run_uses_the_settings_of_a_file(run, recording):
+    DetectorConfig.for_cell(15).replace(refinement=EdgeLines()).save("cmp.toml")
+    run("run", recording, *STEREO)
+    default = np.load("press.npz")["displacement"]
+    assert run("run", recording, *STEREO, "--config", "cmp.toml")[0] == 0
+    other = np.load("press.npz")["displacement"]
+    assert np.nanmax(np.abs(other - default)) > 1e-5
+
+
+# Stages at the same time
+
+
+def test_frames_are_decoded_ahead_and_written_behind_but_only_a_few(
+    run, recording, press, monkeypatch
+):
+    """While frame 0 is measured, later ones are decoded; while frame 1 is, frame 0 is written."""
+    decoded, written = [], threading.Event()
+    three, measure, append = threading.Event(), TwoViews.__call__, SeriesWriter.append
+
+    def frames_of(path, **_):
+        for number in range(30 if path.name == "1.png" else 1):
+            decoded.append(number)
+            if len(decoded) > 3:
+                three.set()
+            yield Frame(number, press[int(path.stem)].frame)
+
+    def measuring(self, frame):
+        assert three.wait(60)
+        assert writing == [] or written.wait(60)
+        time.sleep(0.01)
+        most.append(len(decoded))
+        return measure(self, frame)
+
+    def appending(series, **frame):
+        append(series, **frame)
+        writing.append(frame["index"])
+        written.set()
+
+    writing, most = [], []
+    monkeypatch.setattr(media, "read_frames", frames_of)
+    monkeypatch.setattr(TwoViews, "__call__", measuring)
+    monkeypatch.setattr(SeriesWriter, "append", appending)
+    assert run("run", recording, *STEREO)[0] == 0
+    assert writing == list(range(32))
+    assert max(now - place for place, now in enumerate(most)) < 10
+
+
+def failing_decoder(press, monkeypatch):
+    def frames_of(path, **_):
+        for number in range(1 if path.name == "0.png" else 2):
+            yield Frame(number, press[number].frame)
+        if path.name != "0.png":
+            raise OSError(5, "Input/output error", path.name)
+
+    monkeypatch.setattr(media, "read_frames", frames_of)
+
+
+def failing_device(press, monkeypatch):
+    measure, calls = TwoViews.__call__, []
+
+    def measuring(self, frame):
+        calls.append(frame)
+        if len(calls) == 3:
+            raise DeviceError("the device is lost")
+        return measure(self, frame)
+
+    monkeypatch.setattr(TwoViews, "__call__", measuring)
+
+
+def full_disk(press, monkeypatch):
+    append = SeriesWriter.append
+
+    def filling(series, **frame):
+        with full_after(5000 if len(series) == 2 else 10**9):
+            append(series, **frame)
+
+    monkeypatch.setattr(SeriesWriter, "append", filling)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
+@pytest.mark.parametrize(
+    ("failing", "frames", "why"),
+    [
+        (failing_decoder, 3, "1.png: Input/output error"),
+        (failing_device, 2, "the device is lost"),
+        (full_disk, 2, "press.npz: File too large"),
+    ],
+)
+def test_an_error_of_any_stage_is_one_line_and_keeps_the_frames_before_it(
+    run, recording, press, monkeypatch, failing, frames, why
+):
+    failing(press, monkeypatch)
+    status, out, err = run("run", recording, *STEREO)
+    fails_in_one_line((status, out, err), why)
+    assert out.startswith(f"wrote press.npz: {frames} frames")
+    assert np.load("press.npz")["index"].tolist() == list(range(frames))
+
+
+def test_an_error_before_the_first_frame_is_written_keeps_an_older_series(
+    run, recording, monkeypatch
+):
+    def failing(*_, **__):
+        raise ImageError("no room")
+
+    Path("press.npz").write_text("old")
+    monkeypatch.setattr(SeriesWriter, "append", failing)
+    assert run("run", recording, *STEREO) == (2, "", "cmp-cl: no room\n")
+    assert Path("press.npz").read_text() == "old"
+
+
+STOPS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+@pytest.fixture
+def without_nohup():
+    """Restore SIGHUP in a process that nohup has started."""
+    if not hasattr(signal, "SIGHUP"):
+        yield
+        return
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("without_nohup")
+@pytest.mark.parametrize("times", [1, 2])
+@pytest.mark.parametrize("name", some(STOPS, ("SIGINT", "SIGTERM")))
+def test_a_stopped_run_keeps_what_it_has(run, recording, monkeypatch, name, times):
+    measure, calls = TwoViews.__call__, []
+
+    def measuring(self, frame):
+        calls.append(frame)
+        if len(calls) == 2:
+            for _ in range(times):
+                signal.raise_signal(getattr(signal, name))
+        return measure(self, frame)
+
+    monkeypatch.setattr(TwoViews, "__call__", measuring)
+    before = [signal.getsignal(getattr(signal, stop)) for stop in STOPS]
+    status, out, _ = run("run", recording, *STEREO)
+    assert status == 130
+    assert not out if times == 2 else out.startswith("stopped by")
+    # The first signal lets the frame be finished, the second does not.
+    assert np.load("press.npz")["index"].tolist() == ([0, 1] if times == 1 else [0])
+    assert [signal.getsignal(getattr(signal, stop)) for stop in STOPS] == before
+
+
+def test_a_run_stopped_before_its_first_frame_keeps_an_older_series(
+    run, recording, press, monkeypatch
+):
+    enter = SeriesWriter.__enter__
+
+    def stopped(series):
+        signal.raise_signal(signal.SIGINT)
+        return enter(series)
+
+    monkeypatch.setattr(SeriesWriter, "__enter__", stopped)
+    older = ["press.npz", "old.mp4", "old.png"]
+    options = ["--plot", "old"]
+    for name in older:
+        Path(name).write_text("old")
+    assert run("run", recording, *STEREO, *options) == (130, "", "cmp-cl: interrupted\n")
+    assert [Path(name).read_text() for name in older] == ["old"] * len(older)
+    assert not [entry for entry in Path().iterdir() if entry.name.startswith(".")]
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="there is no SIGHUP here")
+def test_a_run_that_nohup_started_goes_on(run, recording, press, monkeypatch):
+    def frames_of(path, **_):
+        signal.raise_signal(signal.SIGHUP)
+        yield Frame(0, press[int(path.stem)].frame)
+
+    monkeypatch.setattr("cmp_cl.media.read_frames", frames_of)
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert run("run", recording, *STEREO)[0] == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert len(np.load("press.npz")["index"]) == len(press)
+
+
+def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press, monkeypatch):
+    close = SeriesWriter.close
+
+    def closing(series):
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        close(series)
+
+    monkeypatch.setattr(SeriesWriter, "close", closing)
+    before = signal.getsignal(signal.SIGINT)
+    status, _, _ = run("run", recording, *STEREO)
+    assert status == 0
+    assert len(np.load("press.npz")["index"]) == len(press)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
+def test_a_sheet_that_a_full_disk_cuts_is_not_written_but_the_series_is(
+    run, recording, press, monkeypatch
+):
+    Path("old.png").write_text("old")
+    close = SeriesWriter.close
+
+    def filling(series):
+        close(series)
+        disk.enter_context(full_after(10_000))
+
+    with contextlib.ExitStack() as disk:
+        monkeypatch.setattr(SeriesWriter, "close", filling)
+        status, out, err = run("run", recording, *STEREO, "--plot", "old.png")
+    assert status == 2
+    assert (err.count("\n"), "old.png: File too large" in err) == (1, True)
+    assert "old.png" not in out
+    assert Path("old.png").read_text() == "old"
+    assert len(np.load("press.npz")["index"]) == len(press)
+
+
+# Cameras and pairs
+
+
+def camera_of(images, opened):
+    """Return a stand-in for cv2.VideoCapture that delivers these images, None for a missed one."""
+
+    class Camera:
+        def __init__(self, number):
+            opened.append(number)
+            self.left = iter(images)
+
+        def isOpened(self):
+            return bool(images)
+
+        def set(self, *_):
+            return True
+
+        def read(self):
+            image = next(self.left, None)
+            return image is not None, image
+
+        def release(self):
+            opened.append("released")
+
+    return Camera
+
+
+@pytest.mark.parametrize(
+    ("camera", "known_as"), [(["3"], 3), (["/dev/video3", "--camera-fps", "50"], "/dev/video3")]
+)
+def test_a_camera_runs_until_ctrl_c(run, recording, press, monkeypatch, camera, known_as):
+    append = SeriesWriter.append
+
+    def press_ctrl_c_after_three(series, **frame):
+        append(series, **frame)
+        if len(series) == 3:
+            signal.raise_signal(signal.SIGINT)
+
+    rest, *others = (shot.frame for shot in press)
+    images = [press[2].frame, None, rest, None, *others, rest, press[1].frame]
+    opened = []
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of(images, opened))
+    monkeypatch.setattr(SeriesWriter, "append", press_ctrl_c_after_three)
+    before = signal.getsignal(signal.SIGINT)
+    status, out, err = run("run", *camera, *STEREO, "--rest-frame", 2)
+    assert status == 0
+    assert opened == [known_as, "released"]
+    assert out.startswith("stopped by Ctrl-C; wrote press.npz: ")
+    assert "; 1 left out" in out
+    assert "limited by" in out
+    assert err.startswith("cmp-cl: frame 3 is missing")
+    assert err.count("\n") == 1
+    series = np.load("press.npz")
+    count = len(series["index"])  # those that were measured by then are written
+    assert 3 <= count <= 5
+    assert series["index"].tolist() == [2, 4, 5, 6, 7][:count]
+    assert (np.diff(series["time_ms"]) >= 0).all()
+    assert max(off_by(series, press, (0, 1, 2, 0, 1)[:count])) < CLOSE
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize(
+    ("images", "why"), [([], "no camera 7"), ([None], "no frame comes from '7'")]
+)
+def test_a_camera_without_frames_is_an_error(run, recording, monkeypatch, images, why):
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of(images, []))
+    fails_in_one_line(run("run", "7", *STEREO), why)
+
+
+def test_two_recordings_are_measured_as_one_of_both_views(run, recording, press):
+    write_video("left.avi", [shot.left.image for shot in press])
+    write_video("right.avi", [shot.right.image for shot in press])
+    pair = "--left", "left.avi", "--right", "right.avi"
+    status, out, _ = run("run", *pair, *STEREO)
+    assert status == 0
+    assert "without a partner" not in out
+    apart = np.load("press.npz")
+    assert apart["time_ms"].tolist() == pytest.approx([0, 40, 80])
+    assert run("run", recording, *STEREO)[0] == 0
+    np.testing.assert_array_equal(apart["displacement"], np.load("press.npz")["displacement"])
+
+    write_video("right.avi", [shot.right.image for shot in press[:2]])
+    status, out, _ = run("run", *pair, *STEREO)
+    assert status == 0
+    assert "2 frames" in out
+    assert "1 left and 0 right frames without a partner" in out
+
+
+def test_folders_of_which_one_has_more_images_are_not_paired_by_guess(run, recording, press):
+    os.mkdir("left")
+    os.mkdir("right")
+    for number, shot in enumerate(press):
+        media.write_image(f"left/{number}.png", shot.left.image)
+        if number != 1:
+            media.write_image(f"right/{number}.png", shot.right.image)
+    sides = "--left", "left", "--right", "right"
+    fails_in_one_line(run("run", *sides, *STEREO), "--left has 3 files and --right 2")
+    assert not Path("press.npz").exists()
+
+
+# What is told
+
+
+def test_doubts_about_the_frame_at_rest_are_told(run, tmp_path):
+    frame = np.full((400, 700), 210, np.uint8)
+    for (left, top), (image, _) in zip(
+        ((0, 0), (320, 40)), (drawn(9, 9), drawn(5, 6)), strict=True
+    ):
+        frame[top : top + len(image), left : left + image.shape[1]] = image
+    cv2.imwrite(str(tmp_path / "0.png"), frame)
+    status, _, told = run("run", tmp_path, "--out", "press.npz")
+    assert status == 0
+    assert told.startswith("cmp-cl: frame 0, the frame at rest: another pattern of 30 corners")
+    assert not run("run", tmp_path, "--grid", "9x9", "--out", "press.npz")[2]
+
+
+def test_the_numbers_of_the_frame_at_rest_are_not_ambiguous(run, tmp_path):
+    board = np.kron(np.indices((9, 11)).sum(0) % 2, np.full((20, 20), 180)).astype(np.uint8) + 30
+    for number in range(2):  # no border of the pattern is in view
+        cv2.imwrite(str(tmp_path / f"{number}.png"), board[10:170, 10:210])
+    _, out, err = run("run", tmp_path, "--out", "press.npz")
+    assert "1 whose numbers may be wrong" in out
+    assert "trust none of them" in err
+    assert "--track" in err
+    assert np.load("press.npz")["ambiguous"].tolist() == [False, True]
+
+
+def test_a_calibration_that_does_not_fit_or_is_missing_is_noticed_at_rest(run, recording, press):
+    swapped = StereoRig(RIG.K2, RIG.D2, RIG.K1, RIG.D1, RIG.R.T, -RIG.R.T @ RIG.T)
+    swapped.save("rig.yaml")
+    at_rest = "frame 0, the frame at rest"
+    fails_in_one_line(run("run", recording, *STEREO), at_rest, "the rig fits", "left")
+    cv2.imwrite("blank.png", np.full_like(press[0].frame, 90))
+    fails_in_one_line(run("run", "blank.png", "--out", "a.npz"), at_rest, "need --stereo")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["none", *STEREO], ["none"]),
+        (["frames", *STEREO, "--rest-frame", "9"], ["no --rest-frame 9", "3 frames"]),
+        (["frames", *STEREO, "--rest-frame", "-1"], ["0 or more"]),
+        (["frames", *STEREO, "--rest-frame", "x"], ["'x' is not a whole number"]),
+        (["frames", *STEREO, "--split", "thirds"], ["halves", "thirds"]),
+        (["frames", *STEREO, "--split", "0,0,9999,9:0,0,9,9"], ["extends past the frame"]),
+        (["frames", *STEREO, "--grid", "0x3"], ["0x3"]),
+        (["frames", *STEREO, "--device", "abacus"], ["abacus"]),
+        (["frames", *STEREO, "--out", "press.mat"], ["press.mat", ".npz"]),
+        (["frames", *STEREO, "--out", "no/press.npz"], ["there is no folder", "no'"]),
+        (["frames", *STEREO, "--stereo", "frames/0.png"], ["frames/0.png"]),
+        (["frames", "--out", "a.npz", "--split", "halves"], ["--stereo"]),
+        (["frames", *STEREO, "--region", "1,2,3"], ["X,Y,WIDTH,HEIGHT"]),
+        (["frames", *STEREO, "--region", "1,2,0,3:1,1,2,2"], ["X,Y,WIDTH,HEIGHT"]),
+        (["frames", *STEREO, "--region", "0,0,99,99"], ["one rectangle per view"]),
+        (["frames", "--out", "a.npz", "--region", "9999,0,9,9"], ["9999,0,9,9", "outside"]),
+        (["--left", "frames", *STEREO], ["--right"]),
+        (["--left", "frames", "--right", "frames", "--out", "a.npz"], ["--stereo"]),
+        (["frames", "--left", "frames", "--right", "frames", *STEREO], ["SOURCE"]),
+        ([*STEREO], ["SOURCE"]),
+        (["--left", "frames", "--right", "gone.mp4", *STEREO], ["gone.mp4"]),
+        (["--left", "frames", "--right", "0", *STEREO], ["both be cameras"]),
+        (["--left", "frames", "--right", "frames", "--split", "halves", *STEREO], ["--split"]),
+        (["frames", "--pair-within", "3", *STEREO], ["--pair-within"]),
+        (["frames", "--exposure", "3", *STEREO], ["not a camera"]),
+        (["0", "--camera-fps", "-3", *STEREO], ["--camera-fps: '-3' is not a positive number"]),
+        (["0", "--pixel-format", "M", *STEREO], ["four letters"]),
+        (["frames", "--out", "a.npz", "--cell", "2", "--stereo", "rig.yaml"], ["for one view"]),
+        (["frames", "--out", "a.npz", "--contact", "2"], ["--contact needs --stereo"]),
+        (["frames", "--out", "a.npz", "--unit", "cm"], ["--unit needs --cell"]),
+        (["frames", "--out", "a.npz", "--cell", "0"], ["not a positive number"]),
+        (["frames", *STEREO, "--plot", "shown.gif"], ["shown.gif", ".mp4"]),
+    ],
+)
+def test_a_wrong_argument_is_one_line_and_no_file(run, recording, tmp_path, arguments, words):
+    fails_in_one_line(run("run", *arguments), *words)
+    assert not list(tmp_path.glob("*.npz"))
+
+
+def test_a_rectangle_in_each_view_selects_one_of_two_patterns(run, recording, press, tmp_path):
+    run("run", recording, *STEREO)
+    alone = np.load("press.npz")
+    doubled = tmp_path / "doubled"
+    doubled.mkdir()
+    other = press[0].right.image
+    for number, shot in enumerate(press):
+        frame = np.hstack([other, shot.left.image, other, shot.right.image])
+        cv2.imwrite(str(doubled / f"{number}.png"), frame)
+    StereoRig(*shifted(RIG, VIEW[1])).save("rig.yaml")
+    wide = 2 * VIEW[1]
+    fails_in_one_line(run("run", doubled, *STEREO), "the left view", "two patterns", "region")
+    boxes = [f"{x},0,{VIEW[1]},{VIEW[0]}" for x in (VIEW[1], wide + VIEW[1])]
+    status, _, err = run("run", doubled, *STEREO, "--region", ":".join(boxes))
+    assert (status, err) == (0, "")
+    series = np.load("press.npz")
+    np.testing.assert_array_equal(series["status"], alone["status"])
+    for view in ("left", "right"):
+        np.testing.assert_allclose(series[view], alone[view] + [VIEW[1], 0], atol=1e-4)
+    apart = np.abs(series["displacement"] - alone["displacement"]).max(axis=-1)
+    # sigma compares a corner with the median of its whole frame, and weighs the two views
+    assert (apart <= 0.1 * alone["sigma"] + 1e-6).all()  # mm: at rest sigma is 0
+    status, _, err = run("run", doubled, "--out", "one.npz", "--region", boxes[0])
+    assert (status, err) == (0, "")
+    one = np.load("one.npz")["rest"]
+    assert one.shape == (12, 12, 2)
+    assert (one[..., 0] > VIEW[1] - 0.5).all()
+
+
+def shifted(rig, columns):
+    """Return the rig whose views begin that much further to the left."""
+    moved = np.array([[0, 0, columns], [0, 0, 0], [0, 0, 0]])
+    return rig._replace(K1=rig.K1 + moved, K2=rig.K2 + moved)
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+def test_a_region_follows_its_rectangle_into_the_view(mirror):
+    frame = np.zeros((40, 90), np.uint8)
+    frame[12:20, 45:70] = 1
+    split = BinocularSplit((0, 0, 20, 40), (30, 5, 50, 30), mirror_right=mirror)
+    y, x = np.nonzero(split(frame)[1])
+    x0, y0, x1, y1 = region_in(split.right, (45, 12, 25, 8), mirror=mirror)
+    assert (x.min() - x0, y.min() - y0, x1 - x.max(), y1 - y.max()) == (0.5,) * 4
+
+
+def test_the_help_of_run_fits_two_screens_with_the_rare_options_last(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    _, out, _ = run("run", "--help")
+    assert out.count("\n") <= 100
+    groups = ["input:", "pattern:", "output:", "pictures:", "speed:", "rarely needed:"]
+    places = [out.index(f"\n{group}") for group in groups]
+    assert places == sorted(places)
+    assert out.index("--config TOML ") > places[-1]
+
+
+# What is written
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="others always have a display")
+def test_what_the_viewer_lacks_is_named_before_anything_is_measured(
+    run, recording, tmp_path, monkeypatch
+):
+    show = "run", recording, *STEREO, "--show"
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    fails_in_one_line(run(*show), "--show", "display")
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with contextlib.suppress(ImportError):
+        import rerun  # noqa: F401
+
+        fails_in_one_line(run(*show), "Viewer")
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    fails_in_one_line(run(*show), "pip install 'cmp-cl[view]'")
+    assert not list(tmp_path.glob("*.npz"))
+
+
+def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatch):
+    shown = []
+
+    class Viewer(contextlib.nullcontext):
+        def __init__(self):
+            super().__init__(self)
+
+        def close(self):
+            pass
+
+        def frame(self, **what):
+            shown.append(what)
+
+    monkeypatch.setattr("cmp_cl.cli.display.Viewer", Viewer)
+    monkeypatch.setenv("DISPLAY", ":0")
+    status, _, err = run("run", recording, *STEREO, "--show")
+    assert (status, err) == (0, "")
+    assert [what["index"] for what in shown] == list(range(len(press)))
+    for what, shot in zip(shown, press, strict=True):
+        np.testing.assert_array_equal(what["image"], shot.left.image)
+        assert np.abs(what["grid"].xy - shot.left.truth).max() < 1
+    assert np.nanmax(np.abs(shown[-1]["field"].displacement)) > 0.1
+    assert shown[-1]["rate"] > 0
+
+
+def test_a_pipe_gets_json_lines_alone_and_the_report_goes_to_stderr(one_view):
+    command = [sys.executable, "-m", "cmp_cl", "run", str(one_view), "--grid", "12x12"]
+    done = subprocess.run([*command, "--out", "-"], capture_output=True, text=True, check=True)
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert lines[0]["units"]["xy"] == "px"
+    assert lines[0]["device"]
+    assert [line["frame"] for line in lines[1:]] == list(range(len(lines) - 1))
+    assert "wrote -" in done.stderr
+
+
+def test_a_sheet_and_one_annotated_video_are_written(run, recording, press):
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+    status, out, _ = run("run", recording, *STEREO, "--plot", "shown")
+    assert (status, out.splitlines()[-2:]) == (0, ["wrote shown.png", "wrote shown.mp4"])
+    capture = cv2.VideoCapture("shown.mp4")
+    assert sum(capture.read()[0] for _ in range(len(press) + 3)) == len(press)
+    sheet = cv2.imread("shown.png")
+    assert run("plot", "press.npz", "--out", "same.png")[0] == 0
+    np.testing.assert_array_equal(cv2.imread("same.png"), sheet)
+
+
+def test_a_part_of_an_earlier_run_is_told_and_kept(run, one_view):
+    Path("flat.csv.part").write_text("of a run that was killed")
+    status, _, err = run("run", one_view, "--grid", "12x12", "--out", "flat.csv")
+    assert (status, err.count("\n")) == (0, 1)
+    assert "flat.csv.part is of a run that was killed" in err
+    assert Path("flat.csv.part").read_text() == "of a run that was killed"
+    assert not Path("flat.csv.part-2").exists()
+
+
+def test_strain_and_contact_are_in_the_series_if_requested(run, recording, press):
+    status, _, err = run(
+        "run", recording, *STEREO, "--strain", "--contact", "0.3", "--rest-frame", "0"
+    )
+    assert (status, err) == (0, "")
+    found = read_series("press.npz")
+    deep = np.nanmax(found["depth"], axis=(1, 2))
+    np.testing.assert_allclose(found["contact_depth"], deep)
+    assert (found["contact_area"] > 0).tolist() == (deep > 0.3).tolist()
+    assert found["contact_area"].any()
+    field = found["displacement"].shape
+    assert found["strain"].shape == found["normal"].shape == field
+    assert np.nanmax(found["strain_sigma"]) < 0.1
+
+
+def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
+    pytest.importorskip("h5py", reason="h5py is not installed")
+    os.mkdir("frames")
+    stretch = np.array([[1.01, 0.0], [0.0, 1.0]])
+    for number, by in enumerate((np.eye(2), stretch)):
+        picture = moved_board(
+            (150, 150), 12, lambda q, by=by: (q - 75) @ (by - np.eye(2)).T, board=(24, 24, 120, 120)
+        )
+        cv2.imwrite(f"frames/{number}.png", picture)
+    flat = ("run", "frames", "--grid", "7x7", "--out", "flat.h5", "--plot", "flat.mp4")
+    assert run(*flat, "--strain", "--cell", "2.5", "--unit", "cm")[0] == 0
+    found = read_series("flat.h5")
+    assert str(found["unit"]) == "cm"
+    steps = np.linalg.norm(np.diff(found["rest"], axis=1), axis=2)
+    np.testing.assert_allclose(steps, 2.5, atol=0.02)
+    moved = found["displacement"][1, 3, 6] - found["displacement"][1, 3, 0]
+    assert np.abs(moved).max() == pytest.approx(0.01 * 6 * 2.5, rel=0.05)
+    assert found["principal"][1, 3, 3] == pytest.approx([(1.01**2 - 1) / 2, 0], abs=1e-3)
+    np.testing.assert_array_equal(found["xy_rest"], found["xy"][0])
+
+
+def test_a_video_of_12_bits_is_measured_without_options_and_keeps_its_times(run):
+    picture = moved_board((150, 150), 12, lambda q: 0 * q, board=(24, 24, 120, 120))
+    write_deep_video("deep.mkv", picture.astype(np.uint16) << 3)  # in half of the light
+    assert run("run", "deep.mkv", "--grid", "7x7", "--out", "deep.npz")[0] == 0
+    assert read_series("deep.npz")["time_ms"] == pytest.approx([0, 35, 110])
+    status, out, _ = run("detect", "deep.mkv", "--grid", "7x7")
+    assert (status, "49 of 49 nodes" in out) == (0, True)
