@@ -8,6 +8,7 @@ apart.
 """
 
 import dataclasses
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,8 @@ DIRECTIONS = np.array([1, 1j, -1, -1j])
 SHIFTS = np.array([x + 1j * y for x in range(-2, 3) for y in range(-2, 3) if (x + y) % 2 == 0])
 FULL = 4  # closed half-edges of a node inside its part
 ROUNDED = 0.1  # numbers nearer than that are equal
+TREND = 6  # terms of a quadratic
+SPARE = 8  # steps between parts, on the map of numbers
 
 
 @dataclasses.dataclass(eq=False)
@@ -99,8 +102,7 @@ class _Joining:
         self.placed = Placed(
             np.full(corners, -1), np.zeros(corners, np.complex128), np.zeros(corners, np.int64)
         )
-        self.used: Whole = np.zeros(0, np.int64)
-        self.inward = [_inward(units.number[each], k) for each in self.members]
+        self.used = Occupied(units.number[each] for each in self.members)
         self.energy: dict[tuple[int, int, int], dict[complex, float]] = {}
 
     def run(self, main: int) -> Placed:
@@ -126,16 +128,15 @@ class _Joining:
         some = self.members[part]
         corner = self.units.corner[some]
         number = self.units.number[some] * DIRECTIONS[at.quarter] + at.offset
-        key = _keys(number)
-        _, first = np.unique(key, return_index=True)
-        alone = np.zeros(len(key), np.bool_)
+        _, first = np.unique(np.rint(number), return_index=True)
+        alone = np.zeros(len(number), np.bool_)
         alone[first] = True
-        fresh = alone & ~self.placed.there[corner] & ~np.isin(key, self.used)
+        fresh = alone & ~self.placed.there[corner] & ~self.used.at(number)
         corner = corner[fresh]
         self.placed.part[corner] = part
         self.placed.number[corner] = number[fresh]
         self.placed.rotation[corner] = (self.units.rotation[some][fresh] + at.quarter) % 4
-        self.used = np.concatenate([self.used, key[fresh]])
+        self.used.add(number[fresh])
 
     def ballots(self, part: int) -> tuple[Whole, Numbers, Float, Whole]:
         """Return the votes for placements of a part: quarter, offset, weight, unit."""
@@ -181,10 +182,9 @@ class _Joining:
             minlength=k.join_octants * len(places),
         ).reshape(-1, k.join_octants)
         score, raw = np.sqrt(sums).sum(axis=1), sums.sum(axis=1)
-        free = ~self.placed.there[units.corner[some]]
+        free = units.number[some[~self.placed.there[units.corner[some]]]]
         for n, (q, x, y) in enumerate(places):  # numbers that are used already are against it
-            number = units.number[some[free]] * DIRECTIONS[q] + complex(x, y)
-            score[n] -= np.isin(_keys(number), self.used).sum()
+            score[n] -= np.count_nonzero(self.used.at(free * DIRECTIONS[q] + complex(x, y)))
         order = np.argsort(-score, kind="stable")
         best = order[0]
         second = max(float(score[order[1]]), 0.0) if len(order) > 1 else 0.0
@@ -196,8 +196,7 @@ class _Joining:
         agreed = abs(at - favourite) < ROUNDED
         away = at - offset
         same = (np.abs(away) < ROUNDED) & (quarter == turn)
-        member = np.searchsorted(some, unit)
-        inward = self.inward[part][member] * DIRECTIONS[turn]
+        inward = _inward(units.number[unit], units.number[some], k) * DIRECTIONS[turn]
         explained = (away * inward.conj()).real >= k.join_inward * np.abs(away)
         against = weight[~same & ((quarter != turn) | ~explained)].sum()
         support = weight[same].sum()
@@ -214,23 +213,21 @@ class _Joining:
         second has more; 0 if none is least."""
         units, placed = self.units, self.placed
         some = self.members[part]
-        there = np.flatnonzero(placed.there)
-        there = there[~np.isin(there, units.corner[some])]
-        if not hasattr(self, "z"):
-            self.z = np.zeros(len(placed.part), np.complex128)
-            self.z[units.corner] = units.at
-        known = self.energy.setdefault((part, turn, len(there)), {})
-        tear = Tear.between(
-            self.z[there],
-            placed.number[there],
-            units.at[some],
-            units.number[some] * DIRECTIONS[turn],
-            self.k,
-        )
-        at = start
+        there = placed.there
+        there[units.corner[some]] = False
+        known = self.energy.setdefault((part, turn, int(np.count_nonzero(there))), {})
+        of_corner = np.zeros(len(there), np.int64)
+        of_corner[units.corner] = np.arange(len(units.corner))
+        corner = np.flatnonzero(there)
+        others = of_corner[corner]
+        fixed = Side(units.at[others], placed.number[corner], units.rim[others])
+        moved = Side(units.at[some], units.number[some] * DIRECTIONS[turn], units.rim[some])
+        tear, at = None, start
         for _ in range(4):
             new = [each for each in at + SHIFTS if each not in known]
-            known.update(zip(new, tear.energies(np.array(new)), strict=True))
+            if new:
+                tear = tear or Tear.between(fixed, moved, self.k)
+                known.update(zip(new, tear.energies(np.array(new)), strict=True))
             energy = np.array([known[each] for each in at + SHIFTS])
             energy = np.where(energy > 0, energy, np.inf)
             least = int(energy.argmin())
@@ -241,50 +238,66 @@ class _Joining:
         return at, 0.0
 
 
-def _keys(number: Numbers) -> Whole:
-    return np.rint(number.real).astype(np.int64) * 1_000_003 + np.rint(number.imag).astype(np.int64)
+class Occupied:
+    """The numbers that corners have, as a map; no part can lie farther from the first than it has
+    room for."""
+
+    def __init__(self, parts: Iterable[Numbers]) -> None:
+        self.reach = sum(int(np.ptp(n.real) + np.ptp(n.imag)) + SPARE for n in parts)
+        self.map = np.zeros((2 * self.reach + 1, 2 * self.reach + 1), np.bool_)
+
+    def _places(self, number: Numbers) -> tuple[Whole, Whole]:
+        row, column = (
+            np.rint(each).astype(np.int64) + self.reach for each in (number.imag, number.real)
+        )
+        return row.clip(0, 2 * self.reach), column.clip(0, 2 * self.reach)
+
+    def add(self, number: Numbers) -> None:
+        self.map[self._places(number)] = True
+
+    def at(self, number: Numbers) -> Mask:
+        """Return which of the numbers are taken."""
+        taken: Mask = self.map[self._places(number)]
+        return taken
 
 
-def _inward(number: Numbers, k: LatticeConstants) -> Numbers:
+def _inward(number: Numbers, all_numbers: Numbers, k: LatticeConstants) -> Numbers:
     """Return the unit sum of the steps from each node to the part's nodes near it."""
-    column, row = np.rint(number.real).astype(np.int64), np.rint(number.imag).astype(np.int64)
-    reach = int(k.join_near_steps)
-    column, row = column - column.min() + reach, row - row.min() + reach
-    there = np.zeros((row.max() + reach + 1, column.max() + reach + 1), np.bool_)
-    there[row, column] = True
-    total = np.zeros(len(number), np.complex128)
-    for down in range(-reach, reach + 1):
-        for across in range(-reach, reach + 1):
-            if np.hypot(across, down) <= k.join_near_steps:
-                total += there[row + down, column + across] * complex(across, down)
+    steps = all_numbers[None] - number[:, None]
+    total = np.where(np.abs(steps) <= k.join_near_steps, steps, 0).sum(axis=1)
     unit: Numbers = total / np.maximum(np.abs(total), 1e-9)
     return unit
 
 
-class Tear(NamedTuple):
-    """Nodes on both sides of a tear: numbers, the number of those of the first side, positions."""
+class Side(NamedTuple):
+    """Nodes on one side of a tear: positions, px, numbers, and which are at the rim of a part."""
 
-    number: Numbers
-    fixed: int
     at: Numbers
+    number: Numbers
+    rim: Mask
+
+
+class Tear(NamedTuple):
+    """Nodes on both sides of a tear: numbers and positions, cells."""
+
+    fixed: Numbers
+    fixed_at: Numbers
+    moved: Numbers
+    moved_at: Numbers
     rough: float
 
     @classmethod
-    def between(
-        cls, za: Numbers, na: Numbers, zb: Numbers, nb: Numbers, k: LatticeConstants
-    ) -> "Tear":
-        """Choose the nodes near the tear: in each sector around b, those within some cells of the
-        nearest on their own side."""
-        cell = _cell_of(zb, nb)
-        middle = zb.mean()
-        near = np.abs(za - middle) < np.abs(zb - middle).max() + k.tear_wide_cells * cell
-        za, na = za[near], na[near]
-        apart = np.abs(za[:, None] - zb[None]) / cell if len(za) else np.zeros((0, len(zb)))
+    def between(cls, fixed: Side, moved: Side, k: LatticeConstants) -> "Tear":
+        """Choose the nodes near the tear: in each sector around the second side, those within some
+        cells of the nearest on their own side."""
+        cell = _cell_of(moved.at, moved.number)
+        middle = moved.at.mean()
+        reach = np.abs(moved.at - middle).max() + k.tear_wide_cells * cell
+        near = np.abs(fixed.at - middle) < reach
+        fixed = Side(*(each[near] for each in fixed))
         sides = []
-        for z, distance in (
-            (za, apart.min(axis=1, initial=np.inf)),
-            (zb, apart.min(axis=0, initial=np.inf)),
-        ):
+        for (z, _, _), other in ((fixed, moved), (moved, fixed)):
+            distance = _distances(z, other.at[other.rim]).min(axis=1, initial=np.inf) / cell
             turn = (np.angle(z - middle) / np.pi + 1) * k.tear_sectors / 2
             sector = np.floor(turn).astype(np.int64) % k.tear_sectors
             gap = np.full(k.tear_sectors, np.inf)
@@ -295,38 +308,56 @@ class Tear(NamedTuple):
                 chosen = chosen[np.linspace(0, len(chosen) - 1, k.tear_most).astype(np.int64)]
             sides.append(chosen)
         a, b = sides
-        at = np.concatenate([za[a], zb[b]]) / cell
-        return cls(np.concatenate([na[a], nb[b]]), len(a), at - at.mean(), k.tear_rough)
+        fixed_at, moved_at = fixed.at[a] - middle, moved.at[b] - middle
+        return cls(fixed.number[a], fixed_at / cell, moved.number[b], moved_at / cell, k.tear_rough)
 
     def energies(self, offsets: Numbers) -> Float:
         """Return the bending energy of the map from numbers to positions, for each offset of the
         second side; infinite where it is not defined.
 
-        Cubic radial functions with a quadratic trend: [K + rough I, B; B', 0] [w; c] = [x; 0],
-        energy x' w.
+        Cubic radial functions with a quadratic trend: M [w; c] = [x; 0], energy x' w, with
+        M = [K + rough I, B; B', 0]. The first side and the trend are eliminated once; the energy is
+        theirs, and that of what they leave of the second side.
         """
-        count = len(self.number)
-        energy = np.full(len(offsets), np.inf)
-        if self.fixed < 6 or count - self.fixed < 3:
-            return energy
-        position = np.zeros((count + 6, 2))
-        position[:count] = np.stack([self.at.real, self.at.imag], axis=1)
-        for n, offset in enumerate(offsets):
-            p = self.number.copy()
-            p[self.fixed :] += offset
-            p -= p[: self.fixed].mean()
-            distance = np.abs(p[:, None] - p[None])
-            system = np.zeros((count + 6, count + 6))
-            system[:count, :count] = distance**3 + self.rough * np.eye(count)
-            x, y = p.real, p.imag
-            trend = np.stack([np.ones(count), x, y, x * x, y * y, x * y], axis=1)
-            system[:count, count:], system[count:, :count] = trend, trend.T
-            try:
-                w = np.linalg.solve(system, position)[:count]
-            except np.linalg.LinAlgError:
-                continue
-            energy[n] = (w * position[:count]).sum()
+        count = len(self.fixed)
+        if count < TREND or len(self.moved) < TREND // 2:
+            return np.full(len(offsets), np.inf)
+        origin = self.fixed.mean()
+        first = self.fixed - origin
+        system = np.zeros((count + TREND, count + TREND))
+        system[:count, :count] = _distances(first, first) ** 3 + self.rough * np.eye(count)
+        system[:count, count:] = _trend(first)
+        system[count:, :count] = system[:count, count:].T
+        position = np.zeros((count + TREND, 2))
+        position[:count] = np.stack([self.fixed_at.real, self.fixed_at.imag], axis=1)
+        second = (self.moved - origin) + offsets[:, None]
+        beside = np.concatenate(
+            [np.abs(first[:, None] - second[:, None, :]) ** 3, _trend(second).transpose(0, 2, 1)],
+            axis=1,
+        )
+        own = _distances(self.moved, self.moved) ** 3 + self.rough * np.eye(len(self.moved))
+        try:
+            inverse = np.linalg.inv(system)
+            across = beside.transpose(0, 2, 1) @ inverse
+            left = np.stack([self.moved_at.real, self.moved_at.imag], axis=1) - across @ position
+            w = np.linalg.solve(own - across @ beside, left)
+        except np.linalg.LinAlgError:
+            return np.full(len(offsets), np.inf)
+        of_first = (position * (inverse @ position)).sum()
+        energy: Float = of_first + (left * w).sum(axis=(1, 2))
         return energy
+
+
+def _trend(number: Numbers) -> Float:
+    """Return the terms of a quadratic at each number, (..., N, TREND)."""
+    x, y = number.real, number.imag
+    return np.stack([np.ones(x.shape), x, y, x * x, y * y, x * y], axis=-1)
+
+
+def _distances(a: Numbers, b: Numbers) -> Float:
+    """Return the distances of all pairs, (A, B)."""
+    dx, dy = a.real[:, None] - b.real, a.imag[:, None] - b.imag
+    return np.sqrt(dx * dx + dy * dy)
 
 
 def _cell_of(z: Numbers, number: Numbers) -> float:
