@@ -20,6 +20,7 @@ from cmp_cl.lattice.plan import LatticePlan
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
 from cmp_cl.opencl.program import Programs, programs_of
 from cmp_cl.stages.form import Form
+from cmp_cl.stages.layout import PlanBase
 from cmp_cl.stages.plan import Overflow, Plan, Plans
 from cmp_cl.stages.refine import copy_positions, no_corners, read_corners
 
@@ -186,9 +187,9 @@ class Detector(Closing):
         return self._queue
 
     @property
-    def octaves(self) -> int:
-        """Return the number of halved frames in which corners are found."""
-        return self._plans.lend().octaves
+    def layout(self) -> PlanBase:
+        """Return the layout of its frames on the device."""
+        return self._plans.lend()
 
     def begin(self, frames: Sequence[Frame]) -> Plan:
         """Upload frames and enqueue their kernels, without waiting; return the plan that has them.

@@ -9,12 +9,17 @@
  * view, with room for `room` corners. */
 #pragma OPENCL FP_CONTRACT OFF /* the sigma of a corner is that of cmp_cl/stages/refine.py */
 
+#ifndef LOOKS
+#error "LOOKS must be the number of nodes of a view that can be looked at again"
+#endif
 #if !defined(HEAD) || !defined(EDGES_FIELD) || !defined(METHOD_FIELD) || !defined(VARIANCE_FIELD)
 #error "HEAD and the fields of a result must be defined"
 #endif
 #define LEVELS (OCTAVES + 1)
 #define BY_EDGE_STEP 2          /* of Method */
 #define TORN_PX 0.15f           /* a corner whose sigma is not below it is torn */
+#define CENTROID 0
+#define SAME_PX 0.5f            /* a corner so near is the same */
 #define VARIANCE_OF_EXCESS 1000 /* px^2 per squared excess, as in cmp_cl/stages/refine.py */
 
 #define NEAR_CELLS 0.3f /* from the prediction, of the smaller local step */
@@ -23,10 +28,15 @@
 #define STRAY_CELLS 0.3f /* from the prediction of the nodes around */
 #define STRAY_TORN_CELLS 0.07f
 #define STRAY_PX 1.0f
+#define ADRIFT_CELLS 0.75f /* a free corner so near to a lost node may be its own */
 #define MISSING 0 /* of NodeStatus */
 #define DETECTED 1
+#define ATTACHED 2
+#define SECOND_LOOK 3
+#define INTERPOLATED 4
 #define NONE (-1)
 #define OTHER_COLOUR (-2)
+#define NO_ROOM (-2) /* for a look */
 
 /* What is counted in each view; a side is top, bottom, left or right. */
 #define LOST 0    /* nodes without a corner */
@@ -34,7 +44,8 @@
 #define ASTRAY 2  /* nodes that are far from what the nodes around predict */
 #define BEYOND 3  /* free corners beyond a side, where the next line would be */
 #define GONE 7    /* lost nodes on a side */
-#define COUNTED 11
+#define ADRIFT 11 /* lost nodes that have a corner near, which is not like those of the neighbours */
+#define COUNTED 12
 
 #define VIEW const int view = get_global_id(1), i = get_global_id(0);
 #define OF_NODE (view * NODES + i)
@@ -53,17 +64,33 @@
   const float2 along = ((at)[behind] - (at)[before]) / (float)max(behind - before, 1); \
   const float2 down = ((at)[below] - (at)[above]) / (float)max((below - above) / COLUMNS, 1);
 
-/* The corners of a view in the result. */
-#define RESULT_OF_VIEW(view)                                                        \
-  const int count = (int)min(((__global const uint *)result)[(view) * stride], room); \
+/* The corners of a view in a result, of which at most `most` fit. */
+#define RESULT_OF_VIEW(result, stride, most)                                        \
+  const int count = (int)min(((__global const uint *)(result))[view * (stride)], (uint)(most)); \
   const int padded = (count + 7) / 8 * 8;                                           \
-  __global const float *fields = result + (view) * stride + HEAD;                   \
+  __global const float *fields = (result) + view * (stride) + HEAD;                 \
   __global const float *edges = fields + EDGES_FIELD * padded;                      \
   __global const uchar *methods = (__global const uchar *)(fields + METHOD_FIELD * padded); \
   __global const uchar *refusals = methods + padded, *octaves = methods + 2 * padded; \
   __global const float *variances = fields + VARIANCE_FIELD * padded;               \
   __global const float *correlations = fields + (VARIANCE_FIELD + 1) * padded;
 #define OCTAVE_OF(n) (OCTAVES ? octaves[n] : 0)
+
+/* The standard deviation of corner n: its variance grows by the excess of its correlation. */
+#define SIGMA_OF(n, excess)                                                         \
+  sqrt(variances[n] + (float)(1 << 2 * OCTAVE_OF(n)) * VARIANCE_OF_EXCESS * (excess) * (excess))
+
+/* Whether a corner of this first boundary has the colour of node i, where the lattice has these
+ * steps; true if the boundary is unknown. `colour`: 1 if the first boundary of a corner of even row
+ * + column runs along the row, -1 if down. */
+int has_colour(const float angle, const float2 along, const float2 down, const int i,
+               const int colour) {
+  const float2 edge = (float2)(cos(angle), sin(angle));
+  const float off_down = fabs(edge.x * down.y - edge.y * down.x);
+  const float off_along = fabs(along.x * edge.y - along.y * edge.x);
+  const float sign = (i / COLUMNS + i % COLUMNS) % 2 ? -colour : colour;
+  return !(sign * (off_down - off_along) <= 0);
+}
 
 /* An integer in the order of the number. */
 uint ordered(const float v) {
@@ -77,7 +104,7 @@ __kernel void medians(__global const float *result, const uint stride, const uin
                       __global float *median) {
   const int view = get_group_id(1) / LEVELS, octave = get_group_id(1) % LEVELS;
   const int first = get_local_id(0), items = get_local_size(0);
-  RESULT_OF_VIEW(view)
+  RESULT_OF_VIEW(result, stride, room)
   __local uint bins[256], prefix, rank, all;
   if (first == 0) prefix = rank = all = 0;
   for (int shift = 24; shift >= 0; shift -= 8) {
@@ -114,20 +141,20 @@ __kernel void place(__global const float *result, const uint stride, const uint 
                     const int bin_rows, const int bin_columns, __global const float2 *nodes,
                     __global float4 *corners, __global float2 *last, __global float2 *predicted,
                     __global int *first_of_bin, __global int *next, __global int *claims,
-                    __global int *counts) {
+                    __global uint *look_counts, const uint first_count, __global int *counts) {
   VIEW
   if (i < COUNTED) counts[view * COUNTED + i] = 0;
+  if (i == 0) look_counts[first_count + view] = 0;
   if (i < NODES) {
     const float2 here = nodes[OF_NODE];
     predicted[OF_NODE] = here + (here - last[OF_NODE]);
     last[OF_NODE] = here;
   }
-  RESULT_OF_VIEW(view)
+  RESULT_OF_VIEW(result, stride, room)
   if (i >= min(count, CAPACITY)) return;
   const float4 region = regions[view];
   const float excess = fmax(correlations[i] - median[view * LEVELS + OCTAVE_OF(i)], 0.0f);
-  const float grown = (float)(1 << 2 * OCTAVE_OF(i)) * VARIANCE_OF_EXCESS * excess * excess;
-  const float sigma = sqrt(variances[i] + grown);
+  const float sigma = SIGMA_OF(i, excess);
   const int whole = sigma < TORN_PX && refusals[i] == 0;
   const float4 corner =
       (float4)(fields[2 * i], fields[2 * i + 1], edges[4 * i], whole ? sigma : -sigma);
@@ -159,9 +186,8 @@ __kernel void place(__global const float *result, const uint stride, const uint 
         best_off = off;                                                             \
       }
 
-/* The corner of each node: the one at its prediction, if it has the node's colour. `colour`: 1
- * if the first boundary of a corner of even row + column runs along the row, -1 if down. One
- * work-item a node. */
+/* The corner of each node: the one at its prediction, if it has the node's colour. One work-item a
+ * node. */
 __kernel void match(__global const float4 *corners, const float bin, const int bin_rows,
                     const int bin_columns, __global const int *first_of_bin,
                     __global const int *next, __global const float2 *last,
@@ -177,12 +203,7 @@ __kernel void match(__global const float4 *corners, const float bin, const int b
   if (within != 1 || !(best_2 < NEAR_CELLS * NEAR_CELLS * cell * cell)) best = NONE;
   residual[OF_NODE] = best_off;
   if (best >= 0) {
-    const float angle = corners[CORNERS + best].z;
-    const float2 edge = (float2)(cos(angle), sin(angle));
-    const float off_down = fabs(edge.x * down.y - edge.y * down.x);
-    const float off_along = fabs(along.x * edge.y - along.y * edge.x);
-    const float sign = (row + column) % 2 ? -colour[view] : colour[view];
-    if (sign * (off_down - off_along) <= 0) { /* false if the angle is unknown */
+    if (!has_colour(corners[CORNERS + best].z, along, down, i, colour[view])) {
       best = OTHER_COLOUR;
       atomic_inc(counts + view * COUNTED + CROSSED);
     } else atomic_inc(claims + CORNERS + best);
@@ -229,16 +250,23 @@ __kernel void agree(__global const float4 *corners, __global const float2 *last,
   if (column == COLUMNS - 1) atomic_inc(own + GONE + 3);
 }
 
-/* Nodes far from what the nodes around predict lose their status, and free corners where a line
- * beyond a side would be are counted. `stencils`: 49 weights of the 7 x 7 nodes around for each of
- * 16 x 16 distances from the sides, 0 to 3 above, below, before and behind; all 0 where too few
- * nodes predict. One work-item a node. */
+/* A node that failed, or that is far from what the nodes around predict, is looked at a second time:
+ * refinement starts at a free corner near the place where it is expected, or there. For that it is
+ * listed in `looks` as kernels/result.clh lists corners; `look` is its place in that list, NONE for
+ * the others.
+ *
+ * Free corners where a line beyond a side would be are counted, and failed nodes that have a corner
+ * near: where corners moved too far they have one, where they are torn they have none. `stencils`:
+ * 49 weights of the 7 x 7 nodes around for each of 16 x 16 distances from the sides, 0 to 3 above,
+ * below, before and behind; all 0 where too few nodes predict. One work-item a node. */
 __kernel void check(__global const float4 *corners, const float bin, const int bin_rows,
                     const int bin_columns, __global const int *first_of_bin,
                     __global const int *next, __global const int *claims,
-                    __global const int *kept, __global const float2 *nodes,
-                    __global const uchar *torn, __global const float *stencils,
-                    __global uchar *status, __global int *counts) {
+                    __global const int *nearest, __global const int *kept,
+                    __global const float2 *nodes, __global const uchar *torn,
+                    __global const float *stencils, __global float2 *expected,
+                    __global int *look, __global int *looks, const uint look_length,
+                    __global uint *look_counts, const uint first_count, __global int *counts) {
   VIEW
   if (i >= NODES) return;
   __global const float2 *at = nodes + view * NODES;
@@ -247,20 +275,38 @@ __kernel void check(__global const float4 *corners, const float bin, const int b
   const int rows_around = 4 * min(row, 3) + min(ROWS - 1 - row, 3);
   const int columns_around = 4 * min(column, 3) + min(COLUMNS - 1 - column, 3);
   __global const float *weights = stencils + 49 * (16 * rows_around + columns_around);
-  float2 expected = 0;
+  float2 mean = 0;
   float sum = 0;
   for (int r = -3; r <= 3; ++r)
     for (int c = -3; c <= 3; ++c) {
       const float weight = weights[7 * (r + 3) + c + 3];
       if (weight == 0) continue;
-      expected += weight * at[i + r * COLUMNS + c];
+      mean += weight * at[i + r * COLUMNS + c];
       sum += weight;
     }
-  const float cell = (length(along) + length(down)) / 2, off = length(at[i] - expected);
+  const float cell = (length(along) + length(down)) / 2, off = length(at[i] - mean);
   const float most = torn[OF_NODE] ? STRAY_TORN_CELLS : STRAY_CELLS;
-  if (kept[OF_NODE] >= 0 && sum > 0.5f && off > STRAY_PX && off > most * cell) {
-    status[OF_NODE] = MISSING;
-    atomic_inc(own + ASTRAY);
+  const int lost = kept[OF_NODE] < 0, between = sum > 0.5f;
+  const int astray = !lost && between && off > STRAY_PX && off > most * cell;
+  look[OF_NODE] = NONE;
+  if (astray) atomic_inc(own + ASTRAY);
+  if (lost) {
+    NEAREST(at[i], ADRIFT_CELLS * cell, claims[CORNERS + j] == 0)
+    if (best >= 0 || nearest[OF_NODE] != NONE) atomic_inc(own + ADRIFT);
+  }
+  if (lost || astray) {
+    const float2 place = between ? mean : at[i];
+    expected[OF_NODE] = place;
+    NEAREST(place, NEAR_CELLS * cell, claims[CORNERS + j] == 0)
+    const float2 start = best >= 0 ? corners[CORNERS + best].xy : place;
+    const int slot = (int)atomic_inc(look_counts + first_count + view);
+    look[OF_NODE] = slot < LOOKS ? slot : NO_ROOM;
+    if (slot < LOOKS) {
+      __global int *entry = looks + view * LOOKS + slot;
+      entry[0] = (int)rint(start.x);
+      entry[look_length] = (int)rint(start.y);
+      for (int k = 2; k < COLUMNS_OF_LOOK; ++k) entry[k * look_length] = k == 3; /* its own centroid */
+    }
   }
   const int inner[4] = {row == 0 ? below : i, row == ROWS - 1 ? above : i,
                         column == 0 ? behind : i, column == COLUMNS - 1 ? before : i};
@@ -271,4 +317,54 @@ __kernel void check(__global const float4 *corners, const float bin, const int b
     NEAREST(beyond, NEAR_CELLS * length(step), claims[CORNERS + j] == 0)
     if (best >= 0) atomic_inc(own + BEYOND + side);
   }
+}
+
+/* A node takes what its second look has found, if it is near the expected place and has the right
+ * colour. A corner there that is free, or was its own, is its corner. A node that nothing is found
+ * for keeps a corner that is not too far; else it stays at that place, INTERPOLATED between two
+ * neighbours. `result`: of the looks. One work-item a node. */
+__kernel void enter(__global const float *result, const uint stride,
+                    __global const float *median, __global const float4 *corners,
+                    const float bin, const int bin_rows, const int bin_columns,
+                    __global const int *first_of_bin, __global const int *next,
+                    __global const int *claims, __global const int *kept,
+                    __global const int *look, __global const float2 *expected,
+                    __global const float2 *last, __global const int *colour,
+                    __global float2 *nodes, __global uchar *status, __global float *sigma,
+                    __global int *owner) {
+  VIEW
+  if (i >= NODES) return;
+  const int n = look[OF_NODE], before_look = kept[OF_NODE];
+  owner[OF_NODE] = before_look;
+  if (n == NONE) return;
+  STEPS(last + view * NODES)
+  RESULT_OF_VIEW(result, stride, LOOKS)
+  const float cell = (length(along) + length(down)) / 2;
+  const float2 place = expected[OF_NODE];
+  if (n >= 0 && n < count && refusals[n] == 0 && methods[n] != CENTROID) {
+    const float2 found = (float2)(fields[2 * n], fields[2 * n + 1]);
+    const float excess = fmax(correlations[n] - median[view * LEVELS], 0.0f);
+    const float deviation = SIGMA_OF(n, excess), off = length(found - place);
+    const float most = deviation < TORN_PX ? NEAR_CELLS : STRAY_TORN_CELLS;
+    if ((off < most * cell || off < STRAY_PX) &&
+        has_colour(edges[4 * n], along, down, i, colour[view])) {
+      NEAREST(found, SAME_PX, claims[CORNERS + j] == 0 || j == before_look)
+      owner[OF_NODE] = best;
+      nodes[OF_NODE] = best >= 0 ? corners[CORNERS + best].xy : found;
+      status[OF_NODE] = best < 0 ? SECOND_LOOK : best == before_look ? DETECTED : ATTACHED;
+      sigma[OF_NODE] = best >= 0 ? fabs(corners[CORNERS + best].w) : deviation;
+      return;
+    }
+  }
+  if (before_look >= 0 && length(nodes[OF_NODE] - place) < STRAY_CELLS * cell) return;
+  const int near[4] = {before, behind, above, below};
+  int there[4];
+  for (int k = 0; k < 4; ++k) {
+    const int j = view * NODES + near[k];
+    there[k] = near[k] != i && kept[j] >= 0 && look[j] == NONE;
+  }
+  owner[OF_NODE] = NONE;
+  nodes[OF_NODE] = place;
+  status[OF_NODE] = (there[0] && there[1]) || (there[2] && there[3]) ? INTERPOLATED : MISSING;
+  sigma[OF_NODE] = NAN;
 }

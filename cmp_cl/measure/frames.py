@@ -244,7 +244,8 @@ class Measurement(Closing):
         if self._tracker is None or self._plan is None or not self._follows:
             return
         (plan,) = begun.plans
-        self._tracker.start(plan.arrays["result"], plan.corner_capacity)
+        looks = self._tracker.looks(plan)
+        self._tracker.start(plan.arrays["result"], plan.corner_capacity, looks)
         self._plan.start()
         begun.tracked = True
 
@@ -557,7 +558,8 @@ class TwoViews(Measurement):
                 sizes=[detector.shape] * len(views),
                 regions=[view.region for view in views],
                 frame=self._plan.frame,
-                octaves=detector.octaves,
+                octaves=detector.layout.octaves,
+                lists=detector.layout.lists,
             )
             self._stack.callback(self._tracker.release)
 

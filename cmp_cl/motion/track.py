@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pyopencl as cl
@@ -14,15 +15,19 @@ from cmp_cl.motion.memory import Layout, Memory
 from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.launches import GROUP, Launch, multiple
 from cmp_cl.opencl.program import Programs
+from cmp_cl.stages import refine
+from cmp_cl.stages.layout import CORNER_COLUMNS
+from cmp_cl.stages.plan import Plan
 from cmp_cl.stages.refine import EDGES, METHOD, RESULT_FIELDS, RESULT_HEAD, VARIANCE
 
 STRONG = 8.0  # least weight of the predictions of a node that is checked
 LOST = 0.10  # largest share of the nodes without a corner
 CROSSED = 0.02  # largest share of the nodes whose corner has the other colour
 BEYOND = 0.05  # largest share of a side's nodes beyond which a free corner is
+ADRIFT = 0.005  # largest share of the nodes that are lost beside a corner
 GONE = 0.50  # largest share of a side's nodes that are lost
 KNOWN = 0.95  # least share of the nodes that the frame at rest must show
-COUNTED = 11  # numbers for each view, as in kernels/track.cl
+COUNTED = 12  # numbers for each view, as in kernels/track.cl
 LEAST_ROOM = 4096  # corners of a view
 MEDIAN_GROUP = 256  # work-items that look for a median together
 EVERYWHERE = (-np.inf, -np.inf, np.inf, np.inf)  # px
@@ -38,7 +43,7 @@ class Tracked:
 
     lost, crossed, astray: nodes without a corner, with one of the other colour, and far from what
     the nodes around predict. beyond, gone: by side (top, bottom, left, right), the free corners
-    beyond it and its lost nodes.
+    beyond it and its lost nodes. adrift: lost nodes beside a corner that may be theirs.
     """
 
     lost: int
@@ -46,6 +51,7 @@ class Tracked:
     astray: int
     beyond: tuple[int, ...]
     gone: tuple[int, ...]
+    adrift: int
 
     def holds(self, shape: tuple[int, int]) -> bool:
         """Return whether the numbers of the frame before hold for a lattice of that shape.
@@ -57,6 +63,7 @@ class Tracked:
         return (
             self.lost <= LOST * rows * columns
             and self.crossed <= CROSSED * rows * columns
+            and self.adrift <= ADRIFT * rows * columns
             and sum(self.beyond) <= BEYOND * sum(sides)
             and all(gone <= GONE * side for gone, side in zip(self.gone, sides, strict=True))
         )
@@ -86,12 +93,17 @@ class Tracker:
         regions: Sequence[Region | None],
         frame: Memory,
         octaves: int,
+        lists: int,
     ) -> None:
         self._queue, self._device = queue, device
         self._frame = frame
+        self._looks: WeakKeyDictionary[Plan, tuple[cl.Buffer, list[Launch]]] = WeakKeyDictionary()
         self.shape = rows, columns = views[0][0].shape
         self._count, self._levels = len(views), octaves + 1
         self.capacity = multiple(max(LEAST_ROOM, 2 * rows * columns), GROUP)
+        self.room = multiple(int(LOST * rows * columns), GROUP)  # of second looks
+        look_columns = CORNER_COLUMNS + (octaves > 0)
+        self._first_count = len(views) * lists
         self._bin = max(_LEAST_BIN, _BIN * min(_step(grid) for grid, _ in views))
         self._bins = tuple(int(max(size) // self._bin) + 1 for size in zip(*sizes, strict=True))
         nodes, corners = (self._count, rows, columns), (self._count, self.capacity)
@@ -108,6 +120,12 @@ class Tracker:
                 "first_of_bin": ((self._count, *self._bins), np.int32),
                 "next": (corners, np.int32),
                 "claims": (corners, np.int32),
+                "kept": (nodes, np.int32),
+                "expected": ((*nodes, 2), np.float32),
+                "look": (nodes, np.int32),
+                "looks": ((look_columns, self._count, self.room), np.int32),
+                "look_counts": ((self._count * (lists + 1),), np.uint32),
+                "look_result": ((self._count, _stride(self.room)), np.float32),
             },
         )
         self._constants = Memory.of(
@@ -127,6 +145,8 @@ class Tracker:
                 "ROWS": rows,
                 "COLUMNS": columns,
                 "CAPACITY": self.capacity,
+                "LOOKS": self.room,
+                "COLUMNS_OF_LOOK": look_columns,
                 "OCTAVES": octaves,
                 "HEAD": RESULT_HEAD,
                 "EDGES_FIELD": EDGES.start,
@@ -164,6 +184,7 @@ class Tracker:
         nodes = self.shape[0] * self.shape[1]
         bins = np.float32(self._bin), np.int32(self._bins[0]), np.int32(self._bins[1])
         chains = *bins, "first_of_bin", "next"
+        look_counts = "look_counts", np.uint32(self._first_count)
         group = 1 if self._device.kind is DeviceKind.CPU else MEDIAN_GROUP
         return [
             self._bound(
@@ -173,7 +194,7 @@ class Tracker:
                 "place",
                 max(nodes, self.capacity),
                 *(*_RESULT, "median", "regions", *bins, "nodes", "corners", "last", "predicted"),
-                *("first_of_bin", "next", "claims", "tracked"),
+                *("first_of_bin", "next", "claims", *look_counts, "tracked"),
             ),
             self._of_nodes(
                 "match",
@@ -185,13 +206,21 @@ class Tracker:
                 "agree",
                 nodes,
                 *("corners", "last", "predicted", "nearest", "residual", "claims"),
-                *("nodes", "seen_status", "seen_sigma", "torn", "owner", "tracked"),
+                *("nodes", "seen_status", "seen_sigma", "torn", "kept", "tracked"),
             ),
             self._of_nodes(
                 "check",
                 nodes,
-                *("corners", *chains, "claims", "owner", "nodes", "torn", "stencils"),
-                *("seen_status", "tracked"),
+                *("corners", *chains, "claims", "nearest", "kept", "nodes", "torn", "stencils"),
+                *("expected", "look", "looks", np.uint32(self._count * self.room)),
+                *(*look_counts, "tracked"),
+            ),
+            self._of_nodes(
+                "enter",
+                nodes,
+                *("look_result", np.uint32(_stride(self.room)), "median"),
+                *("corners", *chains, "claims", "kept", "look", "expected", "last", "colour"),
+                *("nodes", "seen_status", "seen_sigma", "owner"),
             ),
         ]
 
@@ -211,12 +240,15 @@ class Tracker:
         cl.enqueue_copy(self._queue, self._parts["last"], self._parts["nodes"])
         return all(not grid.ambiguous and grid.valid.mean() >= 1 - LOST for grid in grids)
 
-    def start(self, result: cl.Buffer, room: int) -> list[tuple[str, cl.Event]]:
+    def start(
+        self, result: cl.Buffer, room: int, looks: Sequence[Launch] = ()
+    ) -> list[tuple[str, cl.Event]]:
         """Enqueue the tracking of a frame. result: its corners in the layout of
-        kernels/result.clh, with room for so many in each view."""
+        kernels/result.clh, with room for so many in each view. looks: as `looks` returns them; if
+        there are none, nodes get no second look."""
         for launch in self.launches[:2]:
             launch.kernel.set_arg(0, result)
-            launch.kernel.set_arg(1, np.uint32(RESULT_HEAD + RESULT_FIELDS * room))
+            launch.kernel.set_arg(1, np.uint32(_stride(room)))
             launch.kernel.set_arg(2, np.uint32(room))
         bins = self._parts["first_of_bin"]
         cl.enqueue_fill_buffer(self._queue, bins, np.array([-1], np.int32), 0, bins.size)
@@ -225,8 +257,19 @@ class Tracker:
                 each.stage,
                 cl.enqueue_nd_range_kernel(self._queue, each.kernel, each.items, each.group),
             )
-            for each in self.launches
+            for each in (*self.launches[:-1], *looks, self.launches[-1])
         ]
+
+    def looks(self, plan: Plan) -> list[Launch]:
+        """Return the launches of the second look at the frames of a detector's plan."""
+        known = self._looks.get(plan)
+        if known is not None and known[0] is plan.arrays["image"]:
+            return known[1]
+        names = {"corners": "looks", "counts": "look_counts", "result": "look_result"}
+        parts = {name: self._parts[own] for name, own in names.items()}
+        launches = refine.looks(plan, room=self.room, **parts)
+        self._looks[plan] = plan.arrays["image"], launches
+        return launches
 
     def holds(self, arrays: Mapping[str, NDArray[Any]], corners: Sequence[int]) -> bool:
         """Return whether the numbers of the frame before hold in all views.
@@ -234,7 +277,7 @@ class Tracker:
         arrays: of the frame, see `FieldPlan.read`. corners: their number in each view.
         """
         return max(corners) <= self.capacity and all(
-            each.holds(self.shape) and not each.lost + each.astray for each in self.found(arrays)
+            each.holds(self.shape) for each in self.found(arrays)
         )
 
     def found(self, arrays: Mapping[str, NDArray[Any]]) -> list[Tracked]:
@@ -246,9 +289,15 @@ class Tracker:
                 astray=int(numbers[2]),
                 beyond=tuple(numbers[3:7].tolist()),
                 gone=tuple(numbers[7:11].tolist()),
+                adrift=int(numbers[11]),
             )
             for numbers in arrays["tracked"]
         ]
+
+
+def _stride(room: int) -> int:
+    """Return the numbers of the result of a view with room for so many corners."""
+    return RESULT_HEAD + RESULT_FIELDS * room
 
 
 def differing(one: Grid, other: Grid) -> int:

@@ -11,7 +11,11 @@
 5. A node that fails moves as these neighbours do.
 6. A node over 1 px and .3 cell, or with a torn corner .07 cell, from the prediction of the nodes
    around is astray.
-7. Free corners within .3 step of where the next line beyond a side would be are counted.
+7. Free corners within .3 step of where the next line beyond a side would be are counted, and so are
+   failed nodes with a corner at the expected place, or a free one within .75 cell.
+8. A node that fails or is astray is looked at again. If that finds nothing, it keeps a corner
+   within .3 cell of the prediction; else it takes the prediction, or if there is none stays where
+   5 moved it, and is interpolated if both neighbours along a line have corners and are not astray.
 """
 
 import dataclasses
@@ -27,14 +31,19 @@ _LINE = {(0, -1): 4 / 6, (0, 1): 4 / 6, (0, -2): -1 / 6, (0, 2): -1 / 6}
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Found:
-    """nodes: (R, C, 2). owner: (R, C), the corner, -1 without one. astray: (R, C). crossed: number
-    of corners of another colour. beyond, gone: (4,), free corners and lost nodes of each side, top,
-    bottom, left, right. margin: the least distance of a quantity from its bound, px."""
+    """nodes: (R, C, 2). owner: (R, C), the corner, -1 without one. status: (R, C), 0 missing, 1
+    with a corner, 4 interpolated. crossed, lost, astray, adrift: numbers of nodes with a corner of
+    another colour, that failed, that are astray, and that failed beside a corner. beyond, gone:
+    (4,), free corners and failed nodes of each side, top, bottom, left, right. margin: the least
+    distance of a quantity from its bound, px."""
 
     nodes: Floats
     owner: Ints
-    astray: NDArray[np.bool_]
+    status: Ints
     crossed: int
+    lost: int
+    astray: int
+    adrift: int
     beyond: Ints
     gone: Ints
     margin: float
@@ -46,10 +55,11 @@ def track(before: Floats, nodes: Floats, corners: Floats, colour: int) -> Found:
     have their first boundary along the row, else -1."""
     shape = nodes.shape[0], nodes.shape[1]
     expected = 2 * nodes - before
-    along, down = _steps(nodes)
+    before_step = along, down = _steps(nodes)
     step = np.minimum(np.linalg.norm(along, axis=2), np.linalg.norm(down, axis=2))
     owner = np.full(shape, -1, np.int32)
     residual = np.zeros((*shape, 2))
+    there = np.zeros(shape, np.bool_)  # whether a corner is at the expected place
     crossed, margins = 0, [np.inf]
     for node in np.ndindex(*shape):
         off = corners[:, :2] - expected[node]
@@ -62,6 +72,7 @@ def track(before: Floats, nodes: Floats, corners: Floats, colour: int) -> Found:
         if not far[nearest] < 0.3 * step[node] or np.count_nonzero(near) > 1:
             continue
         residual[node] = off[nearest]
+        there[node] = True
         angle = corners[nearest, 2]
         edge = np.array([np.cos(angle), np.sin(angle)])
         sign = colour * (-1) ** sum(node)
@@ -87,15 +98,16 @@ def track(before: Floats, nodes: Floats, corners: Floats, colour: int) -> Found:
         else:
             moved[r, c] += mean
     along, down = _steps(moved)
+    cell = (np.linalg.norm(along, axis=2) + np.linalg.norm(down, axis=2)) / 2
+    predictions = {node: _predicted(moved, node) for node in np.ndindex(*shape)}
     astray = np.zeros(shape, np.bool_)
     for node in zip(*np.nonzero(kept >= 0), strict=True):
-        prediction = _predicted(moved, node)
+        prediction = predictions[node]
         if prediction is None:
             continue
-        cell = (np.linalg.norm(along[node]) + np.linalg.norm(down[node])) / 2
         torn = not corners[kept[node], 3] > 0
         apart = float(np.linalg.norm(moved[node] - prediction))
-        most = max(1.0, (0.07 if torn else 0.3) * float(cell))
+        most = max(1.0, (0.07 if torn else 0.3) * float(cell[node]))
         margins.append(abs(apart - most))
         astray[node] = apart > most
     free = corners[taken == 0, :2]
@@ -117,12 +129,37 @@ def track(before: Floats, nodes: Floats, corners: Floats, colour: int) -> Found:
             margins.append(abs(gap - reach))
             beyond[side] += gap < reach
     lost = kept < 0
+    adrift = 0
+    for node in zip(*np.nonzero(lost), strict=True):
+        gap = float(np.linalg.norm(free - moved[node], axis=1).min(initial=np.inf))
+        margins.append(abs(gap - 0.75 * cell[node]))
+        adrift += bool(there[node] or gap < 0.75 * cell[node])
     gone = [np.count_nonzero(line) for line in (lost[0], lost[-1], lost[:, 0], lost[:, -1])]
+    step = (np.linalg.norm(before_step[0], axis=2) + np.linalg.norm(before_step[1], axis=2)) / 2
+    good = ~lost & ~astray
+    final, owner, status = moved.copy(), kept.copy(), np.ones(shape, np.int32)
+    for node in zip(*np.nonzero(~good), strict=True):
+        prediction = predictions[node]
+        place = moved[node] if prediction is None else prediction
+        apart = float(np.linalg.norm(moved[node] - place))
+        if not lost[node]:
+            margins.append(abs(apart - 0.3 * step[node]))
+            if apart < 0.3 * step[node]:
+                continue
+        (r, c), final[node], owner[node] = node, place, -1
+        sides = [
+            _inside(n, shape) and bool(good[n])
+            for n in ((r, c - 1), (r, c + 1), (r - 1, c), (r + 1, c))
+        ]
+        status[node] = 4 if all(sides[:2]) or all(sides[2:]) else 0
     return Found(
-        nodes=moved,
-        owner=kept,
-        astray=astray,
+        nodes=final,
+        owner=owner,
+        status=status,
         crossed=crossed,
+        lost=int(np.count_nonzero(lost)),
+        astray=int(np.count_nonzero(astray)),
+        adrift=adrift,
         beyond=beyond,
         gone=np.array(gone, np.int32),
         margin=float(np.min(margins)),

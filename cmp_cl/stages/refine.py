@@ -1,7 +1,7 @@
 """The stages from the list of corners to positions, and the reading of their result."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyopencl as cl
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.config import EdgeLines, EdgeStep, Fit, Midlines
 from cmp_cl.corners import Corners, Method
-from cmp_cl.opencl.launches import Launch, multiple
+from cmp_cl.opencl.launches import GROUP, Launch, multiple
 from cmp_cl.stages.layout import LANES, PlanBase
 from cmp_cl.stages.moments import BLUR, moments
 from cmp_cl.stages.resampling import full_pixels
@@ -69,14 +69,42 @@ def result_size(plan: PlanBase) -> int:
 def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the list of corners to positions."""
     refinement = plan.config.refinement
-    return [_centroids(plan) if refinement is None else _refined(plan, refinement)]
+    if refinement is None:
+        return [_centroids(plan)]
+    arrays = plan.arrays
+    places = _Places(arrays["corners"], arrays["counts"], arrays["result"], plan.corner_capacity)
+    return [_refined(plan, refinement, places)]
 
 
-def _of_corners(plan: PlanBase, name: str, **arguments: Any) -> Launch:
+def looks(
+    plan: PlanBase, *, corners: cl.Buffer, counts: cl.Buffer, result: cl.Buffer, room: int
+) -> list[Launch]:
+    """Return the launch that refines corners at other places of the plan's frames.
+
+    corners, counts, result: as those of the plan, see kernels/result.clh, with room for so many
+    corners in each frame, a multiple of the work-items in a group.
+    """
+    refinement = plan.config.refinement
+    if refinement is None:
+        return []
+    places = _Places(corners, counts, result, room)
+    return [_refined(plan, refinement, places)]
+
+
+class _Places(NamedTuple):
+    """The places that are refined, and the result, see `looks`."""
+
+    corners: cl.Buffer
+    counts: cl.Buffer
+    result: cl.Buffer
+    room: int
+
+
+def _of_corners(plan: PlanBase, name: str, room: int, **arguments: Any) -> Launch:
     """Bind a kernel over the corners: one work-item each, or one for a share of them."""
     if plan.lanes == 1:
-        return plan.of_corners(name, **arguments)
-    shares = min(SHARES * plan.device.handle.max_compute_units, plan.corner_capacity // LANES)
+        return plan.stage(name, (room, plan.frames), (GROUP, 1), **arguments)
+    shares = min(SHARES * plan.device.handle.max_compute_units, room // LANES)
     return plan.stage(name, (shares, plan.frames), (1, 1), **arguments)
 
 
@@ -99,9 +127,11 @@ def _centroids(plan: PlanBase) -> Launch:
     )
 
 
-def _refined(plan: PlanBase, refinement: EdgeLines | EdgeStep | Midlines) -> Launch:
+def _refined(
+    plan: PlanBase, refinement: EdgeLines | EdgeStep | Midlines, places: _Places
+) -> Launch:
     """Return the launch from the corners to their refined positions."""
-    b, name, factor = plan.arrays, _name(refinement), plan.scale or 1.0
+    name, factor, room = _name(refinement), plan.scale or 1.0, places.room
     rings: dict[str, Any] = {}
     if plan.scale is not None:
         if plan.lanes == LANES:
@@ -114,16 +144,19 @@ def _refined(plan: PlanBase, refinement: EdgeLines | EdgeStep | Midlines) -> Lau
     return _of_corners(
         plan,
         f"{name}_eight" if plan.lanes == LANES else name,
-        image=b["image"],
-        corners=b["corners"],
-        counts=b["counts"],
+        room,
+        image=plan.arrays["image"],
+        corners=places.corners,
+        counts=places.counts,
         **_full_size(plan),
-        **plan.corner_list,
+        capacity=np.uint32(room),
+        count_offset=np.uint32(plan.frames * plan.lists),
+        length=np.uint32(plan.frames * room),
         max_shift=_largest_shift(plan),
         scale=np.float32(factor),
         **rings,
         **disc,
-        result=b["result"],
+        result=places.result,
     )
 
 
