@@ -356,7 +356,7 @@ SECTIONS: dict[str, Callable[[Path], str]] = {
     "detection": detection,
     "photographs": photographs,
     "sigma": sigma,
-    "lattice": as_it_is("lattice", "Numbers", ""),
+    "numbering": as_it_is("numbering", "Numbers", ""),
     "field": as_it_is("field", "From a frame to its field", ""),
     "scaling": as_it_is("scaling", "Cost by pixels, corners and frames", ""),
     "stiff": as_it_is("stiff", "Stiff and extreme cases", "Counts are of false corners."),

@@ -1,7 +1,7 @@
 """Every number that the lattice is tuned by.
 
-They were chosen on rendered gels and boards that no report uses (bench/lattice.py has other seeds).
-What each idea is worth, the same script measures with --ablation.
+They were chosen on rendered gels and boards that no report uses: bench/numbering.py has other
+seeds. What each idea is worth, the same script measures with --ablation.
 """
 
 import dataclasses
