@@ -28,6 +28,7 @@ from cmp_cl.cli.arguments import (
 )
 from cmp_cl.cli.messages import counted, one_line, shown
 from cmp_cl.cli.progress import Progress
+from cmp_cl.cli.window import add_window, through_window, window_files
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
@@ -114,6 +115,7 @@ def add_parser(commands: Any) -> None:
     output.add_argument(
         "--corners", metavar="FILE", help="write the corners too, .vnl (mrcal), or .yaml (OpenCV)"
     )
+    add_window(parser)
     add_split(
         parser,
         help_="where the views are in a frame that shows both: halves (the default), or "
@@ -157,7 +159,13 @@ def run(arguments: argparse.Namespace) -> int:
         raise CalibrationError(_explained(error, files, boards.left_out)) from error
     for line in boards.left_out:
         print(f"cmp-cl: left out {line}", file=sys.stderr)
-    written = save_cameras(arguments.out, found.cameras, covariance=found.covariance)
+    window, covariance = None, found.covariance
+    if arguments.window is not None:
+        rig = through_window(
+            found.rig(), arguments, lambda path, side: _view(path, side, arguments), device
+        )
+        window, covariance = rig.window, rig.covariance
+    written = save_cameras(arguments.out, found.cameras, covariance=covariance, window=window)
     if arguments.corners is not None:
         pictures = itertools.chain.from_iterable(
             zip(map(str, files[name]), boards.grids[name], strict=True) for name in files
@@ -237,12 +245,14 @@ def _check(arguments: argparse.Namespace, files: Mapping[str, list[Path]], pictu
             f"--free-board: a board of {rows} x {columns} corners looks the same after half a "
             "turn, so that its nodes cannot be told apart; one such as 9x6 is needed"
         )
-    check_cameras(arguments.out)
+    if check_cameras(arguments.out) not in (".yaml", ".yml") and arguments.window is not None:
+        raise ConfigError(f"--window needs a calibration in .yaml: {shown(arguments.out)}")
     if arguments.corners is not None:
         check_corners(arguments.corners)
     check_suffix("--picture", arguments.picture, ".png")
     outputs = arguments.out, arguments.corners, picture
-    check_files(itertools.chain(*files.values()), outputs)
+    inputs = *itertools.chain(*files.values()), *window_files(arguments, list(files))
+    check_files(inputs, outputs)
 
 
 def _boards(arguments: argparse.Namespace, files: Mapping[str, list[Path]], device: Any) -> _Found:

@@ -3,6 +3,7 @@
 from cmp_cl.points import Points3D, PointStatus
 from cmp_cl.space.calibration import Calibration, Camera, MisfitError, calibrate
 from cmp_cl.space.lens import Lens
+from cmp_cl.space.refraction import calibrate_window
 from cmp_cl.space.rig import StereoRig
 from cmp_cl.space.split import BinocularSplit
 from cmp_cl.space.triangulation import triangulate_points, undistort
@@ -19,6 +20,7 @@ __all__ = [
     "StereoRig",
     "Window",
     "calibrate",
+    "calibrate_window",
     "triangulate_points",
     "undistort",
 ]

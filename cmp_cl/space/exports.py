@@ -19,7 +19,8 @@ from cmp_cl.files import check_path, suffix_of, write_text
 from cmp_cl.grid.grid import Grid
 from cmp_cl.space.calibration import Camera
 from cmp_cl.space.lens import Lens
-from cmp_cl.space.storage import new_storage, yaml_text
+from cmp_cl.space.storage import new_storage, write_window, yaml_text
+from cmp_cl.space.window import Window
 
 Array = NDArray[np.float64]
 Views = Mapping[str, Grid | None]
@@ -127,7 +128,12 @@ def _check_cameras(cameras: Mapping[str, Camera]) -> None:
         raise CalibrationError("cameras must be at least one")
 
 
-def _save_opencv(path: Path, cameras: Mapping[str, Camera], covariance: Array | None) -> None:
+def _save_opencv(
+    path: Path,
+    cameras: Mapping[str, Camera],
+    covariance: Array | None,
+    window: Window | None,
+) -> None:
     storage = new_storage()
     for number, (name, camera) in enumerate(cameras.items(), 1):
         storage.write(f"name{number}", name)
@@ -145,6 +151,8 @@ def _save_opencv(path: Path, cameras: Mapping[str, Camera], covariance: Array | 
         storage.write("T", last.T[:, None].copy())
     if covariance is not None:
         storage.write("covariance", covariance.copy())
+    if window is not None:
+        write_window(storage, window)
     storage.write("unit", next(iter(cameras.values())).unit)
     write_text(path, yaml_text(storage))
 
@@ -231,13 +239,18 @@ def _metres(camera: Camera) -> float:
 
 
 def save_cameras(
-    path: str | PathLike[str], cameras: Mapping[str, Camera], *, covariance: Array | None = None
+    path: str | PathLike[str],
+    cameras: Mapping[str, Camera],
+    *,
+    covariance: Array | None = None,
+    window: Window | None = None,
 ) -> list[Path]:
     """Write cameras in the format that the file name determines; return the files.
 
     A name in .yaml or .yml is OpenCV's FileStorage. The keys are numbered from 1: K1 D1 K2 D2 ...,
     lens1, name1, size1; R2 T2 ... are the poses relative to the first camera. Two pinhole or
-    rational cameras also have R and T, and the `covariance` of `StereoRig`, which reads the file.
+    rational cameras also have R and T, and the `covariance` and the `window` of `StereoRig`, which
+    reads the file. The other formats have no place for them.
 
     A name in .camchain.yaml is Kalibr's, with T_cn_cnm1 in m; the topic of each is /NAME/image_raw.
 
@@ -260,7 +273,7 @@ def save_cameras(
             _save_ros(file, camera, each)
         return files
     else:
-        _save_opencv(target, cameras, covariance)
+        _save_opencv(target, cameras, covariance, window)
     return [target]
 
 

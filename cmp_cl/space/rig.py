@@ -39,6 +39,7 @@ from cmp_cl.space.storage import (
 from cmp_cl.space.triangulation import (
     between,
     inverse_symmetric,
+    points_by_image,
     rays_through,
     triangulate_points,
     undistort,
@@ -69,8 +70,9 @@ class StereoRig:
     unit: name of the unit of length.
     covariance: (22, 22), or None if unknown. The parameters are fx fy cx cy k1 k2 p1 p2 of
         the left camera, the same of the right camera, the rotation vector, the translation.
-        `calibrate` estimates it. With a window it is (25, 25); the last three are the window's
-        normal along both of its `axes`, rad, and its distance. (22, 22) means that these are exact.
+        `calibrate` estimates it. With a window it is (26, 26); the last four are the window's
+        normal along both of its `axes`, rad, its distance, and the index behind it. (22, 22) means
+        that these are exact.
     window: the layers through which both cameras see the pattern; None is air.
 
     Arrays are kept as read-only float64.
@@ -356,13 +358,19 @@ class StereoRig:
         shared = change @ self.covariance @ change.transpose(0, 2, 1)
         return spread(field.valid, largest_deviation(shared))
 
+    def slopes(self, xyz: Array) -> tuple[Array, Array]:
+        """Return the derivatives of the pixels of both views, left and right.
+
+        xyz: (N, 3), the points. They are by the point, (N, 4, 3), and by the P parameters of
+        `covariance`, (N, 4, P), px.
+        """
+        return self._projected(xyz, by_rig=True)[1:]
+
     def _by_rig(self, xyz: Array) -> Array:
         """Return the derivatives of points (N, 3) by the parameters of `covariance`, (N, 3, P), at
         fixed positions in the image."""
-        _, jacobian, by_rig = self._projected(xyz, by_rig=True)
-        turned = jacobian.transpose(0, 2, 1)
-        found: Array = -inverse_symmetric(turned @ jacobian) @ turned @ by_rig
-        return found
+        jacobian, by_rig = self.slopes(xyz)
+        return -points_by_image(jacobian) @ by_rig
 
     def _projected(self, xyz: Array, *, by_rig: bool) -> tuple[Array, Array, Array]:
         """Project points into both cameras.

@@ -14,7 +14,7 @@ from cmp_cl.files import check_path
 from cmp_cl.space.window import Window
 
 _MAX_FILE = 1 << 20  # bytes
-_MAX_NUMBERS = 625  # entries of the largest matrix, a covariance of 25 parameters
+_MAX_NUMBERS = 676  # entries of the largest matrix, a covariance of 26 parameters
 _MOST_NESTED = 4000  # OpenCV's parsers recurse, and overflow the stack from some 20 000 levels on
 _OPENING = (b"[", b"{", b"<", b"- ", b"-\t", b"-\n")
 

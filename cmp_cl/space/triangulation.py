@@ -110,3 +110,11 @@ def inverse_symmetric(matrices: Array) -> Array:
     )
     inverse: Array = (adjugate / (a * one + b * two + c * three)).transpose(2, 0, 1)
     return inverse
+
+
+def points_by_image(slopes: Array) -> Array:
+    """Return the derivatives of points by the pixels of both views, (N, 3, 4), for the least
+    squares of the reprojection; slopes: those of the pixels by the points, (N, 4, 3)."""
+    turned = slopes.transpose(0, 2, 1)
+    by_image: Array = inverse_symmetric(turned @ slopes) @ turned
+    return by_image

@@ -16,7 +16,8 @@ from cmp_cl.errors import CalibrationError, as_numbers, listed
 
 Array = NDArray[np.float64]
 
-WINDOW = 3  # parameters that are estimated: the normal along both of its `axes`, the distance
+# Estimated parameters: the normal along both of its `axes`, the distance, the index behind.
+WINDOW = 4
 _MOST_STEPS = 50
 _NEAR = 1e-8  # share of the depth; a step of Newton's method squares such an error
 _TINY = 1e-300
@@ -27,11 +28,11 @@ class Apparent(NamedTuple):
 
     window, centre: through which the camera sees, and where it is. depth, lateral: (N,), the
     components of the points from the centre along the normal and along the unit vectors `ahead`
-    (N, 3) across it. tangent, inside: (N,), of the ray's angle in air and behind the window. slope:
-    (N,), of the lateral distance by the tangent.
+    (N, 3) across it. tangent, inside: (N,), of the ray's angle in air and behind the window. slope,
+    by_index: (N,), of the lateral distance by the tangent and by the index behind the window.
 
     With depth D, lateral distance L and the height H of the first face above the centre,
-    slope d tangent = dL - inside dD - (tangent - inside) dH.
+    slope d tangent = dL - inside dD - (tangent - inside) dH - by_index d index.
     """
 
     window: "Window"
@@ -42,6 +43,7 @@ class Apparent(NamedTuple):
     tangent: Array
     inside: Array
     slope: Array
+    by_index: Array
 
     @property
     def points(self) -> Array:
@@ -64,8 +66,7 @@ class Apparent(NamedTuple):
 
     @property
     def by_window(self) -> Array:
-        """Return their derivatives by the normal along both of its `axes` and by the distance,
-        (N, 3, 3)."""
+        """Return their derivatives by the estimated parameters of the window, (N, 3, 4)."""
         w, ahead, depth, lateral = self.window.normal, self.ahead, self.depth, self.lateral
         stretch, rate = depth * self.tangent / lateral, depth / self.slope
         turned = lateral * self.tangent - rate * (depth + self.inside * lateral)
@@ -75,7 +76,8 @@ class Apparent(NamedTuple):
             + _product(along, ahead)
             - _product(self._by_height, self.centre)
         )
-        return np.dstack([by_normal @ self.window.axes.T, self._by_height])
+        by_index = (-rate * self.by_index)[:, None] * ahead
+        return np.dstack([by_normal @ self.window.axes.T, self._by_height, by_index])
 
     @property
     def _across(self) -> Array:
@@ -166,9 +168,9 @@ class Window:
         return self.distance - float(self.normal @ centre)
 
     def moved(self, step: Array) -> "Window":
-        """Return the window after a step (3,) of its estimated parameters."""
+        """Return the window after a step (4,) of its estimated parameters."""
         normal = self.normal + step[:2] @ self.axes
-        return Window(normal, self.distance + step[2], self.layers, self.index)
+        return Window(normal, self.distance + step[2], self.layers, self.index + step[3])
 
     def refracted(self, centre: Array, directions: Array) -> tuple[Array, Array]:
         """Follow rays of a camera to the medium behind the window, by Snell's law.
@@ -219,12 +221,13 @@ class Window:
                 reach += d * q / root
                 slope += d * n**2 / (root * root * root)
             off = lateral - reach
-            inside = q / root  # of the last medium
+            inside, by_index = q / root, -behind * q * n * (1 + q * q) / root**3  # the last one's
             q = q + off / slope
             if not (np.abs(off) > _NEAR * depth).any():
                 break
         ahead = across / lateral[:, None]
-        return Apparent(self, centre, depth + 0 * behind, lateral, ahead, q, inside, slope)
+        depth = depth + 0 * behind
+        return Apparent(self, centre, depth, lateral, ahead, q, inside, slope, by_index)
 
 
 def _product(one: Array, other: Array) -> Array:

@@ -1,0 +1,172 @@
+"""The options of `cmp-cl calibrate` for a window, and the window from a pattern seen through it."""
+
+import argparse
+import itertools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cmp_cl.cli.arguments import grid_shape, positive_number
+from cmp_cl.cli.messages import one_line, shown
+from cmp_cl.errors import CalibrationError, ConfigError, GridError
+from cmp_cl.grid import Grid, align
+from cmp_cl.image import GreyImage
+from cmp_cl.measure import Region, find_pattern, square_sides
+from cmp_cl.measure.patterns import align_views
+from cmp_cl.space import Lens, StereoRig, calibrate_window
+
+# Share by which the thickness of the last medium may differ from the given one without advice.
+_THICKNESS = 0.1
+
+
+def add_window(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a window."""
+    window = parser.add_argument_group(
+        "a window: two cameras that see the pattern through flat layers, such as acrylic and gel"
+    )
+    window.add_argument(
+        "--window",
+        metavar="LENGTH:INDEX,...",
+        type=media,
+        help="thickness and refractive index of each layer, from the cameras to the pattern, as in "
+        "5:1.49,20:1.41; the last one holds the pattern. The views of the board are in air",
+    )
+    window.add_argument(
+        "--rest",
+        nargs="+",
+        metavar="IMAGE",
+        help="the pattern at rest, seen through the window: an image of each camera, or one that "
+        "shows both views",
+    )
+    window.add_argument(
+        "--grid", metavar="40x40", type=grid_shape, help="rows and columns of its corners"
+    )
+    window.add_argument(
+        "--pitch", metavar="LENGTH", type=positive_number, help="side of its squares"
+    )
+    window.add_argument(
+        "--step",
+        nargs="+",
+        metavar=("LENGTH", "IMAGE"),
+        help="the pattern when a flat punch has moved by a known length, as in --step 1.0 "
+        "step.png; the index of the last layer is then measured too",
+    )
+
+
+def media(text: str) -> tuple[tuple[float, float], ...]:
+    """Parse thickness and index of each layer from a text such as 5:1.49,20:1.41; raises
+    ArgumentTypeError."""
+    try:
+        pairs = [tuple(map(float, layer.split(":"))) for layer in text.split(",")]
+        return tuple((thickness, index) for thickness, index in pairs)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not LENGTH:INDEX of each layer, such as 5:1.49,20:1.41"
+        ) from None
+
+
+def window_files(arguments: argparse.Namespace, cameras: Sequence[str]) -> list[Path]:
+    """Return the images of the window's options; raises ConfigError if these do not fit together.
+
+    cameras: the names of the cameras.
+    """
+    needed = {"--rest": arguments.rest, "--grid": arguments.grid, "--pitch": arguments.pitch}
+    given = [name for name, value in needed.items() if value is not None]
+    if arguments.window is None:
+        given += ["--step"] if arguments.step else []
+        if given:
+            raise ConfigError(f"{given[0]} needs --window LENGTH:INDEX,...: what the layers are")
+        return []
+    if len(given) < len(needed):
+        missing = ", ".join(needed.keys() - set(given))
+        raise ConfigError(
+            f"--window needs --rest IMAGE, --grid 40x40 and --pitch LENGTH: {missing}"
+        )
+    if len(cameras) != 2 or arguments.lens == Lens.FISHEYE.value:
+        raise ConfigError("--window is for two cameras, neither of them a fisheye")
+    images = [arguments.rest]
+    if arguments.step:
+        length, *views = arguments.step
+        try:
+            positive_number(length)
+        except argparse.ArgumentTypeError as error:
+            raise ConfigError(f"--step LENGTH IMAGE: {error}") from error
+        images.append(views)
+    count = 1 if arguments.stereo else 2
+    if any(len(views) != count for views in images):
+        raise ConfigError(
+            f"--rest and --step need {count} image{'s' if count > 1 else ''} each: "
+            + ("one that shows both views" if arguments.stereo else "of the left and right camera")
+        )
+    return [Path(path) for path in itertools.chain(*images)]
+
+
+def through_window(
+    rig: StereoRig,
+    arguments: argparse.Namespace,
+    view: Callable[[Path, int], tuple[GreyImage, Region | None]],
+    device: Any,
+) -> StereoRig:
+    """Return a rig with the window of the options.
+
+    view: returns the view of a camera in a file, by its number, and the region to use. device: that
+    finds the corners. Raises CalibrationError if a view does not show the pattern, or the views do
+    not fix the window.
+    """
+
+    def seen(path: str, side: int) -> Grid:
+        image, region = view(Path(path), side)
+        try:
+            _, grid = find_pattern(
+                image,
+                shape=arguments.grid,
+                region=region,
+                full_scale=arguments.full_scale,
+                device=device,
+            )
+        except GridError as error:
+            raise CalibrationError(f"{shown(path)}: {one_line(error)}") from error
+        return grid
+
+    sides = (0, 0) if arguments.stereo else (0, 1)  # of the files
+    left, right = (seen(arguments.rest[file], side) for side, file in enumerate(sides))
+    rest = left, align_views(left, right)
+    stepped, step = None, None
+    if arguments.step:
+        length, *paths = arguments.step
+        now = [seen(paths[file], side) for side, file in enumerate(sides)]
+        step = float(length)
+        stepped = align([rest[0], now[0]])[1], align([rest[1], now[1]])[1]
+    found = calibrate_window(
+        rig, rest, pitch=arguments.pitch, media=arguments.window, stepped=stepped, step=step
+    )
+    _report(found, rest, arguments)
+    return found
+
+
+def _report(rig: StereoRig, rest: tuple[Grid, Grid], arguments: argparse.Namespace) -> None:
+    window, covariance = rig.window, rig.covariance
+    assert window is not None
+    assert covariance is not None
+    tilt, other, distance, index = np.sqrt(np.diag(covariance)[-4:])
+    points = rig.triangulate(*rest)
+    behind = points.xyz[points.valid] @ window.normal - window.distance - window.thickness
+    sides = square_sides(points)
+    normal = ", ".join(f"{each:.4f}" for each in window.normal)
+    print(
+        f"window: normal ({normal}) (+- {np.degrees(max(tilt, other)):.2g} degrees), "
+        f"{window.distance:.3f} {rig.unit} (+- {distance:.2g}) from the left camera"
+        + (f", index behind it {window.index:.4f} (+- {index:.2g})" if index > 0 else "")
+    )
+    print(
+        f"the pattern at rest lies {behind.mean():.3f} {rig.unit} behind its last face; its "
+        f"squares measure {sides.mean():.4f} with a standard deviation of {sides.std():.4f}"
+    )
+    thickness = arguments.window[-1][0]
+    if abs(behind.mean() - thickness) > _THICKNESS * thickness:
+        print(
+            f"advice: the last layer of --window is {thickness:g} thick; if that is certain, an "
+            "index or another thickness is wrong"
+        )

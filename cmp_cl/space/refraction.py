@@ -1,0 +1,293 @@
+"""Where the window of a rig is, from the pattern that is seen through it.
+
+Behind a wrong window the squares of the pattern have different sides, and the rays of both views
+miss each other. Gauss-Newton steps change the window until the squares of the differences are
+least. Each kind of difference is weighted by its own scatter.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import CalibrationError, check_kind, check_positive, listed
+from cmp_cl.grid.grid import Grid
+from cmp_cl.points import sides
+from cmp_cl.space.lens import ESTIMATED, POSE
+from cmp_cl.space.rig import StereoRig
+from cmp_cl.space.triangulation import points_by_image
+from cmp_cl.space.window import WINDOW, Window
+
+Array = NDArray[np.float64]
+
+_STEPS = 30
+_DONE = 1e-3  # share of its sigma by which a parameter still moves
+_BLOCKS = 6  # of the pattern along each side, see `_with_neighbours`
+_GROSS = 5.0  # times the scatter: a difference beyond is left out
+_UNDER = 0.02  # share of the step by which the motion of nodes under a punch differs
+_LEAST_NODES = 0.75  # share of the nodes that must lie behind the window
+# With the largest sigma of one of these, a displacement errs by about half a percent.
+_LARGEST_TILT = 0.015  # rad
+_LARGEST_DISTANCE = 0.02  # share of the depth of the pattern
+_LARGEST_INDEX = 0.01
+_HOPELESS = 30.0  # times the largest sigma: the search ends
+_LARGEST_SCALE = 0.01  # share of the pitch by which the mean side may differ
+
+
+class _Differences(NamedTuple):
+    """Differences between what is seen and what is known, (N,), the derivatives of what is seen by
+    the parameters of the rig's covariance, (N, P), and the block of the pattern of each, (N,)."""
+
+    off: Array
+    slopes: Array
+    block: NDArray[np.intp]
+
+
+class _Surface(NamedTuple):
+    """The pattern at one moment: points (R, C, 3), and their derivatives by the pixels of both
+    views, (R, C, 3, 4), and by the parameters of the rig, (R, C, 3, P). missed, (R, C): by how much
+    the rays miss each other, px, with derivatives (R, C, P)."""
+
+    points: Array
+    by_image: Array
+    by_rig: Array
+    missed: Array
+    missed_by_rig: Array
+
+
+def calibrate_window(
+    rig: StereoRig,
+    rest: tuple[Grid, Grid],
+    *,
+    pitch: float,
+    media: Sequence[tuple[float, float]],
+    stepped: tuple[Grid, Grid] | None = None,
+    step: float | None = None,
+) -> StereoRig:
+    """Return a rig with the window through which it sees a pattern.
+
+    rig: calibrated in air, without a window. rest: the grids of the left and the right view of the
+    pattern at rest.
+    pitch: side of its squares, in the unit of the rig.
+    media: (thickness, index) of all that lies between the cameras and the pattern beside air; the
+        last one is the medium that holds the pattern, such as the gel. All but the thickness of
+        that one are taken as exact; that one is only where the search begins.
+    stepped, step: the grids of a second moment, at which a stage has pressed a flat punch into the
+        pattern by a known length. Then the index of the last medium is found too. Nodes that moved
+        as far as most of those that moved farthest, to 2 %, are under the punch.
+
+    The surface of the pattern may be of any form. The rig's covariance has 26 parameters, see
+    `StereoRig`; it includes what the error of the cameras does to the window.
+
+    Raises CalibrationError if an argument is malformed, the pattern does not lie behind the window,
+    or the views do not fix a parameter.
+    """
+    _check(rig, rest, stepped, step)
+    check_positive("pitch", pitch, CalibrationError)
+    window = _start(rig, rest, listed("media", media, object, CalibrationError))
+    rig = dataclasses.replace(rig, window=window)
+    first = 2 * ESTIMATED + POSE  # parameters of the cameras
+    free = np.arange(first, first + WINDOW - (stepped is None))
+    covariance = np.zeros((len(free), len(free)))
+    for _ in range(_STEPS):
+        before = _surface(rig, rest)
+        kinds = [_sides(before, pitch), _misses(before)]
+        if stepped is not None and step is not None:
+            after = _surface(rig, stepped)
+            kinds += [_misses(after), _steps(before, after, step)]
+        off, slopes, block = map(np.concatenate, zip(*map(_weighted, kinds), strict=True))
+        normal = slopes.T @ slopes
+        inverse = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
+        covariance = _with_neighbours(inverse, off[:, None] * slopes[:, free], block)
+        _check_sigma(np.sqrt(np.diag(covariance)), rig, _HOPELESS)
+        move = np.zeros(WINDOW)
+        move[: len(free)] = inverse @ slopes[:, free].T @ off
+        assert rig.window is not None
+        rig = dataclasses.replace(rig, window=rig.window.moved(move))
+        if (np.abs(move[: len(free)]) < _DONE * np.sqrt(np.diag(covariance))).all():
+            break
+    else:
+        raise CalibrationError(
+            "the search for the window does not end; check the pitch, the layers and the rig"
+        )
+    by_cameras = -inverse @ normal[free, :first]
+    whole = np.zeros((first + WINDOW, first + WINDOW))
+    cameras = np.zeros((first, first)) if rig.covariance is None else rig.covariance[:first, :first]
+    whole[:first, :first] = cameras
+    whole[free, :first] = by_cameras @ cameras
+    whole[:first, free] = whole[free, :first].T
+    whole[np.ix_(free, free)] = covariance + by_cameras @ cameras @ by_cameras.T
+    _check_sigma(np.sqrt(np.diag(whole)[free]), rig)
+    mean = float(np.nanmean(np.concatenate([s.ravel() for s in sides(before.points)])))
+    if abs(mean / pitch - 1) > _LARGEST_SCALE:
+        raise CalibrationError(
+            f"the squares of the pattern measure {mean:.4g} {rig.unit}, not {pitch:g}; check the "
+            "pitch, and the squares of the board that calibrated the cameras"
+        )
+    return dataclasses.replace(rig, covariance=whole)
+
+
+def _check(
+    rig: StereoRig,
+    rest: tuple[Grid, Grid],
+    stepped: tuple[Grid, Grid] | None,
+    step: float | None,
+) -> None:
+    check_kind("rig", rig, StereoRig, CalibrationError)
+    if rig.window is not None:
+        raise CalibrationError("rig has a window; give the rig that was calibrated in air")
+    for name, views in (("rest", rest), ("stepped", stepped)):
+        if views is not None and len(listed(name, views, Grid, CalibrationError)) != 2:
+            raise CalibrationError(f"{name} must be the grids of the left and the right view")
+    if (stepped is None) != (step is None):
+        raise CalibrationError("stepped and step need each other: the views, and how far it moved")
+    if step is not None:
+        check_positive("step", step, CalibrationError)
+
+
+def _start(rig: StereoRig, rest: tuple[Grid, Grid], media: Sequence[tuple[float, float]]) -> Window:
+    """Return a window that is parallel to the pattern, at the distance that the thicknesses give.
+
+    Seen along the normal, a medium seems thinner by its index.
+    """
+    if not media:
+        raise CalibrationError("media must be (thickness, index) of at least the pattern's medium")
+    probe = Window(np.array([0, 0, 1.0]), 1.0, media, 1.0)  # it checks them
+    index = probe.layers[-1][1]
+    points = rig.triangulate(*rest).xyz
+    found = points[np.isfinite(points[..., 0])]
+    if len(found) < 9:
+        raise CalibrationError(
+            f"both views at rest show {len(found)} nodes that fit the rig, at least 9 are needed; "
+            "check the rig, the split, and which view is the left one"
+        )
+    middle = found.mean(axis=0)
+    normal = np.linalg.svd(found - middle)[2][2]
+    normal *= np.sign(normal @ middle)
+    apparent = sum(t / n for t, n in probe.layers)
+    distance = float(normal @ middle) - apparent
+    if not distance > 0:
+        raise CalibrationError(
+            f"the window would lie {-distance:.3g} {rig.unit} behind the left camera: the pattern "
+            f"seems {normal @ middle:.3g} {rig.unit} away, and the layers {apparent:.3g} thick; "
+            "check their thicknesses and the unit"
+        )
+    return Window(normal, distance, probe.layers[:-1], index)
+
+
+def _surface(rig: StereoRig, grids: tuple[Grid, Grid]) -> _Surface:
+    points = rig.triangulate(*grids).xyz
+    there = np.isfinite(points[..., 0])
+    both = grids[0].valid & grids[1].valid
+    if not there.sum() >= _LEAST_NODES * both.sum():
+        raise CalibrationError(
+            f"{both.sum() - there.sum()} of the {both.sum()} nodes do not fit the rig, or do not "
+            "lie behind the window; check the thicknesses of its layers and the rig"
+        )
+    shape, flat = points.shape[:2], points.reshape(-1, 3)
+    by_point, by_rig = rig.slopes(flat)
+    by_image = points_by_image(by_point)
+    # What no point explains of an error of the pixels is along one direction, one one^T.
+    left_over = np.eye(4) - by_point @ by_image
+    largest = np.argmax(np.einsum("nii->ni", np.nan_to_num(left_over)), axis=1)
+    one = left_over[np.arange(len(flat)), largest][:, None]
+    one /= np.linalg.norm(one, axis=2, keepdims=True)
+    seen = np.dstack([grids[0].xy, grids[1].xy]).reshape(-1, 4) - np.hstack(rig.project(flat))
+    return _Surface(
+        points=points,
+        by_image=by_image.reshape(*shape, 3, 4),
+        by_rig=(-by_image @ by_rig).reshape(*shape, 3, -1),
+        missed=(one @ seen[..., None]).reshape(shape),
+        missed_by_rig=(one @ by_rig).reshape(*shape, -1),
+    )
+
+
+def _sides(surface: _Surface, pitch: float) -> _Differences:
+    """Compare the sides of all squares with the pitch; each over its noise at 1 px."""
+    found = []
+    for axis in (0, 1):
+        way = np.diff(surface.points, axis=axis)
+        length = np.linalg.norm(way, axis=2)
+        along = (way / length[..., None])[..., None, :]
+        slopes = (along @ np.diff(surface.by_rig, axis=axis))[..., 0, :]
+        nodes = np.arange(surface.points.shape[axis])
+        ends = (np.take(surface.by_image, part, axis=axis) for part in (nodes[1:], nodes[:-1]))
+        noise = np.sqrt(sum(np.square(along @ end).sum(axis=(2, 3)) for end in ends))
+        found.append(_listed((pitch - length) / noise, slopes / noise[..., None]))
+    return _Differences(*map(np.concatenate, zip(*found, strict=True)))
+
+
+def _misses(surface: _Surface) -> _Differences:
+    """Compare what the rays of both views miss each other by with 0."""
+    return _listed(surface.missed, surface.missed_by_rig)
+
+
+def _steps(before: _Surface, after: _Surface, step: float) -> _Differences:
+    """Compare the motion of the nodes under a punch with its step."""
+    way = after.points - before.points
+    length = np.linalg.norm(way, axis=2)
+    most = np.median(length[length > 0.9 * np.nanpercentile(length, 98)])
+    under = np.abs(length - most) < _UNDER * most
+    along = (way / length[..., None])[..., None, :]
+    slopes = (along @ (after.by_rig - before.by_rig))[..., 0, :]
+    return _listed(np.where(under, step - length, np.nan), slopes)
+
+
+def _listed(off: Array, slopes: Array) -> _Differences:
+    """Return the differences (R, C) and their derivatives (R, C, P) one after the other."""
+    row, column = np.indices(off.shape)
+    blocks = [each * _BLOCKS // n for each, n in zip((row, column), off.shape, strict=True)]
+    return _Differences(
+        off.ravel(), slopes.reshape(off.size, -1), (blocks[0] * _BLOCKS + blocks[1]).ravel()
+    )
+
+
+def _weighted(kind: _Differences) -> _Differences:
+    """Return the differences over their scatter, without gross ones and those that are unknown."""
+    known = np.isfinite(kind.off) & np.isfinite(kind.slopes).all(axis=1)
+    middle = np.median(kind.off[known])
+    scatter = 1.4826 * np.median(np.abs(kind.off[known] - middle))
+    good = known & (np.abs(kind.off - middle) <= _GROSS * scatter)
+    scale = max(float(np.sqrt(np.square(kind.off[good]).mean())), 1e-12)
+    return _Differences(kind.off[good] / scale, kind.slopes[good] / scale, kind.block[good])
+
+
+def _with_neighbours(inverse: Array, scores: Array, block: NDArray[np.intp]) -> Array:
+    """Return the covariance of the parameters, (n, n), where neighbours may share errors.
+
+    inverse: that of the normal equations, their covariance if all differences were independent.
+    scores: (N, n), what each difference adds to the right side. The scatter of their sums over
+    blocks of the pattern shows by how much the standard deviations are larger.
+    """
+    sums = np.zeros((_BLOCKS**2, scores.shape[1]))
+    np.add.at(sums, block, scores)
+    scattered = inverse @ sums.T @ sums @ inverse
+    larger = np.sqrt(np.maximum(np.diag(scattered) / np.diag(inverse), 1))
+    covariance: Array = inverse * np.outer(larger, larger)
+    return covariance
+
+
+def _check_sigma(sigma: Array, rig: StereoRig, times: float = 1.0) -> None:
+    """Raise CalibrationError if the sigma of a parameter is `times` too large."""
+    window = rig.window
+    assert window is not None
+    depth = window.distance + window.thickness
+    limits = {
+        "tilt about its second axis": (sigma[0], _LARGEST_TILT, "rad"),
+        "tilt about its first axis": (sigma[1], _LARGEST_TILT, "rad"),
+        "distance": (sigma[2], _LARGEST_DISTANCE * depth, rig.unit),
+    }
+    if len(sigma) == WINDOW:
+        limits["last index"] = sigma[3], _LARGEST_INDEX, ""
+    wide = [
+        f"{name} ({f'+- {sigma:.2g} {unit}'.strip() if sigma < _HOPELESS * largest else 'free'})"
+        for name, (sigma, largest, unit) in limits.items()
+        if not sigma <= times * largest
+    ]
+    if wide:
+        raise CalibrationError(
+            f"the views do not fix the window's {', '.join(wide)}: show more of the pattern at "
+            "rest, sharper, or calibrate the cameras on more views"
+        )

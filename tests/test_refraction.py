@@ -1,0 +1,160 @@
+"""The window of a rig, from the pattern that is seen through it."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+from stereo_data import grid_of
+
+from cmp_cl import CalibrationError, StereoRig, Window
+from cmp_cl.motion import displacement
+from cmp_cl.space import calibrate_window
+from cmp_cl.synthetic import default_rig
+
+PITCH = 0.8  # mm
+NODES = 26
+RIG = StereoRig(*default_rig((1200, 800)))
+NORMAL = (RIG.R[2] + (0, 0, 1)) / np.linalg.norm(RIG.R[2] + (0, 0, 1))
+GEL = 12.0  # mm
+BEHIND = dataclasses.replace(RIG, window=Window(NORMAL, 40.0 - GEL, ((5.0, 1.49),), 1.41))
+MEDIA = ((5.0, 1.49), (GEL, 1.41))
+# A board of 12 views and a noise of .05 px leave about this covariance.
+SIGMAS = [0.1, 0.1, 0.13, 0.1, 5e-4, 2e-3, 3e-5, 4e-5] * 2 + [1e-4, 2e-4, 3e-5, 2e-3, 1e-3, 5e-3]
+
+
+def pattern(tilt=(0.0, 0.0), dome=0.0):
+    """Return the nodes of a pattern at the end of the gel, tilted, rad, or on a dome, mm."""
+    row, column = np.mgrid[:NODES, :NODES] - (NODES - 1) / 2
+    flat = PITCH * np.stack([column, row, np.zeros(row.shape)], axis=-1)
+    if dome:  # a cylinder keeps the sides
+        flat[..., 2] = dome * (1 - np.cos(flat[..., 0] / dome))
+        flat[..., 0] = dome * np.sin(flat[..., 0] / dome)
+    turn = cv2.Rodrigues(np.array([*tilt, 0.0]))[0]
+    across = np.cross([0, 1.0, 0], NORMAL)
+    axes = np.stack([across, np.cross(NORMAL, across), NORMAL], axis=1)
+    return flat @ (axes @ turn).T + 45.7 * NORMAL * [0, 0, 1] / NORMAL[2]
+
+
+def views(xyz, rng, noise=0.05, shared=False):
+    """Return the grids of both views of nodes; shared: neighbours have nearly the same noise."""
+    found = []
+    for seen in BEHIND.project(xyz.reshape(-1, 3)):
+        error = rng.normal(0, noise, (*xyz.shape[:2], 2))
+        if shared:
+            error = 3 * cv2.blur(error, (3, 3))
+        found.append(grid_of(seen.reshape(*xyz.shape[:2], 2) + error, noise))
+    return tuple(found)
+
+
+def drawn(rng):
+    """Return a rig in air that is off by a draw from its covariance."""
+    error = rng.normal(0, SIGMAS)
+    focal = [np.diag([*error[k : k + 2], 0]) for k in (0, 8)]
+    for matrix, k in zip(focal, (2, 10), strict=True):
+        matrix[:2, 2] = error[k : k + 2]
+    turn = cv2.Rodrigues(RIG.R)[0].ravel() + error[16:19]
+    return StereoRig(
+        RIG.K1 + focal[0],
+        RIG.D1 + np.append(error[4:8], 0),
+        RIG.K2 + focal[1],
+        RIG.D2 + np.append(error[12:16], 0),
+        cv2.Rodrigues(turn)[0],
+        RIG.T + error[19:],
+        covariance=np.diag(np.square(SIGMAS)),
+    )
+
+
+def fitted(rig, rest, **changes):
+    return calibrate_window(rig, rest, **{"pitch": PITCH, "media": MEDIA, **changes})
+
+
+def errors(window):
+    """Return how far a window is off, by its estimated parameters, (4,)."""
+    true = BEHIND.window
+    tilt = true.axes @ (window.normal - true.normal)
+    return np.array([*tilt, window.distance - true.distance, window.index - true.index])
+
+
+@pytest.mark.parametrize("surface", [{"tilt": (0.03, -0.02)}, {"dome": 40.0}])
+def test_the_window_is_found_from_equal_squares_of_any_surface(surface):
+    """However far the thickness that begins the search is off."""
+    rest = views(pattern(**surface), np.random.default_rng(1), noise=0.0)
+    for thickness in (GEL - 3, GEL + 4):
+        found = fitted(RIG, rest, media=(MEDIA[0], (thickness, 1.41)))
+        np.testing.assert_allclose(errors(found.window), 0, atol=1e-4)  # of float32 pixels
+        assert found.window.layers == ((5.0, 1.49),)
+
+
+def test_a_press_is_right_to_a_percent_and_its_bias_sigma_covers_it():
+    rng, scores, covered = np.random.default_rng(2), [], []
+    for _ in range(8):
+        rest = pattern(tilt=rng.normal(0, 0.02, 2))
+        found = fitted(drawn(rng), views(rest, rng))
+        scores.append(errors(found.window)[:3] / np.sqrt(np.diag(found.covariance)[22:25]))
+        field = displacement(
+            *(found.triangulate(*views(xyz, rng, noise=0)) for xyz in (rest, rest - NORMAL)),
+            raw=True,
+        )
+        off = (field.displacement + NORMAL) @ NORMAL
+        assert np.abs(off).max() < 0.01
+        covered.append(np.abs(off) < 1.96 * found.bias_sigma(field))
+    assert np.mean(covered) > 0.9
+    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.4
+
+
+def test_errors_that_neighbours_share_make_a_window_less_certain():
+    rng, scores = np.random.default_rng(3), []
+    for _ in range(8):
+        found = fitted(RIG, views(pattern(), rng, shared=True))
+        scores.append(errors(found.window)[:3] / np.sqrt(np.diag(found.covariance)[22:25]))
+    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.5
+
+
+@pytest.mark.parametrize("given", [1.38, 1.44])
+def test_a_known_step_of_a_flat_punch_gives_the_index_too(given):
+    rng = np.random.default_rng(4)
+    row, column = np.mgrid[:NODES, :NODES] - (NODES - 1) / 2
+    under = np.clip((9 - np.hypot(row, column)) / 2, 0, 1)[..., None]
+    rest, stepped = (views(pattern() - each * NORMAL, rng) for each in (0 * under, under))
+    found = fitted(RIG, rest, media=(MEDIA[0], (GEL, given)), stepped=stepped, step=1.0)
+    assert abs(errors(found.window)[3]) < 0.004
+    sigma = np.sqrt(np.diag(found.covariance)[22:])
+    assert (np.abs(errors(found.window)) < 4 * sigma).all()
+    with pytest.raises(CalibrationError, match="stepped and step need each other"):
+        fitted(RIG, rest, step=1.0)
+
+
+def test_a_window_that_the_views_do_not_fix_is_refused_by_name():
+    rng = np.random.default_rng(5)
+    rest = views(pattern(), rng)
+    with pytest.raises(CalibrationError, match=r"tilt .*free.* distance \(free\)"):
+        fitted(RIG, rest, media=((5.0, 1.0), (GEL, 1.0)))
+    near = np.abs(np.mgrid[:NODES, :NODES] - (NODES - 1) / 2).max(axis=0) < 3
+    few = [np.where(near[..., None], grid.xy, np.nan) for grid in rest]
+    with pytest.raises(CalibrationError, match=r"do not fix the window's distance \(\+- .* mm\)"):
+        fitted(RIG, tuple(grid_of(xy) for xy in few))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"media": ((50.0, 1.5), (GEL, 1.41))}, "behind the left camera"),
+        ({"media": ((5.0, 0.5), (GEL, 1.41))}, "layer 1 of the window has index 0.5"),
+        ({"media": ()}, "at least the pattern's medium"),
+        ({"pitch": 1.6}, "the squares of the pattern measure 0.8001 mm, not 1.6"),
+        ({"pitch": 0.0}, "pitch must be a positive number"),
+    ],
+)
+def test_wrong_layers_or_a_wrong_pitch_are_refused(changes, words):
+    rest = views(pattern(), np.random.default_rng(6))
+    with pytest.raises(CalibrationError, match=words):
+        fitted(RIG, rest, **changes)
+
+
+def test_swapped_views_and_a_rig_with_a_window_are_refused():
+    rest = views(pattern(), np.random.default_rng(7))
+    with pytest.raises(CalibrationError, match=r"nodes that fit the rig|do not fit the rig"):
+        fitted(RIG, rest[::-1])
+    with pytest.raises(CalibrationError, match="calibrated in air"):
+        fitted(BEHIND, rest)
