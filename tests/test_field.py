@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from cases import some
-from stereo_data import gel, grid_of, points, project, toed_in_rig
+from stereo_data import gel, grid_of, points
 
 from cmp_cl.errors import FieldError
 from cmp_cl.field import DisplacementField, green_lagrange, surface_normals
@@ -35,10 +35,14 @@ def pressed(*, space=True, raw=False):
         rest, now = lattice(12, 10), 1.01 * lattice(12, 10) + np.sin(lattice(12, 10) / 40)
         rest[2, 3] = now[7, 8] = np.nan
         return displacement(noisy(rest, 1), noisy(now, 2), raw=raw)
+    return displacement(*map(points, pressed_gel()), raw=raw)
+
+
+def pressed_gel():
     rest, now = gel(12, 10, depth=0), gel(12, 10)
     now[..., :2] += 0.05 * np.stack([-now[..., 1], now[..., 0]], axis=-1)
     rest[2, 3] = now[7, 8] = np.nan
-    return displacement(points(rest), points(now), raw=raw)
+    return rest, now
 
 
 def gradient_of(strain):
@@ -70,17 +74,9 @@ def test_a_field_has_the_displacement_and_the_holes_of_its_raw_field(space):
         assert np.isfinite(each.displacement[each.valid]).all()
     assert 0 < np.nanmax(np.abs(field.displacement - alone.displacement)) < 0.1
     assert alone.raw is None
-
-
-def test_the_raw_displacement_is_now_minus_rest():
-    rest, now = gel(5, 6, depth=0), gel(5, 6)
-    np.testing.assert_array_equal(
-        displacement(points(rest), points(now), raw=True).displacement, now - rest
-    )
-    grids = grid_of(lattice(5, 6)), grid_of(lattice(5, 6) + np.array([3, -2]))
-    np.testing.assert_allclose(
-        displacement(*grids, raw=True).displacement, np.full((5, 6, 2), [3, -2]), atol=1e-4
-    )
+    if space:
+        moved = pressed_gel()[1] - pressed_gel()[0]
+        np.testing.assert_array_equal(alone.displacement, moved)
 
 
 def test_a_lattice_too_small_for_an_estimate_has_the_sigma_of_its_points():
@@ -114,25 +110,9 @@ def test_wear_that_travels_with_the_gel_cancels_and_sigma_covers_the_remainder()
     assert np.median(field.position_sigma) < 0.6 * np.median(field.raw.position_sigma)
 
 
-@pytest.mark.parametrize("raw", [True, False], ids=["raw", "filtered"])
-def test_the_sigma_of_a_displacement_is_that_of_its_error(raw):
-    rig, rng = toed_in_rig(), np.random.default_rng(2)
-    truth = gel(40, 40, depth=0), gel(40, 40)
-    seen = [
-        rig.triangulate(
-            *(grid_of(view + rng.normal(0, 0.05, view.shape), 0.05) for view in project(rig, xyz))
-        )
-        for xyz in truth
-    ]
-    field = displacement(*seen, raw=raw)
-    along = np.linalg.eigh(field.covariance)[1][..., 2]
-    worst = np.einsum("rci,rci->rc", field.displacement - (truth[1] - truth[0]), along)
-    assert 0.6 < np.sqrt(np.mean(np.square(worst / field.sigma))) < 1.1
-
-
 @SPACES
 @pytest.mark.parametrize("wear", [0.0, 0.2])
-@pytest.mark.parametrize("strain", some([1e-4, 1e-2, 0.3], (1e-2,)))
+@pytest.mark.parametrize("strain", some([1e-4, 1e-2, 0.3], (1e-4, 1e-2)))
 def test_strain_is_right_within_its_sigma(strain, wear, space):
     """Filtered and raw. Wear moves with the nodes, and is in the sigma of no corner."""
     gradient, rest = gradient_of(strain), lattice() if not space else gel(40, 40, depth=0)
@@ -149,6 +129,9 @@ def test_strain_is_right_within_its_sigma(strain, wear, space):
         assert 0.9 <= np.mean(np.abs(off / each.strain_sigma) < 1.96) <= 0.98
         errors.append(np.sqrt(np.mean(np.square(off))))
     assert errors[1] < 0.8 * errors[0]
+    if strain < 1e-3 and wear:  # noise decides
+        unknown = math.pi / math.sqrt(12)
+        assert np.median(field.direction_sigma) == pytest.approx(unknown)
     if strain > 1e-3:
         value, axes = np.linalg.eigh((gradient.T @ gradient - np.eye(2)) / 2)
         off = (field.principal - value[::-1]) / field.principal_sigma
@@ -191,12 +174,6 @@ def test_a_strain_beside_a_hole_is_less_certain_and_its_sigma_says_so():
         sigmas.append(np.median(field.strain_sigma[beside] / field.strain_sigma[10:20, 5, 0]))
     assert np.median(sigmas) > 1.8
     assert math.sqrt(np.mean(relative)) == pytest.approx(1, abs=0.2)
-
-
-def test_a_direction_that_noise_decides_has_the_sigma_of_an_unknown_one():
-    rest = lattice(12, 12)
-    found = displacement(noisy(rest, 3), noisy(1.01 * rest, 4)).with_strain()
-    assert np.median(found.direction_sigma) == pytest.approx(math.pi / math.sqrt(12))
 
 
 def test_a_homogeneous_deformation_has_its_strain_everywhere():
