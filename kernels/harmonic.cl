@@ -406,7 +406,7 @@ __kernel void keep_fine(__global int *restrict lists, __global const uint *restr
   const size_t word = (p * rows + y) * (step / 32) + x / 32;
 
 /* Keep the corners of an octave: their response is above the noise bound of the octave and at least
- * half of the reference, the wide ring responds, and no corner of the frame or of an octave before
+ * 3/8 of the reference, the wide ring responds, and no corner of the frame or of an octave before
  * is within 5 px of the octave, in x and in y. One work-item per maximum. */
 __kernel void keep_octave(__global int *restrict lists, __global const uint *restrict counts,
                           __global const Decision *restrict found, const uint octave,
@@ -415,7 +415,7 @@ __kernel void keep_octave(__global int *restrict lists, __global const uint *res
   ENTRY_OF_OCTAVE
   const int r = entry[2 * capacity], reach = 5 << octave;
   if (!(entry[3 * capacity] & CLEAN) || r <= DECISION(p, octave).bound[0]) return;
-  if (128 * r < 64 * DECISION(p, 0).reference) return;
+  if (128 * r < 48 * DECISION(p, 0).reference) return;
   const int left = max(x - reach, PAD), right = min(x + reach - 1, (int)step - 1);
   for (int j = max(y - reach, 0); j <= min(y + reach - 1, (int)rows - 1); ++j) {
     __global const uint *row = maxima + (p * rows + j) * (step / 32);

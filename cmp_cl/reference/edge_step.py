@@ -22,18 +22,22 @@ LEAST_SPREAD = 1e-3  # of the model, relative to its weighted mean square
 GRADIENT = 1e-3  # 1/px, expected gradient of the light, unless the image shows a larger one
 SIGNIFICANT = 9.0  # squared standard deviations: above it, the gradient in the image is used
 DOUBT = 0.010  # excess autocorrelation of the residual
+LEAST_HALF_RANGE = 0.0015  # half of the range of the autocorrelations' quartiles, in a good frame
 # px: error of a position on perfect prints by bent edges, shading and sampling, beside the noise
 STEP_ERROR = 0.01
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Step:
-    """N steps: position (N, 2) from the start; the rest (N,), as in `Refined`."""
+    """N steps: position (N, 2) from the start; the rest (N,), as in `Refined`.
+
+    variance: of an accepted position; otherwise what is to be added to that of the lines. px^2.
+    """
 
     position: Floats
     accepted: Bools
     refusal: NDArray[np.uint8]
-    sigma: Floats
+    variance: Floats
     doubtful: Bools
     margin: Floats
 
@@ -69,10 +73,13 @@ def edge_step(
     longest, furthest = LARGEST_STEP / scale, STEP_SHIFT / scale
     accepted = solvable & (length <= longest) & (moved <= furthest)
 
-    excess = np.zeros(len(start))
+    excess, spread = np.zeros(len(start)), 0.0
     if accepted.any():
-        excess = np.maximum(0, correlation - lower_median(correlation[accepted]))
-    sigma = np.sqrt(STEP_ERROR**2 + 0.5 * variance + 1000 * excess**2)
+        lower, middle, upper = (ranked(correlation[accepted], n) for n in (1, 2, 3))
+        excess = np.maximum(0, correlation - middle)
+        spread = max(0, (upper - lower) / 2 - LEAST_HALF_RANGE)
+    of_step = STEP_ERROR**2 + 0.5 * variance + 1000 * excess**2
+    of_refused = np.where(solvable, longest**2, 0)  # the lines and the step differ by more
     margin = np.min(
         [
             near,
@@ -88,7 +95,7 @@ def edge_step(
         refusal=np.select([accepted, solvable], [Refusal.NONE, Refusal.SHIFT], Refusal.FLAT).astype(
             np.uint8
         ),
-        sigma=np.where(accepted, sigma, np.nan),
+        variance=np.where(accepted, of_step, of_refused) + 1000 * spread**2,
         doubtful=accepted & (excess > DOUBT),
         margin=margin,
     )
@@ -99,9 +106,10 @@ def disc_radius(refinement: EdgeStep, scale: float) -> float:
     return min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
 
 
-def lower_median(values: Floats) -> float:
-    """Return the value of rank (n - 1) // 2, from 0, which is one of the values."""
-    return float(np.sort(values)[(len(values) - 1) // 2])
+def ranked(values: Floats, quarters: int) -> float:
+    """Return the value of that quartile, of two the lower one, which is one of the values."""
+    ordered = np.sort(values)
+    return float(ordered[len(values) - 1 - (4 - quarters) * len(values) // 4])
 
 
 def _step_terms(

@@ -85,7 +85,8 @@ def refine(
         shift[accepted] = step.position[step.accepted]
         method[accepted] = Method.EDGE_STEP
         refusal[lines] = step.refusal
-        sigma[accepted] = step.sigma[step.accepted]
+        of_lines = np.where(step.accepted, 0, sigma[lines] ** 2)
+        sigma[lines] = np.sqrt(of_lines + step.variance)
         doubtful[lines] = step.doubtful
         margin[lines] = np.minimum(margin[lines], step.margin)
     edges = np.arctan2(points.direction[..., 1], points.direction[..., 0])

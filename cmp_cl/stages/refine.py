@@ -23,7 +23,8 @@ RADII = (3, 4, 5)  # of the rings, px of the working image
 RING_SAMPLES = 32
 STEP_RADIUS = (0.75, 4.5, 9.0)  # of EDGE_STEP's disc: cells, and its least and largest px
 DOUBTFUL_EXCESS = 0.010  # excess of the residual's autocorrelation over the frame's median
-VARIANCE_OF_EXCESS = 1000  # px^2 per squared excess, fitted on rendered scenes
+VARIANCE_OF_EXCESS = 1000  # px^2 per squared excess, fitted on rendered scenes and on boards
+LEAST_HALF_RANGE = 0.0015  # half of the range of the autocorrelations' quartiles, in a good frame
 
 
 def files(plan: PlanBase) -> list[str]:
@@ -194,13 +195,8 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
         fields = row[RESULT_HEAD:][: RESULT_FIELDS * padded].reshape(RESULT_FIELDS, padded)
         decisions = fields[METHOD].view(np.uint8)  # methods, then why another was rejected
         method = decisions[:count]
-        octave = decisions[2 * padded : 2 * padded + count]
-        if not plan.octaves:
-            octave = np.zeros(count, np.uint8)
-        # A plain number: comparing an array with a member of an enumeration is slower.
-        accepted = method == Method.EDGE_STEP.value
-        accepted &= not math.isnan(radius)
-        sigma, doubtful = _deviation(fields[:, :count], octave, accepted)
+        octave = decisions[2 * padded : 2 * padded + count] if plan.octaves else None
+        sigma, doubtful = _deviation(fields[:, :count], method, octave)
         pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
         if plan.scale is not None:
             pixel = full_pixels(pixel, plan.shape, plan.scale)
@@ -208,7 +204,7 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
             Corners(
                 xy=fields[POSITION].reshape(-1, 2)[:count],
                 pixel=pixel,
-                octave=octave,
+                octave=np.zeros(count, np.uint8) if octave is None else octave,
                 response=fields[RESPONSE, :count],
                 method=method,
                 refusal=decisions[padded : padded + count],
@@ -246,23 +242,43 @@ def no_corners(device: str) -> Corners:
 
 
 def _deviation(
-    fields: NDArray[np.float32], octave: NDArray[np.uint8], accepted: NDArray[np.bool_]
+    fields: NDArray[np.float32], method: NDArray[np.uint8], octave: NDArray[np.uint8] | None
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return the standard deviation of each position, px, and which corners are doubtful.
 
-    A corner is doubtful whose residual autocorrelation exceeds the median of its octave by
-    DOUBTFUL_EXCESS: its surroundings do not look like the corner model. accepted: (N,), whose
-        EDGE_STEP was accepted; the others have an autocorrelation of -inf.
+    octave: (N,), or None if the frame is all. Corners that EDGE_STEP did not refine have an
+        autocorrelation of -inf.
     """
     variance, correlation = fields[VARIANCE], fields[CORRELATION]
-    sigma, doubtful = np.sqrt(variance), np.zeros(len(variance), np.bool_)
-    for n in range(int(octave.max(initial=0)) + 1):
-        here = octave == n if octave.any() else slice(None)
-        count, values = int(np.count_nonzero(accepted[here])), correlation[here]
-        if not count:
-            continue
-        middle = len(values) - 1 - count // 2  # the lower median
-        excess = np.maximum(values - np.partition(values, middle)[middle], 0)
-        sigma[here] = np.sqrt(variance[here] + 4**n * VARIANCE_OF_EXCESS * excess * excess)
-        doubtful[here] = excess > DOUBTFUL_EXCESS
-    return sigma, doubtful
+    # A plain number: comparing an array with a member of an enumeration is slower.
+    accepted = method == Method.EDGE_STEP.value
+    if octave is None or not octave.any():
+        excess, more = _excess(correlation, accepted)
+        return np.sqrt(variance + more), excess > DOUBTFUL_EXCESS
+    excess, more = np.zeros_like(variance), np.zeros_like(variance)
+    for n in np.unique(octave):
+        here = octave == n
+        excess[here], more[here] = _excess(correlation[here], accepted[here])
+    return np.sqrt(variance + more * np.float32(4) ** octave), excess > DOUBTFUL_EXCESS
+
+
+def _excess(
+    correlation: NDArray[np.float32], accepted: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return how far each residual's autocorrelation exceeds the median of its octave, and the
+    variance, px^2, that this and the spread of the autocorrelations add.
+
+    A corner with an excess above DOUBTFUL_EXCESS is doubtful: its surroundings do not look like the
+    corner model. Where the whole frame does not, because its pixels are enlarged, compressed or
+    hidden by coarse noise, the autocorrelations spread.
+    """
+    count = int(np.count_nonzero(accepted))
+    if not count:
+        return np.zeros_like(correlation), np.zeros_like(correlation)
+    ranks = [len(correlation) - 1 - quarters * count // 4 for quarters in (3, 2, 1)]
+    ordered = np.partition(correlation, ranks)
+    lower, middle, upper = (float(ordered[rank]) for rank in ranks)
+    excess = np.maximum(correlation - np.float32(middle), 0)
+    spread = max((upper - lower) / 2 - LEAST_HALF_RANGE, 0)
+    more: NDArray[np.float32] = VARIANCE_OF_EXCESS * (excess * excess + np.float32(spread * spread))
+    return excess, more

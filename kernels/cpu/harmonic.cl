@@ -387,7 +387,7 @@ int bound_of_octave(__global const ulong *noise, const uint n, const uint rows,
 /* A corner of octave n has no other one within 5 px of the octave, in x and in y. Corners are marked
  * in a map of pixels of the octave, shifted by half a pixel: a maximum at x is near those at
  * x - 4 .. x + 5. */
-#define LEAST_SHARE 64 /* of the reference, in 1/128 */
+#define LEAST_SHARE 48 /* of the reference, in 1/128 */
 #define BEFORE 4
 #define BEHIND 5
 #define MARK_AT(x, n) (((x) + (1 << (n) >> 1)) >> (n))

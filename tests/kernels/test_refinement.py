@@ -275,3 +275,18 @@ def test_centroids_are_in_raster_order_and_within_their_window(detector_in_form,
     np.testing.assert_array_equal(order, np.arange(len(corners)))
     assert (np.abs(corners.xy - corners.pixel) <= 2).all()  # px: the window has 5 x 5
     assert (corners.xy != corners.pixel).any()
+
+
+@pytest.mark.parametrize("factor", [2, 4])
+def test_two_sigma_cover_the_error_where_every_pixel_is_repeated(detector_for, factor):
+    """Edges in steps of whole pixels move the corners; the noise of the image does not tell."""
+    image, truth = board(180, 240, 20)
+    image = image.repeat(factor, axis=0).repeat(factor, axis=1)
+    found = detector_for(image, DetectorConfig())(image)
+    places = (truth + 0.5) * factor - 0.5
+    apart = found.xy[:, None] - places
+    error = apart[np.arange(len(found)), np.linalg.norm(apart, axis=2).argmin(axis=1)]
+    near = (np.linalg.norm(error, axis=1) < 6) & np.isfinite(found.sigma)
+    assert near.sum() > 40
+    share = (np.abs(error[near]) < 2 * found.sigma[near, None]).mean()
+    assert share > 0.9

@@ -1,0 +1,170 @@
+"""Boards that are drawn: sharp or blurred, with ink that spreads, noise, steep light, JPEG."""
+
+import math
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from cmp_cl.image import GreyImage
+from cmp_cl.synthetic.scoring import match
+
+SHAPE = (480, 640)
+SAMPLES = 3  # of a pixel, along each axis
+BLACK, WHITE = 40.0, 200.0
+MARGIN = 12  # px from the border, or .6 cells: nearer corners are not scored
+
+
+class Board(NamedTuple):
+    """An image full of cells, its corners (N, 2) px, and the side of a cell, px."""
+
+    image: GreyImage
+    truth: np.ndarray
+    cell: float
+
+    def judge(self, xy: np.ndarray) -> tuple[int, int, int]:
+        """Return how many corners are missed, how many detections false, and how many corners
+        there are, all away from the border."""
+        reach = min(max(3.0, 0.1 * self.cell), self.cell / 3)
+        partner, inside = match(xy, self.truth, reach), within(self.truth, self.cell)
+        false = (partner < 0) & within(xy, self.cell)
+        inside[partner[partner >= 0]] = False
+        scored = within(self.truth, self.cell)
+        return int(inside.sum()), int(false.sum()), int(scored.sum())
+
+
+def within(xy: np.ndarray, cell: float) -> np.ndarray:
+    """Return which places are away from the border."""
+    margin = max(MARGIN, 0.6 * cell)
+    inside: np.ndarray = ((xy >= margin) & (xy <= np.array(SHAPE[::-1]) - 1 - margin)).all(axis=1)
+    return inside
+
+
+def board(
+    cell: float,
+    *,
+    angle: float = 0.1,
+    tilt: float = 0.0,
+    blur: float = 0.7,
+    ink: float = 0.0,
+    start: tuple[float, float] = (0.37, 0.21),
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the reflectance of a board, (H, W) 0 to 1, and its corners.
+
+    cell, blur: px. tilt: by how much cells shrink from the left side to the right. ink: px by which
+        black squares grow, or shrink if it is negative.
+    """
+    rows, columns = SHAPE
+    x, y = np.meshgrid(*((np.arange(n * SAMPLES) + 0.5) / SAMPLES - 0.5 for n in (columns, rows)))
+    depth = 1 + tilt * (x / columns - 0.5)
+    u, v = (x - columns / 2) * depth, (y - rows / 2) * depth
+    cos, sin = math.cos(angle) / cell, math.sin(angle) / cell
+    i, j = cos * u + sin * v + start[0], cos * v - sin * u + start[1]
+    white = (np.floor(i) + np.floor(j)) % 2 == 1
+    edge = np.minimum(np.abs(i - np.rint(i)), np.abs(j - np.rint(j))) * cell  # px to an edge
+    grey = np.where(edge < abs(ink), float(ink < 0), white)
+    grey = cv2.GaussianBlur(grey, (0, 0), max(blur, 0.4) * SAMPLES, borderType=cv2.BORDER_REPLICATE)
+    grey = grey.reshape(rows, SAMPLES, columns, SAMPLES).mean(axis=(1, 3))
+    most = int((rows + columns) / cell * 1.5) + 3
+    a, b = (each.ravel() for each in np.meshgrid(np.arange(-most, most), np.arange(-most, most)))
+    a, b = a - start[0], b - start[1]
+    u, v = (cos * a - sin * b) * cell**2, (sin * a + cos * b) * cell**2
+    scale = 1 - tilt * u / columns  # of u = (x - columns / 2) (1 + tilt (x / columns - .5))
+    with np.errstate(invalid="ignore"):
+        across = u if not tilt else (np.sqrt(1 + 4 * tilt * u / columns) - 1) * columns / (2 * tilt)
+    scale = np.where(u == 0, 1.0, across / np.where(u == 0, 1.0, u))
+    truth = np.stack([across + columns / 2, v * scale + rows / 2], axis=1)
+    inside = ((truth >= 0) & (truth <= np.array([columns, rows]) - 1)).all(axis=1)
+    return grey, truth[inside]
+
+
+def photographed(
+    reflectance: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    noise: float = 0.0,
+    correlation: float = 0.0,
+    light: float = 1.0,
+    exposure: float = 1.0,
+    quality: int | None = None,
+) -> GreyImage:
+    """Return the grey levels of a reflectance.
+
+    noise: standard deviation, grey levels. correlation: px that the noise is smoothed by.
+        light: the least over the most; it falls from corner to corner. quality: of JPEG.
+    """
+    rows, columns = reflectance.shape
+    y, x = np.indices(reflectance.shape)
+    fall = light ** ((x / columns + y / rows) / 2)
+    grey = (BLACK + (WHITE - BLACK) * reflectance) * fall * exposure
+    grain = rng.normal(size=reflectance.shape)
+    if correlation:
+        grain = cv2.GaussianBlur(grain, (0, 0), correlation)
+    image = np.clip(np.rint(grey + noise * grain / grain.std()), 0, 255).astype(np.uint8)
+    if quality is not None:
+        _, packed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        image = cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE)
+    return image
+
+
+def cluttered(rng: np.random.Generator, reflectance: np.ndarray) -> np.ndarray:
+    """Return the reflectance with a wall instead of its right half, and shapes, bars and words on
+    it."""
+    scene = np.full(SHAPE, rng.integers(0, 256), np.uint8)
+    for _ in range(rng.integers(20, 60)):
+        grey, size = int(rng.integers(0, 256)), int(rng.integers(4, 120))
+        x, y = (int(rng.integers(0, n)) for n in SHAPE[::-1])
+        kind = rng.integers(4)
+        if kind == 0:
+            corners = np.add(rng.normal(0, size / 2, (5, 2)), (x, y)).astype(np.int32)
+            cv2.fillConvexPoly(scene, cv2.convexHull(corners), grey, cv2.LINE_AA)
+        elif kind == 1:
+            axes = (size, int(rng.integers(3, 60)))
+            cv2.ellipse(scene, (x, y), axes, rng.uniform(0, 180), 0, 360, grey, -1, cv2.LINE_AA)
+        elif kind == 2:
+            end = (x + int(rng.integers(-200, 200)), y + int(rng.integers(-200, 200)))
+            cv2.line(scene, (x, y), end, grey, int(rng.integers(2, 20)), cv2.LINE_AA)
+        else:
+            word, scale = "".join(rng.choice(list("AKXMW4&%#"), 6)), rng.uniform(0.5, 4)
+            cv2.putText(scene, word, (x, y), 0, scale, grey, int(scale * 3), cv2.LINE_AA)
+    soft = cv2.GaussianBlur(scene / 255, (0, 0), rng.choice([0.7, 1.5, 4]))
+    return np.hstack([reflectance[:, : SHAPE[1] // 2], soft[:, SHAPE[1] // 2 :]])
+
+
+def drawn(seed: int) -> tuple[Board, list[str]]:
+    """Return a board of drawn cells (8 to 200 px), blur, ink, noise, light and compression, and
+    which of these are strong."""
+    rng = np.random.default_rng(seed)
+    cell = math.exp(rng.uniform(math.log(8), math.log(200)))
+    blur = min(rng.exponential(1.5) + 0.4, 8.0, cell / 5)
+    ink = cell * rng.uniform(-0.1, 0.1) if rng.random() < 0.5 else 0.0
+    reflectance, truth = board(
+        cell,
+        angle=rng.uniform(0, math.pi / 2),
+        tilt=rng.uniform(-0.3, 0.3),
+        blur=blur,
+        ink=ink,
+        start=(rng.random(), rng.random()),
+    )
+    clutter = rng.random() < 0.3
+    if clutter:
+        reflectance = cluttered(rng, reflectance)
+        truth = truth[truth[:, 0] < SHAPE[1] // 2]
+    exposure, light = rng.choice([0.3, 1, 1, 1.5]), rng.choice([1, 0.4, 0.15])
+    noise = min(rng.choice([0, 0.02, 0.05, 0.1]), light / 4)
+    image = photographed(
+        reflectance,
+        rng,
+        noise=noise * (WHITE - BLACK) * exposure,
+        correlation=rng.choice([0, 0, 0.7, 1.5, 3]),
+        light=light,
+        exposure=exposure,
+        quality=rng.choice([None, None, 90, 60, 30]),
+    )
+    strong = {
+        "spread ink": ink != 0,
+        "noise": noise > 0.03,
+        "clutter": clutter,
+        "cells under 20 px": cell < 20,
+    }
+    return Board(image, truth, cell), [name for name, true in strong.items() if true]

@@ -1,0 +1,170 @@
+"""What the octaves find: spread ink, noise, every cell and blur, blank frames, photographs.
+
+    python bench/octaves.py             about five minutes
+
+A row of results/octaves.csv is a set of images with one of two settings: the default, and
+`octaves=0`. covered: the share of the coordinates of corners from halved frames whose error is
+within two sigma, without the boards whose ink spreads, which has no sharp truth.
+"""
+
+import itertools
+import json
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import boards
+import numpy as np
+from boards import Board, board, photographed
+from environment import DATA, parser_of, write_table
+from photographs import Photograph, small_boards
+
+from cmp_cl import Corners, Detector, DetectorConfig, RingHarmonic
+from cmp_cl.image import GreyImage
+from cmp_cl.synthetic.scoring import match
+
+FIRST_SEED = 800_000
+SETTINGS = {
+    "octaves=3": DetectorConfig(),
+    "octaves=0": DetectorConfig(detection=RingHarmonic(octaves=0)),
+}
+CELLS = (8, 12, 20, 40, 80, 140, 200)
+BLURS = (0.4, 1, 2, 4, 8)
+CORRELATIONS = (0, 0.7, 1, 1.5, 2, 3, 5)
+
+
+class Finder:
+    """Finds corners with some settings, with a detector for each shape of image."""
+
+    def __init__(self, config: DetectorConfig) -> None:
+        self._config = config
+        self._detectors: dict[tuple[int, ...], Detector] = {}
+
+    def __call__(self, image: GreyImage) -> Corners:
+        if image.shape not in self._detectors:
+            self._detectors[image.shape] = Detector(shape=image.shape, config=self._config)
+        return self._detectors[image.shape](image)
+
+
+def spread_ink() -> Iterator[tuple[str, list[Board]]]:
+    """Yield boards of each cell whose black squares have grown or shrunk by up to 10 % of it."""
+    for cell in (12, 25, 50, 100):
+        group = []
+        for seed, percent in enumerate((-10, -7, -5, -3, 0, 3, 5, 7, 10), FIRST_SEED):
+            rng = np.random.default_rng(seed)
+            ink, angle = cell * percent / 100, rng.uniform(0, 1.5)
+            reflectance, truth = board(cell, angle=angle, ink=ink, start=(0.3, 0.2))
+            group.append(Board(photographed(reflectance, rng, noise=2), truth, cell))
+        yield f"spread ink, cells of {cell} px", group
+
+
+def noisy(count: int) -> Iterator[tuple[str, list[Board]]]:
+    """Yield drawn boards, those with strong noise first."""
+    drawn = [boards.drawn(FIRST_SEED + n) for n in range(count)]
+    wide = [each for each, strong in drawn if "noise" in strong and each.cell >= 40]
+    small = [each for each, strong in drawn if "noise" in strong and each.cell < 40]
+    yield "drawn, noisy, cells from 40 px", wide
+    yield "drawn, noisy, cells under 40 px", small
+    yield "drawn", [each for each, _ in drawn]
+
+
+def judged(group: Sequence[Board], finder: Finder) -> dict[str, Any]:
+    """Return the counts of a group of boards."""
+    missed, false, corners = np.sum([each.judge(finder(each.image).xy) for each in group], axis=0)
+    return {"images": len(group), "corners": corners, "missed": missed, "false": false}
+
+
+def every_cell_and_blur() -> dict[str, Any]:
+    """Return the largest share of the corners by which the default is behind the best `for_cell`."""
+    finders = [Finder(DetectorConfig.for_cell(cell)) for cell in (8, 15, 30)]
+    default, behind, worst = Finder(DetectorConfig()), [], ""
+    for cell, blur in itertools.product(CELLS, BLURS):
+        if blur > cell / 3:
+            continue
+        rng = np.random.default_rng(FIRST_SEED + cell)
+        reflectance, truth = board(cell, angle=0.3, blur=blur)
+        each = Board(photographed(reflectance, rng, noise=3), truth, cell)
+        ours, _, corners = each.judge(default(each.image).xy)
+        best = min(each.judge(finder(each.image).xy)[0] for finder in finders)
+        behind.append(100 * (ours - best) / corners)
+        if behind[-1] == max(behind):
+            worst = f"cells of {cell} px, blur {blur} px"
+    return {"set": "every cell and blur", "behind_percent": max(behind), "worst": worst}
+
+
+def blank(correlation: float, finder: Finder) -> dict[str, Any]:
+    """Return the corners a megapixel in grey frames with noise of 8 grey levels."""
+    counts = []
+    for seed in range(FIRST_SEED, FIRST_SEED + 3):
+        grey = np.full(boards.SHAPE, 0.5)
+        rng = np.random.default_rng(seed)
+        counts.append(len(finder(photographed(grey, rng, noise=8, correlation=correlation))))
+    false = float(np.mean(counts)) / math.prod(boards.SHAPE) * 1e6
+    return {"set": f"blank, noise smoothed by {correlation} px", "false_a_megapixel": false}
+
+
+def covered(finder: Finder) -> dict[str, Any]:
+    """Return how many errors two sigma cover, of corners that halved frames found."""
+    within = []
+    for seed in range(FIRST_SEED, FIRST_SEED + 60):
+        rng = np.random.default_rng(seed)
+        cell, angle = rng.uniform(40, 160), rng.uniform(0, 1.5)
+        blur = rng.uniform(cell / 12, cell / 6)
+        reflectance, truth = board(cell, angle=angle, blur=blur, ink=cell * rng.choice([0, 0.05]))
+        noise, correlation = rng.choice([1, 4, 8]), rng.choice([0, 1])
+        image = photographed(reflectance, rng, noise=noise, correlation=correlation)
+        found = finder(image)
+        partner = match(found.xy, truth, 0.1 * cell)
+        good = (partner >= 0) & (found.octave > 0) & np.isfinite(found.sigma)
+        error = np.abs(found.xy[good] - truth[partner[good]])
+        within.append(error < 2 * found.sigma[good, None])
+    return {"set": "sigma in octaves", "covered": float(np.concatenate(within).mean())}
+
+
+def photographs(finder: Finder) -> Iterator[dict[str, Any]]:
+    """Yield the counts of the photographs that are listed, and of boards in front of them."""
+    names = sorted(str(path.relative_to(DATA).with_suffix("")) for path in DATA.glob("*/*.json"))
+    listed = [
+        name for name in names if "corners" in json.loads((DATA / f"{name}.json").read_text())
+    ]
+    groups: dict[str, list[Photograph]] = {}
+    for name in listed:
+        groups.setdefault(name.split("/")[0], []).append(Photograph.read(name))
+    groups["small boards before photographs"] = small_boards()
+    for name, group in groups.items():
+        parts = [each.judge(finder(each.image).xy) for each in group]
+        yield {
+            "set": name,
+            "images": len(group),
+            "corners": sum(part.expected for part in parts),
+            "missed": sum(part.missed for part in parts),
+            "false": sum(part.false for part in parts),
+        }
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    arguments = parser_of(__doc__).parse_args(argv)
+    rows: list[dict[str, Any]] = []
+
+    def keep(row: dict[str, Any]) -> None:
+        rows.append(row)
+        print(row, flush=True)
+
+    finders = {name: Finder(config) for name, config in SETTINGS.items()}
+    for name, group in [*spread_ink(), *noisy(100)]:
+        for setting, finder in finders.items():
+            keep({"settings": setting, "set": name, **judged(group, finder)})
+    for correlation, (setting, finder) in itertools.product(CORRELATIONS, finders.items()):
+        keep({"settings": setting, **blank(correlation, finder)})
+    keep({"settings": "octaves=3", **covered(finders["octaves=3"])})
+    keep({"settings": "octaves=3", **every_cell_and_blur()})
+    if DATA.is_dir():
+        for setting, finder in finders.items():
+            for row in photographs(finder):
+                keep({"settings": setting, **row})
+    write_table("octaves", rows, arguments.out)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
