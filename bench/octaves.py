@@ -75,7 +75,7 @@ def judged(group: Sequence[Board], finder: Finder) -> dict[str, Any]:
 
 
 def every_cell_and_blur() -> dict[str, Any]:
-    """Return the largest share of the corners by which the default is behind the best `for_cell`."""
+    """Return by how many of the corners the default is behind the best `for_cell`, at most."""
     finders = [Finder(DetectorConfig.for_cell(cell)) for cell in (8, 15, 30)]
     default, behind, worst = Finder(DetectorConfig()), [], ""
     for cell, blur in itertools.product(CELLS, BLURS):

@@ -16,9 +16,9 @@ SPAN = 64  # width of a bin, responses
 
 def files(plan: PlanBase) -> list[str]:
     """Return the kernel files."""
-    cpu = plan.form is Form.CPU
-    halving = ["cpu/halve" if cpu else "halve"] if plan.octaves else []
-    return [*halving, *(["cpu/harmonic"] if cpu else ["border", "noise", "harmonic"])]
+    if plan.form is Form.CPU:
+        return ["cpu/harmonic"]
+    return [*(["halve"] if plan.octaves else []), "border", "noise", "harmonic"]
 
 
 def defines(plan: PlanBase) -> dict[str, str | int]:
@@ -42,6 +42,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
             "spans": 8 * frames * plan.bands * plan.lists,
             "taken": 4 * frames * plan.segments * (1 + plan.octaves),
             "finished": 4 * frames,
+            "halved": 8 * frames * (plan.octaves > 0),
         }
     noises = {f"noise_{n}": 8 * frames * noise.bands(plan, n) for n in range(1, plan.octaves + 1)}
     return {**sizes, "noise": 8 * frames * noise.bands(plan), **noises}
@@ -73,14 +74,14 @@ def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the image to the list of corners."""
     if plan.form is not Form.CPU:
         return _by_pixels(plan)
-    return _by_bands(plan, plan.step + plan.pad, plan.step)
+    return [_by_bands(plan, plan.step + plan.pad, plan.step)]
 
 
-def launches_in_place(plan: PlanBase) -> list[Launch]:
-    """Return the same for a frame in a buffer of its own, the first argument of each launch; none
+def launch_in_place(plan: PlanBase) -> Launch | None:
+    """Return the same for a frame in a buffer of its own, the first argument of the launch; None
     if the image must be there before."""
     if plan.form is not Form.CPU or plan.scale is not None:
-        return []
+        return None
     return _by_bands(plan, 0, plan.shape[1])
 
 
@@ -317,25 +318,19 @@ def _work_rows(plan: PlanBase) -> int:
     return 4 + smooth + 4 + coarse + 2 + 1 + 2 + responses * (1 + _rule(plan).fine)
 
 
-def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> list[Launch]:
-    """Bind the launches from a frame, its first element and the elements of a row."""
+def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> Launch:
+    """Bind the launch from a frame, its first element and the elements of a row."""
     b, rule, size = plan.arrays, _rule(plan), plan.size
     corners = plan.corner_list
-    given = {
-        "frame": plan.image,
-        "frame_start": np.uint32(frame_start),
-        "frame_step": np.uint32(frame_step),
-        "image": plan.image,
-    }
-    halving = []
-    if plan.octaves:
-        items = (-(-plan.working[0] // 2**plan.octaves), plan.frames)
-        halving = [plan.stage("halve_rows", items, (1, 1), **given, **size)]
-    search = plan.stage(
+    halved = {"halved": b["halved"]} if plan.octaves else {}
+    return plan.stage(
         "harmonic_band",
         (plan.bands, plan.frames),
         (1, 1),
-        **given,
+        frame=plan.image,
+        frame_start=np.uint32(frame_start),
+        frame_step=np.uint32(frame_step),
+        image=plan.image,
         area=b["area"],
         **size,
         capacity=np.uint32(plan.list_capacity),
@@ -351,6 +346,7 @@ def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> list[Launch]
         length=corners["length"],
         taken=b["taken"],
         finished=b["finished"],
+        **halved,
         noise=b["noise"],
         spans=b["spans"],
         lists=b["lists"],
@@ -358,4 +354,3 @@ def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> list[Launch]
         corners=b["corners"],
         counts=b["counts"],
     )
-    return [*halving, search]

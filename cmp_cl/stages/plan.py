@@ -226,9 +226,8 @@ class Plan(PlanBase):
         self._in_place: list[Launch] = []
         shared = "image" in self._here and is_pocl(self.device.handle)
         if shared and self.detection is harmonic and self.frames == 1:
-            first = harmonic.launches_in_place(self)
-            self._in_place = [*first, *self.launches[len(first) :]] if first else []
-            self._readers = [launch.kernel for launch in first]
+            first = harmonic.launch_in_place(self)
+            self._in_place = [first, *self.launches[1:]] if first else []
         self._likely = self.corner_capacity  # corners of a frame, at most
 
     # What happens in a frame
@@ -243,8 +242,7 @@ class Plan(PlanBase):
             self._wait()  # for an earlier frame that kernels may still read
             around = cl.mem_flags.READ_ONLY | cl.mem_flags.USE_HOST_PTR
             self._frame = cl.Buffer(queue.context, around, hostbuf=frames[0])
-            for kernel in self._readers:
-                kernel.set_arg(0, self._frame)
+            self._in_place[0].kernel.set_arg(0, self._frame)
             return self._in_place
         if "image" in self._here:
             self._write(frames)

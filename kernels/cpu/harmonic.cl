@@ -1,4 +1,7 @@
 #include "octave.clh"
+#if OCTAVES
+#include "cpu/halve.clh"
+#endif
 
 /* The grey-level rule for CPUs: one launch takes bands of rows from the image to the maxima of
  * both responses, and the last band to finish decides for the frame, because a launch of its own
@@ -298,9 +301,9 @@ int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
 #define KINDS (1 + FINE + OCTAVES)
 #define KIND_OF_OCTAVE(n) ((n) ? FINE + (n) : 0)
 
-/* How many bands search octave n of `rows` rows. */
+/* How many bands search octave n of `rows` rows: few, because a band has rows beyond its own. */
 uint bands_of(const uint n, const uint rows, const uint bands) {
-  return n ? LARGER(SMALLER(bands, (rows >> n) / 32), 1u) : bands;
+  return n ? LARGER(SMALLER(bands >> n, (rows >> n) / 32), 1u) : bands;
 }
 
 /* The part of a segment's list that one of its two bands fills: the number of its first entry, and
@@ -395,7 +398,9 @@ int bound_of_octave(__global const ulong *noise, const uint n, const uint rows,
 int is_marked(__global const uint *marks, const int x, const int y, const int last,
               const uint width) {
   const uint first = (uint)(PAD + x - BEFORE);
-  for (int row = LARGER(y - BEFORE, 0); row <= SMALLER(y + BEHIND, last); ++row) {
+  for (int line = 0; line < BEFORE + BEHIND + 1; ++line) { /* the nearest rows first */
+    const int row = y + (line % 2 ? line / 2 + 1 : -(line / 2));
+    if (row < 0 || row > last) continue;
     __global const uint *word = marks + (uint)row * width + first / 32;
     const ulong both = (ulong)word[1] << 32 | word[0];
     if (both >> first % 32 & ((1ul << (BEFORE + BEHIND + 1)) - 1)) return 1;
@@ -736,11 +741,18 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
                             const int fine_share, const uint corner_capacity,
                             const uint count_offset, const uint length,
                             volatile __global uint *taken, volatile __global uint *finished,
+#if OCTAVES
+                            volatile __global uint *halved,
+#endif
                             __global ulong *noise, __global uint2 *spans, __global int *lists,
                             __global uint *restrict maxima, __global int *restrict corners,
                             __global uint *restrict counts) {
   const uint band = get_global_id(0), bands = get_global_size(0), segments = (bands + 1) / 2;
   const size_t p = get_global_id(1), own = p * bands + band;
+#if OCTAVES
+  halve_frame(frame + frame_start + p * rows * frame_step, frame_step, image, rows, columns, step, p,
+              get_global_size(1), halved + 2 * p, halved + 2 * p + 1);
+#endif
   uint before = 0; /* bands of the smaller octaves: these spread over the work-items */
   for (int n = OCTAVES; n >= 0; --n) {
     const Octave octave = octave_of((uint)n, rows, columns, step, get_global_size(1));
@@ -761,6 +773,9 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
   if (atomic_inc(finished + p) + 1 < bands) return;
   mem_fence(CLK_GLOBAL_MEM_FENCE);
   finished[p] = 0;
+#if OCTAVES
+  halved[2 * p] = halved[2 * p + 1] = 0;
+#endif
   for (uint k = 0; k < segments * (1 + OCTAVES); ++k) taken[p * segments * (1 + OCTAVES) + k] = 0;
   decide(p, noise, spans, lists, rows, columns, step, bands, capacity, full_scale,
          coarse_noise, coarse_share, fine_share, corner_capacity, count_offset, length, maxima,
