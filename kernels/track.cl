@@ -21,6 +21,7 @@
 #define CENTROID 0
 #define SAME_PX 0.5f            /* a corner so near is the same */
 #define VARIANCE_OF_EXCESS 1000 /* px^2 per squared excess, as in cmp_cl/stages/refine.py */
+#define LEAST_HALF_RANGE 0.0015f
 
 #define NEAR_CELLS 0.3f /* from the prediction, of the smaller local step */
 #define ALONE_CELLS 0.5f /* no second corner may be as near as that */
@@ -76,9 +77,17 @@
   __global const float *correlations = fields + (VARIANCE_FIELD + 1) * padded;
 #define OCTAVE_OF(n) (OCTAVES ? octaves[n] : 0)
 
-/* The standard deviation of corner n: its variance grows by the excess of its correlation. */
-#define SIGMA_OF(n, excess)                                                         \
-  sqrt(variances[n] + (float)(1 << 2 * OCTAVE_OF(n)) * VARIANCE_OF_EXCESS * (excess) * (excess))
+/* By how much the variance of a corner grows, px^2: by the excess of its autocorrelation over the
+ * median of its octave, and by the spread of the quartiles. */
+float grown_variance(const float correlation, const float4 quartile) {
+  const float excess = fmax(correlation - quartile.y, 0.0f); /* 0 if there are no quartiles */
+  const float spread = fmax((quartile.z - quartile.x) / 2 - LEAST_HALF_RANGE, 0.0f);
+  return VARIANCE_OF_EXCESS * (excess * excess + spread * spread);
+}
+
+/* The standard deviation of corner n. */
+#define SIGMA_OF(n, quartile)                                                       \
+  sqrt(variances[n] + (float)(1 << 2 * OCTAVE_OF(n)) * grown_variance(correlations[n], quartile))
 
 /* Whether a corner of this first boundary has the colour of node i, where the lattice has these
  * steps; true if the boundary is unknown. `colour`: 1 if the first boundary of a corner of even row
@@ -98,46 +107,54 @@ uint ordered(const float v) {
   return bits & 0x80000000u ? ~bits : bits | 0x80000000u;
 }
 
-/* The lower median of the residual's autocorrelation of the corners that EDGE_STEP accepted, for
- * each view and octave, byte by byte from the first. One work-group for each. */
-__kernel void medians(__global const float *result, const uint stride, const uint room,
-                      __global float *median) {
+/* The quartiles of the residual's autocorrelation of the corners that EDGE_STEP accepted, of two the
+ * lower one, for each view and octave, byte by byte from the first; infinite if there are none. One
+ * work-group for each. */
+__kernel void quartiles(__global const float *result, const uint stride, const uint room,
+                        __global float4 *quartile) {
   const int view = get_group_id(1) / LEVELS, octave = get_group_id(1) % LEVELS;
   const int first = get_local_id(0), items = get_local_size(0);
   RESULT_OF_VIEW(result, stride, room)
-  __local uint bins[256], prefix, rank, all;
-  if (first == 0) prefix = rank = all = 0;
+  __local uint bins[3][256], prefix[3], rank[3], all;
+  if (first == 0) all = 0;
   for (int shift = 24; shift >= 0; shift -= 8) {
-    for (int b = first; b < 256; b += items) bins[b] = 0;
+    for (int b = first; b < 256; b += items) bins[0][b] = bins[1][b] = bins[2][b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int n = first; n < count; n += items) {
       if (methods[n] != BY_EDGE_STEP || OCTAVE_OF(n) != octave) continue;
       const uint key = ordered(correlations[n]);
-      if (shift == 24 || key >> (shift + 8) == prefix) atomic_inc(bins + (key >> shift & 255));
+      for (int q = 0; q < 3; ++q)
+        if (shift == 24 || key >> (shift + 8) == prefix[q])
+          atomic_inc(bins[q] + (key >> shift & 255));
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (first == 0) {
-      if (shift == 24) {
-        for (int b = 0; b < 256; ++b) all += bins[b];
-        rank = all ? all - 1 - all / 2 : 0;
+    if (first == 0)
+      for (int q = 0; q < 3; ++q) {
+        if (shift == 24) {
+          if (q == 0)
+            for (int b = 0; b < 256; ++b) all += bins[0][b];
+          rank[q] = all ? all - 1 - (3 - q) * all / 4 : 0;
+          prefix[q] = 0;
+        }
+        uint b = 0;
+        for (; b < 255 && bins[q][b] <= rank[q]; ++b) rank[q] -= bins[q][b];
+        prefix[q] = prefix[q] << 8 | b;
       }
-      int b = 0;
-      for (; b < 255 && bins[b] <= rank; ++b) rank -= bins[b];
-      prefix = prefix << 8 | b;
-    }
     barrier(CLK_LOCAL_MEM_FENCE);
   }
+#define NUMBER_OF(key) as_float((key) & 0x80000000u ? (key) & 0x7fffffffu : ~(key))
   if (first == 0)
-    median[get_group_id(1)] =
-        all ? as_float(prefix & 0x80000000u ? prefix & 0x7fffffffu : ~prefix) : INFINITY;
+    quartile[get_group_id(1)] = all ? (float4)(NUMBER_OF(prefix[0]), NUMBER_OF(prefix[1]),
+                                               NUMBER_OF(prefix[2]), 0.0f)
+                                    : (float4)(INFINITY);
 }
 
 /* Chain the corners of each bin, and predict the nodes: they move on as they moved last. The
- * variance of a corner that does not look like its model grows by its excess over the median.
- * Corners outside the region of a view, (x0, y0, x1, y1), take no part. One work-item a corner or a
+ * variance of a corner that does not look like its model grows by its excess over the median, and
+ * that of all corners by the spread of the quartiles. Corners outside the region of a view, (x0, y0, x1, y1), take no part. One work-item a corner or a
  * node. */
 __kernel void place(__global const float *result, const uint stride, const uint room,
-                    __global const float *median, __global const float4 *regions, const float bin,
+                    __global const float4 *quartile, __global const float4 *regions, const float bin,
                     const int bin_rows, const int bin_columns, __global const float2 *nodes,
                     __global float4 *corners, __global float2 *last, __global float2 *predicted,
                     __global int *first_of_bin, __global int *next, __global int *claims,
@@ -153,8 +170,7 @@ __kernel void place(__global const float *result, const uint stride, const uint 
   RESULT_OF_VIEW(result, stride, room)
   if (i >= min(count, CAPACITY)) return;
   const float4 region = regions[view];
-  const float excess = fmax(correlations[i] - median[view * LEVELS + OCTAVE_OF(i)], 0.0f);
-  const float sigma = SIGMA_OF(i, excess);
+  const float sigma = SIGMA_OF(i, quartile[view * LEVELS + OCTAVE_OF(i)]);
   const int whole = sigma < TORN_PX && refusals[i] == 0;
   const float4 corner =
       (float4)(fields[2 * i], fields[2 * i + 1], edges[4 * i], whole ? sigma : -sigma);
@@ -324,7 +340,7 @@ __kernel void check(__global const float4 *corners, const float bin, const int b
  * for keeps a corner that is not too far; else it stays at that place, INTERPOLATED between two
  * neighbours. `result`: of the looks. One work-item a node. */
 __kernel void enter(__global const float *result, const uint stride,
-                    __global const float *median, __global const float4 *corners,
+                    __global const float4 *quartile, __global const float4 *corners,
                     const float bin, const int bin_rows, const int bin_columns,
                     __global const int *first_of_bin, __global const int *next,
                     __global const int *claims, __global const int *kept,
@@ -343,8 +359,7 @@ __kernel void enter(__global const float *result, const uint stride,
   const float2 place = expected[OF_NODE];
   if (n >= 0 && n < count && refusals[n] == 0 && methods[n] != CENTROID) {
     const float2 found = (float2)(fields[2 * n], fields[2 * n + 1]);
-    const float excess = fmax(correlations[n] - median[view * LEVELS], 0.0f);
-    const float deviation = SIGMA_OF(n, excess), off = length(found - place);
+    const float deviation = SIGMA_OF(n, quartile[view * LEVELS]), off = length(found - place);
     const float most = deviation < TORN_PX ? NEAR_CELLS : STRAY_TORN_CELLS;
     if ((off < most * cell || off < STRAY_PX) &&
         has_colour(edges[4 * n], along, down, i, colour[view])) {

@@ -24,7 +24,9 @@ RING_SAMPLES = 32
 STEP_RADIUS = (0.75, 4.5, 9.0)  # of EDGE_STEP's disc: cells, and its least and largest px
 DOUBTFUL_EXCESS = 0.010  # excess of the residual's autocorrelation over the frame's median
 VARIANCE_OF_EXCESS = 1000  # px^2 per squared excess, fitted on rendered scenes and on boards
-LEAST_HALF_RANGE = 0.0015  # half of the range of the autocorrelations' quartiles, in a good frame
+LEAST_HALF_RANGE = np.float32(
+    0.0015
+)  # half of the range of the autocorrelations' quartiles, in a good frame
 
 
 def files(plan: PlanBase) -> list[str]:
@@ -277,8 +279,8 @@ def _excess(
         return np.zeros_like(correlation), np.zeros_like(correlation)
     ranks = [len(correlation) - 1 - quarters * count // 4 for quarters in (3, 2, 1)]
     ordered = np.partition(correlation, ranks)
-    lower, middle, upper = (float(ordered[rank]) for rank in ranks)
-    excess = np.maximum(correlation - np.float32(middle), 0)
-    spread = max((upper - lower) / 2 - LEAST_HALF_RANGE, 0)
-    more: NDArray[np.float32] = VARIANCE_OF_EXCESS * (excess * excess + np.float32(spread * spread))
+    lower, middle, upper = (ordered[rank] for rank in ranks)
+    excess = np.maximum(correlation - middle, 0)
+    spread = np.maximum((upper - lower) / 2 - LEAST_HALF_RANGE, 0)
+    more: NDArray[np.float32] = VARIANCE_OF_EXCESS * (excess * excess + spread * spread)
     return excess, more
