@@ -44,7 +44,7 @@ def test_the_conda_recipe_asks_for_what_the_project_needs():
     needed = {re.split(r"[ <>=]", entry)[0] for entry in recipe["requirements"]["run"]}
     wanted = {re.split(r"[<>=]", entry)[0] for entry in PROJECT["dependencies"]}
     assert needed == wanted - {"opencv-contrib-python-headless"} | {"python", "py-opencv", "pocl"}
-    assert recipe["build"]["entry_points"] == ["cmp-cl = cmp_cl.cli.starting:main"]
+    assert recipe["build"]["entry_points"] == ["cmp-cl = cmp_cl.__main__:main"]
 
 
 def test_the_citation_names_the_licence_and_the_paper():

@@ -26,8 +26,7 @@ from cmp_cl.cli.arguments import (
     views_of,
     whole,
 )
-from cmp_cl.cli.messages import counted, one_line, shown
-from cmp_cl.cli.progress import Progress
+from cmp_cl.cli.messages import Progress, counted, one_line, shown
 from cmp_cl.cli.window import add_window, through_window, window_files
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
 from cmp_cl.grid import Grid

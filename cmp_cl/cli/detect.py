@@ -6,36 +6,35 @@ import os
 import statistics
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl import media
-from cmp_cl.cli.arguments import (
-    add_device,
-    add_full_scale,
-    check_files,
-    grid_shape,
-)
-from cmp_cl.cli.messages import counted, in_shell, one_line, shown
-from cmp_cl.cli.progress import Progress
-from cmp_cl.cli.tables import CORNER_COLUMNS, NODE_COLUMNS, Table, corner_rows, node_rows
+from cmp_cl.cli.arguments import add_device, add_full_scale, check_files, grid_shape
+from cmp_cl.cli.messages import Progress, counted, in_shell, one_line, shown
 from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
-from cmp_cl.corners import Corners
+from cmp_cl.corners import Corners, Method, Refusal
 from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, GridError, ImageError
-from cmp_cl.files import whole_file
-from cmp_cl.grid import build_grid
+from cmp_cl.files import csv_bytes, whole_file
+from cmp_cl.grid import Grid, NodeStatus, build_grid
 from cmp_cl.image import GreyImage
 from cmp_cl.marks import drop_marks
 from cmp_cl.measure.patterns import is_of_few_bits, of_few_bits
-from cmp_cl.opencl.device import select_device
+from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.viz import corner_overlay, grid_overlay
+
+_CORNER_COLUMNS = (
+    *("x_px", "y_px", "pixel_x_px", "pixel_y_px", "response", "method"),
+    *("sigma_px", "edge0_rad", "edge1_rad", "edge2_rad", "edge3_rad", "doubtful", "refusal"),
+)
+_NODE_COLUMNS = ("row", "column", "x_px", "y_px", "sigma_px", "status")
 
 
 def add_parser(commands: Any) -> None:
@@ -92,54 +91,118 @@ def run(arguments: argparse.Namespace) -> int:
     overlays = _overlay_paths(arguments.overlay, paths)
     out = _csv_path(arguments.out)
     check_files([*paths, arguments.config], [*overlays.values(), out])
-    finder = _Finder(config, arguments)
-    kind = _CornerOutput if arguments.grid is None else _NodeOutput
-    failed = told = lost = False
-    with ExitStack() as files:
-        output = kind(files, out, arguments.grid)
-        with finder, Progress(_frames_in(paths), "frames") as progress:
-            for path in paths:
-                tally = _Tally(path, overlays.get(path))
-                _search(tally, finder, output, progress)
-                failed = failed or bool(tally.failures)
-                lost = failed and path is paths[-1] and output.is_empty()
-                if lost:
-                    tally.failures.append(f"{shown(out)} was not written")
-                _tell(tally, progress, told=told)
-                told = told or tally.is_dark()
-        output.close(lost=lost)
+    device = select_device(arguments.device)
+    failed = told = False
+    with ExitStack() as stack:
+        table = None
+        if out is not None:
+            columns = _CORNER_COLUMNS if arguments.grid is None else _NODE_COLUMNS
+            table = _Table(stack.enter_context(whole_file(out)), columns)
+        search = stack.enter_context(_Search(arguments, config, device, table))
+        progress = stack.enter_context(Progress(_frames_in(paths), "frames"))
+        for path in paths:
+            found = search.file(path, overlays.get(path), progress)
+            failed = failed or bool(found.failures)
+            for stream, line in found.lines(hint=not told):
+                progress.say(line, stream)
+            told = told or found.is_dark
+        if table is not None and failed and not table.rows:  # an error keeps an older table
+            raise ImageError(f"nothing was found, so {shown(out)} is not written")
+    if table is not None:
+        print(
+            f"wrote {shown(out)}: {table.rows} {'corners' if arguments.grid is None else 'nodes'}"
+        )
     return 2 if failed else 0
 
 
-class _Tally:
-    """The counts and the failures of a file."""
+class _Table:
+    """Writes rows of frames as CSV: a header with units, then a row for each corner or node.
 
-    def __init__(self, path: Path, overlay: Path | None) -> None:
-        self.path, self.overlay = path, overlay
+    columns: the names of the columns after those of the image and the frame. rows: how many were
+    written.
+    """
+
+    def __init__(self, file: BinaryIO, columns: Sequence[str]) -> None:
+        self._file = file
+        self.rows = 0
+        file.write(csv_bytes([("image", "frame", *columns)]))
+
+    def write(self, name: str, frame: int, rows: Iterable[Sequence[object]]) -> None:
+        """Append the rows of one frame; name: the file that holds the frame."""
+        full = [(name, frame, *row) for row in rows]
+        self._file.write(csv_bytes(full))
+        self.rows += len(full)
+
+
+def _corner_rows(corners: Corners) -> Iterator[Sequence[object]]:
+    """Return a row of _CORNER_COLUMNS for every corner."""
+    arrays = (
+        *(corners.xy, corners.pixel, corners.response, corners.method),
+        *(corners.sigma, corners.edges, corners.doubtful, corners.refusal),
+    )
+    for xy, pixel, response, method, sigma, edges, doubtful, refusal in zip(*arrays, strict=True):
+        how, why = Method(method).name, Refusal(refusal).name
+        yield (*xy, *pixel, response, how, sigma, *edges, int(doubtful), why)
+
+
+def _node_rows(grid: Grid) -> Iterator[Sequence[object]]:
+    """Return a row of _NODE_COLUMNS for every node; missing positions are NaN."""
+    for index in np.ndindex(grid.shape):
+        status = NodeStatus(int(grid.status[index])).name
+        yield (*index, *grid.xy[index], grid.sigma[index], status)
+
+
+class _Found:
+    """What was found in a file, and what there is to say about it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
         self.failures: list[str] = []
-        self.counts: list[int] = []
+        self.corners: list[int] = []  # in each frame
         self.milliseconds: list[float] = []
         self.nodes: list[int] = []
+        self.of_nodes = 0
         self.refused: dict[int, str] = {}  # frame to reason
         self.ambiguous: list[int] = []
-        self.broken: list[int] = []
-        self.why = ""  # of the last broken frame
+        self.broken: dict[int, str] = {}  # likewise
         self.overlays: list[Path] = []
         self.brightest = 0
         self.full_scale: int | None = None
         self.device = ""
-        self.size = 0  # nodes of the pattern
 
-    def line(self) -> str:
-        corners = f"{_span(self.counts)} corners"
-        spent = f"{self.milliseconds[0]:.2f} ms"
-        if len(self.counts) > 1:
-            corners = f"{len(self.counts)} frames, {corners} each,"
+    @property
+    def is_dark(self) -> bool:
+        """Whether pixels of 16 bits seem to be of fewer, so that corners may be missing."""
+        return self.full_scale is None and is_of_few_bits(np.uint16, self.brightest)
+
+    def lines(self, *, hint: bool) -> Iterator[tuple[TextIO, str]]:
+        """Yield the lines about the file, each with its stream; hint: about a dark image too."""
+        name = shown(self.path)
+        for failure in self.failures:
+            yield sys.stderr, f"cmp-cl: {failure}"
+        if not self.corners:
+            return
+        if self.broken:
+            yield sys.stderr, f"cmp-cl: {name}: {_listed(self.broken, 'left out')}"
+        yield sys.stdout, f"{name}: {self._counts()}"
+        if self.full_scale is not None and self.brightest > self.full_scale:
+            yield (
+                sys.stderr,
+                f"cmp-cl: {name}: the brightest pixel is {self.brightest}, above the full scale of "
+                f"{self.full_scale}: such pixels all look alike",
+            )
+        if hint and self.is_dark:
+            yield sys.stderr, f"cmp-cl: {name}: {in_shell(of_few_bits(self.brightest))}"
+
+    def _counts(self) -> str:
+        corners, spent = f"{_span(self.corners)} corners", f"{self.milliseconds[0]:.2f} ms"
+        if len(self.corners) > 1:
+            corners = f"{len(self.corners)} frames, {corners} each,"
             median = statistics.median(self.milliseconds)
             spent = f"{sum(self.milliseconds):.0f} ms, a median of {median:.2f} ms each,"
         line = f"{corners} in {spent} on {self.device}"
         if self.nodes:
-            line += f"; {_span(self.nodes)} of {self.size} nodes"
+            line += f"; {_span(self.nodes)} of {self.of_nodes} nodes"
         if self.ambiguous:
             line += f"; ambiguous numbers in {counted(len(self.ambiguous), 'frame')}: "
             line += f"{_some(self.ambiguous)}, in which too little of the board's border is "
@@ -149,25 +212,11 @@ class _Tally:
             line += f"; wrote {shown(self.overlays[0])}{last}"
         return line
 
-    def is_dark(self) -> bool:
-        """Return whether 16-bit pixels seem to be of fewer bits, so that corners may be missing."""
-        return self.full_scale is None and is_of_few_bits(np.uint16, self.brightest)
 
-    def is_too_bright(self) -> bool:
-        """Return whether pixels exceed the full scale, so that corners may be missing."""
-        return self.full_scale is not None and self.brightest > self.full_scale
-
-    def refused_line(self) -> str:
-        (first, why), *more = self.refused.items()
-        if not more:
-            return f"frame {first} is not numbered: {why}"
-        some = _some(self.refused)
-        return f"{len(self.refused)} frames are not numbered: {some}; the first: {why}"
-
-    def broken_line(self) -> str:
-        frames = counted(len(self.broken), "frame")
-        why = f" ({self.why})" if self.why else ""
-        return f"skipped {frames} that could not be read{why}: {_some(self.broken)}"
+def _listed(frames: Mapping[int, str], what: str) -> str:
+    """Return which frames are not numbered or left out, and why."""
+    why = next(filter(None, frames.values()), "")
+    return f"{counted(len(frames), 'frame')} {what}: {_some(frames)}{f'; {why}' if why else ''}"
 
 
 def _some(numbers: Collection[int]) -> str:
@@ -181,148 +230,93 @@ def _span(counts: Sequence[int]) -> str:
     return f"{least}" if least == most else f"{least} to {most}"
 
 
-class _CornerOutput:
-    """Writes the corners of frames to a table of all files, and to a picture of each frame."""
+class _Search(Closing):
+    """Finds, writes and draws the corners of files; keeps its detector as long as it fits them."""
 
-    noun = "corners"
-    columns: Sequence[str] = CORNER_COLUMNS
-
-    def __init__(self, files: ExitStack, out: Path | None, shape: tuple[int, int] | None) -> None:
-        self._files, self._out, self._shape = files, out, shape
-        self._table = None
-        if out is not None:
-            self._table = Table(files.enter_context(whole_file(out)), self.columns)
-
-    def is_empty(self) -> bool:
-        return self._table is not None and not self._table.rows
-
-    def close(self, *, lost: bool) -> None:
-        """Put the table in its place and say so; a lost one is dropped."""
-        with suppress(ImageError), self._files:
-            if lost:  # an error makes the file's block keep an older table
-                raise ImageError("nothing was found")
-        if self._table is not None and not lost:
-            print(f"wrote {shown(self._out)}: {self._table.rows} {self.noun}")
-
-    def add(self, tally: _Tally, number: int, image: GreyImage, corners: Corners) -> None:
-        """Write what was found in a frame."""
-        self._write(tally, number, corner_rows(corners))
-        self._draw(tally, number, lambda: corner_overlay(image, corners))
-
-    def _write(self, tally: _Tally, number: int, rows: Iterable[Sequence[object]]) -> None:
-        if self._table is not None:
-            self._table.write(str(tally.path), number, rows)
-
-    def _draw(self, tally: _Tally, number: int, draw: Callable[[], NDArray[np.uint8]]) -> None:
-        if tally.overlay is not None:
-            name = _of_frame(tally.overlay, tally.path, number)
-            media.write_image(name, draw())
-            tally.overlays.append(name)
-
-
-class _NodeOutput(_CornerOutput):
-    """Numbers the corners by row and column, and writes the nodes in their place."""
-
-    noun, columns = "nodes", NODE_COLUMNS
-
-    def add(self, tally: _Tally, number: int, image: GreyImage, corners: Corners) -> None:
-        try:
-            grid = build_grid(corners, image, shape=self._shape)
-            if grid.seen_shape is not None:  # it is unknown which part of the board is wanted
-                raise GridError(grid.doubts[0])
-        except GridError as error:
-            tally.refused[number] = one_line(error)
-            self._draw(tally, number, lambda: corner_overlay(image, corners))
-            return
-        if grid.ambiguous:
-            tally.ambiguous.append(number)
-        tally.nodes.append(int(np.count_nonzero(grid.valid)))
-        tally.size = grid.status.size
-        self._write(tally, number, node_rows(grid))
-        self._draw(tally, number, lambda: grid_overlay(image, grid, corners=corners))
-
-
-class _Finder(Closing):
-    """Finds corners in a sequence of images, and keeps its detector as long as it fits them."""
-
-    def __init__(self, config: DetectorConfig, arguments: argparse.Namespace) -> None:
-        self._config, self._arguments = config, arguments
-        self._device = None if arguments.device is None else select_device(arguments.device)
+    def __init__(
+        self,
+        arguments: argparse.Namespace,
+        config: DetectorConfig,
+        device: Device,
+        table: _Table | None,
+    ) -> None:
+        self._arguments, self._config = arguments, config
+        self._device, self._table = device, table
         self._key: object = None
-        self._kept = ExitStack()
+        self._detector: Detector | None = None
 
-    def find(self, tally: _Tally) -> Iterator[tuple[int, GreyImage, Corners]]:
-        """Yield the frames of a file that can be read: number, image and corners."""
-        path, config, asked = tally.path, self._config, self._arguments
-        scale = media.video_info(path).full_scale if asked.full_scale is None else asked.full_scale
-        if config.full_scale is None:
-            config = config.replace(full_scale=scale)
-        for frame in media.read_frames(path):
-            if frame.image is None:
-                tally.broken.append(frame.index)
-                tally.why = frame.why
-                continue
-            start = time.perf_counter()
-            self._fit(frame.image, config)
-            corners = self._detector(frame.image)
-            milliseconds = (time.perf_counter() - start) * 1e3
-            if asked.drop_marks:
-                corners = drop_marks(corners, frame.image)
-            tally.counts.append(len(corners))
-            tally.milliseconds.append(milliseconds)
-            tally.device = corners.device
-            if frame.image.dtype == np.uint16:
-                tally.brightest = max(tally.brightest, int(frame.image.max()))
-                tally.full_scale = config.full_scale
-            yield frame.index, frame.image, corners
-        if not tally.counts:
-            raise ImageError(f"{str(path)!r} has no frame that can be read")
+    def file(self, path: Path, overlay: Path | None, progress: Progress) -> _Found:
+        """Search a file. overlay: the picture to draw of its first frame, or None."""
+        found = _Found(path)
+        try:
+            config = self._config
+            if config.full_scale is None:
+                config = config.replace(full_scale=media.video_info(path).full_scale)
+            for frame in media.read_frames(path):
+                progress.step()
+                if frame.image is None:
+                    found.broken[frame.index] = frame.why
+                    continue
+                corners = self._corners(found, frame.image, config)
+                drawn = self._write(found, frame.index, frame.image, corners)
+                if overlay is not None:
+                    name = _of_frame(overlay, path, frame.index)
+                    media.write_image(name, drawn())
+                    found.overlays.append(name)
+            if not found.corners:
+                raise ImageError(f"{str(path)!r} has no frame that can be read")
+        except ImageError as error:
+            found.failures.append(one_line(error))
+        if found.refused:
+            why = _listed(found.refused, "not numbered")
+            found.failures.append(f"{shown(path)}: {why}")
+        return found
 
-    def _fit(self, image: GreyImage, config: DetectorConfig) -> None:
-        """Make a detector for such images."""
+    def _corners(self, found: _Found, image: GreyImage, config: DetectorConfig) -> Corners:
+        """Return the corners of a frame, and count them."""
+        start = time.perf_counter()
         key = (image.shape, image.dtype, config)
-        if key == self._key:
-            return
-        self.close()
-        self._detector = self._kept.enter_context(
-            Detector(shape=image.shape, dtype=image.dtype, config=config, device=self._device)
-        )
-        self._key = key
+        if self._detector is None or key != self._key:
+            self.close()
+            self._detector = Detector(
+                shape=image.shape, dtype=image.dtype, config=config, device=self._device
+            )
+            self._key = key
+        corners = self._detector(image)
+        found.milliseconds.append((time.perf_counter() - start) * 1e3)
+        found.corners.append(len(corners))
+        found.device = corners.device
+        if image.dtype == np.uint16:
+            found.brightest = max(found.brightest, int(image.max()))
+            found.full_scale = config.full_scale
+        return corners
+
+    def _write(
+        self, found: _Found, number: int, image: GreyImage, corners: Corners
+    ) -> Callable[[], NDArray[np.uint8]]:
+        """Write the rows of a frame; return a function that draws it."""
+        if self._arguments.drop_marks:
+            corners = drop_marks(corners, image)
+        rows, drawn = _corner_rows(corners), lambda: corner_overlay(image, corners)
+        if self._arguments.grid is not None:
+            try:
+                grid = build_grid(corners, image, shape=self._arguments.grid)
+                if grid.seen_shape is not None:  # it is unknown which part of the board is wanted
+                    raise GridError(grid.doubts[0])
+            except GridError as error:
+                found.refused[number] = one_line(error)
+                return drawn
+            found.ambiguous += [number] if grid.ambiguous else []
+            found.nodes.append(int(np.count_nonzero(grid.valid)))
+            found.of_nodes = grid.status.size
+            rows, drawn = _node_rows(grid), lambda: grid_overlay(image, grid, corners=corners)
+        if self._table is not None:
+            self._table.write(str(found.path), number, rows)
+        return drawn
 
     def close(self) -> None:
-        self._key = None
-        self._kept.close()
-
-
-def _search(tally: _Tally, finder: _Finder, output: _CornerOutput, progress: Progress) -> None:
-    """Find the corners of a file, and write them."""
-    try:
-        for number, image, corners in finder.find(tally):
-            output.add(tally, number, image, corners)
-            progress.step()
-    except ImageError as error:
-        tally.failures.append(one_line(error))
-    if tally.refused:
-        tally.failures.append(f"{shown(tally.path)}: {tally.refused_line()}")
-
-
-def _tell(tally: _Tally, progress: Progress, *, told: bool) -> None:
-    """Say what happened to a file; told: whether an earlier one was said to be dark."""
-    name = shown(tally.path)
-    if tally.failures:
-        progress.say(f"cmp-cl: {'; '.join(tally.failures)}", sys.stderr)
-    if tally.broken and tally.counts:
-        progress.say(f"cmp-cl: {name}: {tally.broken_line()}", sys.stderr)
-    if tally.counts:
-        progress.say(f"{name}: {tally.line()}", sys.stdout)
-    if tally.is_too_bright():
-        progress.say(
-            f"cmp-cl: {name}: the brightest pixel is {tally.brightest}, above the full scale of "
-            f"{tally.full_scale}: such pixels all look alike",
-            sys.stderr,
-        )
-    if tally.is_dark() and not (told and any(tally.counts)):
-        progress.say(f"cmp-cl: {name}: {in_shell(of_few_bits(tally.brightest))}", sys.stderr)
+        if self._detector is not None:
+            self._detector.close()
 
 
 def _frames_in(paths: Sequence[Path]) -> int | None:
@@ -337,10 +331,10 @@ def _frames_in(paths: Sequence[Path]) -> int | None:
 
 
 def _csv_path(out: str | None) -> Path | None:
-    if out is None:
-        return None
     if out in ("", "-"):
         raise ConfigError("--out needs a file name, for example corners.csv")
+    if out is None:
+        return None
     return Path(out) / "corners.csv" if os.path.isdir(out) else Path(out)
 
 
@@ -348,32 +342,27 @@ def _overlay_paths(overlay: str | None, paths: Sequence[Path]) -> dict[Path, Pat
     """Return the path of each input's overlay; a missing folder is made."""
     if overlay is None:
         return {}
-    if not overlay:
-        raise ConfigError("--overlay needs the name of a picture or a folder")
-    suffix = Path(overlay).suffix.lower()
-    if suffix in media.IMAGE_SUFFIXES and not os.path.isdir(overlay):
+    folder, suffix = Path(overlay), Path(overlay).suffix.lower()
+    if suffix in media.IMAGE_SUFFIXES and not folder.is_dir():
         if len(paths) > 1 or media.is_video(paths[0]):
             what = f"there are {len(paths)} inputs" if len(paths) > 1 else "the input is a video"
             raise ConfigError(
                 f"--overlay {shown(overlay)} is one picture, but {what}; name a folder"
             )
-        return {paths[0]: Path(overlay)}
-    folder = Path(overlay)
-    if suffix and not folder.is_dir() and not overlay.endswith(("/", os.sep)):
+        return {paths[0]: folder}
+    if not overlay or (suffix and not folder.is_dir()):
         raise ConfigError(
             f"--overlay {shown(overlay)} is neither a folder nor a picture that can be written; "
             "end it in .png"
         )
     folder.mkdir(parents=True, exist_ok=True)
-    if any(os.path.realpath(path.parent) == os.path.realpath(folder) for path in paths):
+    if any(path.resolve().parent == folder.resolve() for path in paths):
         raise ConfigError(f"--overlay {shown(overlay)} contains inputs; choose another folder")
     names: dict[Path, Path] = {}
     for path in dict.fromkeys(paths):
-        name = folder / f"{path.stem}-corners.png"
-        others = (folder / f"{path.stem}-{number}-corners.png" for number in itertools.count(2))
-        while name in names.values():
-            name = next(others)
-        names[path] = name
+        stems = (path.stem, *(f"{path.stem}-{number}" for number in range(2, len(paths) + 1)))
+        free = (folder / f"{stem}-corners.png" for stem in stems)
+        names[path] = next(name for name in free if name not in names.values())
     return names
 
 

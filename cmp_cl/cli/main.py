@@ -18,7 +18,7 @@ import cv2
 import cmp_cl
 from cmp_cl.cli import calibrate, demo, detect, devices, pattern, plot, render, run
 from cmp_cl.cli.messages import by_options, one_line, shortened
-from cmp_cl.cli.stopping import handled, interrupt
+from cmp_cl.cli.running.stopping import handled, interrupt
 from cmp_cl.errors import CmpClError, KernelBuildError
 
 
@@ -55,14 +55,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _open_streams() -> None:
-    """Open a sink for each closed standard stream, or the next open file takes its number."""
-    for number, mode in ((0, "r"), (1, "w"), (2, "w")):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
-            name = ("stdin", "stdout", "stderr")[number]
-            setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115, for good
+    """Open a sink for each closed standard stream; it takes the number that is free."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115, for good
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")

@@ -1,9 +1,14 @@
-"""Names, errors and counts as they are written in a message of one line."""
+"""What commands print: names, errors and counts in one line, and a progress bar."""
 
 import argparse
+import contextlib
 import os
 import re
+import sys
 from pathlib import Path
+from typing import Any, TextIO
+
+from cmp_cl.closing import Closing
 
 _LONGEST = 1000  # characters of a message; a refused value may have any length
 
@@ -48,3 +53,33 @@ def shortened(line: str) -> str:
 def counted(count: int, noun: str) -> str:
     """Return a number with its noun: 1 frame, 2 frames."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+class Progress(Closing):
+    """A progress bar if tqdm is installed and stderr is a terminal, else nothing.
+
+    total: number of steps, None if unknown. unit: what is counted.
+    """
+
+    def __init__(self, total: int | None, unit: str) -> None:
+        self._bar: Any = None
+        with contextlib.suppress(ImportError):
+            from tqdm import tqdm
+
+            self._bar = tqdm(total=total, unit=f" {unit}", disable=None, leave=False)
+
+    def step(self, note: str = "") -> None:
+        """Count a step; note: what is told behind the rate."""
+        if self._bar is not None:
+            self._bar.set_postfix_str(note, refresh=False)
+            self._bar.update()
+
+    def say(self, line: str, stream: TextIO | None = None) -> None:
+        """Print a line above the bar, on stdout unless another stream is named."""
+        if self._bar is not None:
+            self._bar.clear()
+        print(line, file=stream or sys.stdout, flush=True)
+
+    def close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()

@@ -4,8 +4,7 @@ import argparse
 from typing import Any
 
 from cmp_cl.cli.arguments import check_files, check_suffix
-from cmp_cl.cli.messages import counted, shown
-from cmp_cl.cli.progress import Progress
+from cmp_cl.cli.messages import Progress, counted, shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.series import read_series
 from cmp_cl.viz import Quantity, map_figure, save_figure, sheet_figure

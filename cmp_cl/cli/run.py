@@ -8,7 +8,6 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import Any, Self
 
-from cmp_cl.cli import derived, display, sources
 from cmp_cl.cli.arguments import (
     add_device,
     add_full_scale,
@@ -22,10 +21,10 @@ from cmp_cl.cli.arguments import (
     views_of,
     whole,
 )
-from cmp_cl.cli.messages import counted, one_line, shown
-from cmp_cl.cli.pipeline import Behind, Pace, ahead
-from cmp_cl.cli.progress import Progress
-from cmp_cl.cli.stopping import Stop, handled, ignore
+from cmp_cl.cli.messages import Progress, counted, one_line, shown
+from cmp_cl.cli.running import derived, display, sources
+from cmp_cl.cli.running.pipeline import Behind, Pace, ahead
+from cmp_cl.cli.running.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import CmpClError, ConfigError, GridError
 from cmp_cl.image import GreyImage

@@ -662,7 +662,7 @@ def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatc
         def frame(self, **what):
             shown.append(what)
 
-    monkeypatch.setattr("cmp_cl.cli.display.Viewer", Viewer)
+    monkeypatch.setattr("cmp_cl.cli.running.display.Viewer", Viewer)
     monkeypatch.setenv("DISPLAY", ":0")
     status, _, err = run("run", recording, *STEREO, "--show")
     assert (status, err) == (0, "")

@@ -1,0 +1,253 @@
+"""detect and render: images, folders and videos to tables and pictures."""
+
+import csv
+import os
+import re
+import shutil
+from collections import Counter
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from cases import some
+from messages import OF_PYTHON, fails_in_one_line
+from videos import write_deep_video, write_video
+
+import cmp_cl
+from cmp_cl import Method, media
+from cmp_cl.viz import METHOD_COLOURS
+
+BOARD = Path(cmp_cl.__file__).parent / "data" / "board.png"
+COLUMNS = "image frame x_px y_px pixel_x_px pixel_y_px response method sigma_px edge0_rad edge1_rad"
+COLUMNS += " edge2_rad edge3_rad doubtful refusal"
+
+
+def rows_of(path):
+    with open(path, newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def xy_of(rows):
+    return np.array([[np.float32(row["x_px"]), np.float32(row["y_px"])] for row in rows])
+
+
+def two_boards():
+    board = media.read_image(BOARD)
+    return np.hstack([board, np.full((len(board), 60), 200, np.uint8), board])
+
+
+def test_the_board_is_found_where_opencv_finds_it(run):
+    status, out, err = run("detect", BOARD, "--out", "corners.csv", "--overlay", "o.png")
+    assert (status, err) == (0, "")
+    rows = rows_of("corners.csv")
+    assert f"{BOARD}: {len(rows)} corners in " in out
+    assert " ms on " in out
+    assert f"wrote corners.csv: {len(rows)} corners" in out
+    image = cv2.imread(str(BOARD), cv2.IMREAD_GRAYSCALE)
+    found, peer = cv2.findChessboardCornersSB(image, (9, 6))
+    assert found
+    stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-3)
+    peer = cv2.cornerSubPix(image, peer.reshape(-1, 1, 2), (5, 5), (-1, -1), stop)
+    assert len(rows) == len(peer) == 54
+    assert np.linalg.norm(peer - xy_of(rows), axis=2).min(axis=1).max() < 0.5
+    overlay = cv2.imread("o.png")
+    assert overlay.shape[1] >= 1000
+    assert (overlay == METHOD_COLOURS[Method.EDGE_STEP]).all(axis=2).sum() > 54 * 20
+
+
+def test_the_table_holds_every_digit_of_what_the_library_finds(run):
+    run("detect", BOARD, "--out", "corners.csv")
+    corners = cmp_cl.detect(media.read_image(BOARD))
+    rows = rows_of("corners.csv")
+    assert list(rows[0]) == COLUMNS.split()
+    np.testing.assert_array_equal(xy_of(rows), corners.xy)
+    np.testing.assert_array_equal([np.float32(row["sigma_px"]) for row in rows], corners.sigma)
+    edges = [[np.float32(row[f"edge{k}_rad"]) for k in range(4)] for row in rows]
+    np.testing.assert_array_equal(edges, corners.edges)
+    pixels = [(int(row["pixel_x_px"]), int(row["pixel_y_px"])) for row in rows]
+    np.testing.assert_array_equal(pixels, corners.pixel)
+    assert [row["method"] for row in rows] == [Method(method).name for method in corners.method]
+    assert {row["image"] for row in rows} == {str(BOARD)}
+
+
+def test_settings_of_a_file_are_used(run):
+    cmp_cl.DetectorConfig(refinement=None).save("cmp.toml")
+    run("detect", BOARD, "--config", "cmp.toml", "--out", "c.csv")
+    assert {row["method"] for row in rows_of("c.csv")} == {"CENTROID"}
+
+
+def test_a_pattern_of_known_size_is_numbered_and_looked_at_twice(run):
+    run("render", "--markers", 30, "--indenter", "torus", "--out", "gel.png", "--truth", "t.csv")
+    asked = ("detect", "gel.png", "--grid", "30x30", "--out", "n.csv", "--overlay", "o.png")
+    status, out, err = run(*asked)
+    assert (status, err) == (0, "")
+    assert "; 900 of 900 nodes; wrote o.png" in out
+    assert "wrote n.csv: 900 nodes" in out
+    nodes, truth = rows_of("n.csv"), rows_of("t.csv")
+    found = Counter(row["status"] for row in nodes)
+    assert found["DETECTED"] > 850
+    assert found["MISSING"] == 0
+    for node, true in zip(nodes, truth, strict=True):
+        assert (node["row"], node["column"]) == (true["row"], true["column"])
+    assert np.linalg.norm(xy_of(nodes) - xy_of(truth), axis=1).max() < 3
+    yellow = (cv2.imread("o.png") == (0, 215, 255)).all(axis=2)
+    assert yellow.sum() >= 10 * found["SECOND_LOOK"]
+
+
+def test_marks_in_the_cells_are_left_out_if_requested(run):
+    cells = np.kron(np.indices((9, 12)).sum(axis=0) % 2, np.ones((20, 20)))
+    y, x = np.indices(cells.shape) % 20 - 9.5
+    board = np.where((cells > 0) ^ (np.hypot(x, y) < 5.6), 40, 200).astype(np.uint8)
+    cv2.imwrite("dots.png", cv2.GaussianBlur(board, (0, 0), 0.9))
+    run("detect", "dots.png", "--out", "all.csv")
+    run("detect", "dots.png", "--drop-marks", "--out", "board.csv")
+    there = set(map(tuple, np.rint(xy_of(rows_of("board.csv")) / 20).astype(int).tolist()))
+    assert len(rows_of("all.csv")) > 2 * len(rows_of("board.csv"))
+    assert {(i, j) for i in range(1, 12) for j in range(1, 9)} <= there
+
+
+def test_colour_gives_the_corners_of_its_grey(run):
+    media.write_image("colour.png", np.dstack([media.read_image(BOARD)] * 3))
+    run("detect", BOARD, "--out", "grey.csv")
+    run("detect", "colour.png", "--out", "colour.csv")
+    colour = [list(row.values())[1:] for row in rows_of("colour.csv")]
+    assert colour == [list(row.values())[1:] for row in rows_of("grey.csv")]
+
+
+def test_images_of_fewer_than_16_bits_get_one_hint_about_full_scale(run):
+    run("render", "--markers", 20, "--severity", 0, "--noise", 1, "--bits", 12, "--out", "deep.png")
+    shutil.copy("deep.png", "again.png")
+    status, out, err = run("detect", "deep.png", "again.png")
+    assert status == 0
+    assert "again.png: 400 corners" in out
+    assert err.count("--full-scale 4095") == 1
+    media.write_image("deep.png", media.read_image("deep.png") // 4)  # in little light
+    for command in ("run --out x.npz", "detect"):
+        _, _, err = run(*command.split(), "deep.png")
+        assert "--full-scale 1023 for 10 bits" in err
+        assert re.search(OF_PYTHON, err) is None
+        assert "\n" not in err.strip()
+    status, out, err = run("detect", "deep.png", "--full-scale", 1023)
+    assert ("deep.png: 400 corners" in out, err) == (True, "")
+    assert "above the full scale of 255" in run("detect", "deep.png", "--full-scale", 255)[2]
+
+
+def test_a_folder_is_searched_and_what_fails_in_it_is_named(run):
+    Path("in").mkdir()
+    names = ["a.png", "new\nline.png", "two  spaces.png"]
+    for name in names:
+        shutil.copy(BOARD, Path("in") / name)
+    Path("in/broken.png").write_text("no image")
+    Path("in/notes.txt").write_text("nothing to see")
+    status, out, err = run("detect", "in", "--out", "all.csv", "--overlay", "seen")
+    assert status == 2
+    assert err == "cmp-cl: 'in/broken.png' is not an image that OpenCV can read, or is damaged\n"
+    assert len(out.splitlines()) == 4
+    assert r"'in/new\nline.png': " in out
+    assert {row["image"] for row in rows_of("all.csv")} == {f"in/{name}" for name in names}
+    overlays = {"a-corners.png", "new\nline-corners.png", "two  spaces-corners.png"}
+    assert set(os.listdir("seen")) == overlays
+    Path("other").mkdir()
+    shutil.copy(BOARD, "other/a.png")
+    assert run("detect", "in/a.png", "other/a.png", "--overlay", "both")[0] == 0
+    assert set(os.listdir("both")) == {"a-corners.png", "a-2-corners.png"}
+
+
+def test_a_video_is_searched_frame_by_frame_and_broken_frames_are_left_out(run):
+    grey = media.read_image(BOARD)
+    write_video("press.avi", [np.zeros_like(grey), grey, grey[::-1].copy(), grey])
+    status, out, err = run("detect", "press.avi", "--out", "c.csv", "--overlay", "seen")
+    assert (status, err) == (0, "")
+    assert "press.avi: 4 frames, 0 to " in out
+    assert sorted(os.listdir("seen")) == [f"press-corners-{index:06}.png" for index in range(4)]
+    rows = rows_of("c.csv")
+    assert Counter(row["frame"] for row in rows) == {"1": 54, "2": 54, "3": 54}
+    second = list(media.read_frames("press.avi"))[1].image
+    xy = xy_of([row for row in rows if row["frame"] == "1"])
+    np.testing.assert_array_equal(xy, cmp_cl.detect(second).xy)  # the black frame set no cell
+    write_video("whole.avi", [grey] * 12)
+    whole = Path("whole.avi").read_bytes()
+    Path("cut.avi").write_bytes(whole[: len(whole) // 2])
+    status, out, err = run("detect", "cut.avi")
+    assert (status, "cut.avi: " in out) == (0, True)
+    assert re.fullmatch(r"cmp-cl: cut.avi: \d frames left out: 5, .*the file is cut off\n", err)
+
+
+def test_a_video_of_12_bits_needs_no_option(run):
+    image = cv2.resize(media.read_image(BOARD), (320, 240), interpolation=cv2.INTER_AREA)
+    write_deep_video("deep.mkv", image.astype(np.uint16) << 3)  # in half of the light
+    status, out, _ = run("detect", "deep.mkv", "--grid", "6x9")
+    assert (status, "54 of 54 nodes" in out) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "why"),
+    [
+        (["cut.avi"], "no frame that can be read"),
+        (["cut.png"], "is not an image"),
+        (["two.png", "--grid", "6x9"], "two.png: 1 frame not numbered: 0; two patterns"),
+        ([BOARD, "--grid", "4x4"], "the board looks like 6 x 9 corners; 4 x 4 were asked"),
+    ],
+)
+def test_a_table_is_kept_where_nothing_could_be_read_or_numbered(run, inputs, why):
+    Path("c.csv").write_text("old")
+    write_video("whole.avi", [media.read_image(BOARD)] * 3)
+    Path("cut.avi").write_bytes(Path("whole.avi").read_bytes()[:6000])
+    Path("cut.png").write_bytes(BOARD.read_bytes()[:2000])
+    media.write_image("two.png", two_boards())
+    status, out, err = run("detect", *inputs, "--out", "c.csv")
+    assert status == 2
+    assert why in err
+    assert err.endswith("cmp-cl: nothing was found, so c.csv is not written\n")
+    assert "wrote" not in out
+    assert Path("c.csv").read_text() == "old"
+    if "--grid" not in inputs:
+        assert run("detect", *inputs, BOARD, "--out", "c.csv")[0] == 2
+        assert len(rows_of("c.csv")) == 54
+
+
+@pytest.mark.skipif(os.name == "nt", reason="device files and rights are others on Windows")
+def test_a_path_that_is_no_file_is_not_read(run):
+    for name in ("/dev/zero", "/dev/null", "/dev/full"):
+        fails_in_one_line(run("detect", name), f"'{name}' is not a file")
+    Path("secret.png").touch(mode=0)
+    if os.geteuid() != 0:  # root may read everything
+        fails_in_one_line(run("detect", "secret.png"), "secret.png", "Permission denied")
+
+
+# render
+
+
+def test_render_writes_an_image_and_its_truth_and_detect_finds_them(run):
+    scene = ("render", "--markers", 20, "--indenter", "torus", "--severity", 0.25, "--seed", 3)
+    status, out, _ = run(*scene, "--out", "gel.png", "--truth", "truth.csv")
+    assert status == 0
+    assert "wrote gel.png: 640 x 480 px, 400 corners" in out
+    truth = xy_of(rows_of("truth.csv"))
+    assert run("detect", "gel.png", "--out", "corners.csv")[0] == 0
+    xy = xy_of(rows_of("corners.csv"))
+    assert (np.linalg.norm(truth[:, None] - xy, axis=2).min(axis=1) < 1).mean() > 0.98
+    run(*scene, "--out", "again.png")
+    assert Path("again.png").read_bytes() == Path("gel.png").read_bytes()
+
+
+OPTIONS = {
+    "--markers": (12,),
+    "--severity": (0.5,),
+    "--indenter": ("wedge",),
+    "--mode": ("twist",),
+    "--shape": (100, 160),
+    "--corrosion": (0,),
+    "--noise": (9,),
+    "--bits": (12,),
+    "--seed": (7,),
+}
+
+
+@pytest.mark.parametrize("option", some(OPTIONS, ("--mode", "--bits")))
+def test_each_option_of_render_changes_the_image(run, option):
+    usual = ("render", "--shape", 120, 160, "--markers", 10, "--out")
+    assert run(*usual, "usual.png")[0] == 0
+    assert run(*usual, "other.png", option, *OPTIONS[option])[0] == 0
+    assert Path("other.png").read_bytes() != Path("usual.png").read_bytes()
