@@ -16,7 +16,17 @@ from environment import RESULTS
 
 HERE = Path(__file__).parent
 QUICK = Path(tempfile.gettempdir()) / "cmp_cl-bench"
-PARTS = ("speed", "scaling", "detection", "photographs", "sigma", "numbering", "field", "limits")
+PARTS = (
+    "speed",
+    "scaling",
+    "detection",
+    "photographs",
+    "sigma",
+    "numbering",
+    "field",
+    "refraction",
+    "limits",
+)
 WHOLE = ("photographs",)  # has no short form
 
 

@@ -292,6 +292,7 @@ class _Sinks:
     ) -> None:
         self._arguments = arguments = settings.arguments
         self._of_pattern, self._unit = measure.nodes, measure.unit
+        self._in_air = settings.rig is not None and settings.rig.window is None
         self.pictures = stack.enter_context(
             display.Display(
                 arguments, measure.constants["rest"], measure.unit, settings.source.period_ms
@@ -335,10 +336,11 @@ class _Sinks:
             mean = f"{self._nodes / (self.frames - self._empty):.1f} of {self._of_pattern}"
             parts.append(f"{mean} nodes on average, at least {self._fewest}")
             moved = f"moved by up to {self._largest:.3g} {self._unit} (frame {self._where})"
-            in_image = (
-                " in the image: --stereo or --cell give lengths" if self._unit == "px" else ""
-            )
-            parts.append(moved + in_image)
+            if self._unit == "px":
+                moved += " in the image: --stereo or --cell give lengths"
+            if self._in_air:
+                moved += ", depth as in air: calibrate --window is for acrylic or gel"
+            parts.append(moved)
         for count, what in (
             (self._empty, "without the pattern"),
             (self.ambiguous, "whose numbers may be wrong"),

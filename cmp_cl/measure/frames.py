@@ -27,7 +27,7 @@ from cmp_cl.motion.plan import FieldPlan, fits
 from cmp_cl.motion.track import Tracker, can_track, differing
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.opencl.program import programs_of
-from cmp_cl.space import BinocularSplit, Points3D, StereoRig
+from cmp_cl.space import BinocularSplit, Points3D, PointStatus, StereoRig
 from cmp_cl.stages.plan import Plan
 
 AUDITED = 256  # tracked frames, of which the last is numbered anew too
@@ -474,11 +474,19 @@ class TwoViews(Measurement):
         points = self._rig.triangulate(left, right)
         both = np.count_nonzero(left.valid & right.valid)
         fitting = _fit(points)
+        in_front = np.count_nonzero(points.status == PointStatus.BEHIND)
+        if self._rig.window is not None and in_front > both / 2:
+            raise GridError(
+                f"the rig's window lies beyond the pattern: {in_front} of the {both} nodes would "
+                "lie in front of its last face; check its distance, its layers, and which view is "
+                "the left one"
+            )
         if not fitting >= _LEAST_FITTING * both or not both:
+            glass = ", a window or gel that the calibration does not know (calibrate --window)"
             raise GridError(
                 f"the rig fits {fitting} of the {both} nodes that both views show to "
                 f"{_FITS:g} px; check the calibration, the number of corners, the split, mirrored "
-                "views, and which view is the left one"
+                f"views{glass if self._rig.window is None else ''}, and which view is the left one"
             )
         self._check_order(left, right, _middle(points.error))
         self._check_pairs(left, right)

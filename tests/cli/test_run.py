@@ -121,6 +121,7 @@ def test_a_recording_becomes_its_displacements_in_any_order(run, recording, pres
     np.testing.assert_allclose(series["displacement"][0], 0, rtol=0, atol=1e-6)
     assert max(off_by(series, press, (0, 1, 2))) < CLOSE
     assert f"moved by up to {np.linalg.norm(series['displacement'][2], axis=2).max():.3g} mm" in out
+    assert "depth as in air: calibrate --window" in out
     other = tmp_path / "other"
     other.mkdir()
     for place, number in enumerate((2, 0, 1)):

@@ -62,12 +62,17 @@ def test_a_press_behind_a_window_is_measured_with_the_rig_that_calibrate_writes(
         Path(name).rename(f"both/{number}.png")
     measured = run("run", "both", "--stereo", "rig.yaml", "--grid", "20x20", "--out", "press.npz")
     assert measured[0] == 0
+    assert "as in air" not in measured[1]
     with np.load("press.npz") as series:
         moved = series["displacement"][1]
     true = frames["press.png"][1] - frames["rest.png"][1]
     assert np.nanmax(np.linalg.norm(moved, axis=2)) == pytest.approx(
         np.linalg.norm(true, axis=2).max(), rel=0.02
     )
+    beyond = dataclasses.replace(rig, window=dataclasses.replace(rig.window, distance=60.0))
+    beyond.save("beyond.yaml")
+    lost = run("run", "both", "--stereo", "beyond.yaml", "--grid", "20x20", "--out", "no.npz")
+    fails_in_one_line(lost, "the rig's window lies beyond the pattern")
     Path("both/0.png").rename("rest.png")
     wrong = run("calibrate", *written, *BOARD, *THROUGH, "--window", "5:1.49,20:1.30")
     assert "advice: the last layer of --window is 20 thick" in wrong[1]
