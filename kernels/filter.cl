@@ -469,33 +469,22 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
   for (int k = 0; k < K; ++k)                                                       \
     final[k] = (rejected || isnan(after) ? moved : values)[k * NODES + i];
 
+#define NO_DISPLACEMENT                                                             \
+  for (int k = 0; k < K; ++k) displacement[k * NODES + i] = raw[k * NODES + i] = NAN;
+#define STORE_DISPLACEMENT                                                          \
+  for (int k = 0; k < K; ++k) {                                                     \
+    displacement[k * NODES + i] = final[k] - bent[k * NODES + i];                   \
+    raw[k * NODES + i] = moved[k * NODES + i];                                      \
+  }
+
 #if K == 3
 
-/* The largest eigenvalue of a symmetric 3 x 3 matrix xx xy xz yy yz zz: with C = m I + s B, trace
- * B = 0 and |B|^2 = 6, it is m + 2 s cos(acos(det B / 2) / 3). */
-float largest_eigenvalue(const float *m) {
-  const float mean = (m[0] + m[3] + m[5]) / 3;
-  const float x = m[0] - mean, y = m[3] - mean, z = m[5] - mean;
-  const float spread =
-      sqrt((x * x + y * y + z * z + 2 * (m[1] * m[1] + m[2] * m[2] + m[4] * m[4])) / 6);
-  if (!(spread > 0)) return mean;
-  const float determinant = x * (y * z - m[4] * m[4]) - m[1] * (m[1] * z - m[4] * m[2]) +
-                            m[2] * (m[1] * m[4] - y * m[2]);
-  const float cosine = clamp(determinant / (2 * spread * spread * spread), -1.0f, 1.0f);
-  return mean + 2 * spread * cos(acos(cosine) / 3);
-}
-
-/* The covariance from the lattice, or that of the points where the lattice has none; then the
- * deviation along its most uncertain axis. */
+/* The covariance from the lattice, or that of the points where the lattice has none. */
 void store_covariance(const float variance, __global const float *common,
-                      __global const float *points, const int i, __global float *covariance,
-                      __global float *sigma) {
-  float matrix[6];
-  for (int p = 0; p < 6; ++p) {
-    matrix[p] = isnan(variance) ? points[p * NODES + i] : variance * common[p * NODES + i];
-    covariance[p * NODES + i] = matrix[p];
-  }
-  sigma[i] = sqrt(largest_eigenvalue(matrix));
+                      __global const float *points, const int i, __global float *covariance) {
+  for (int p = 0; p < 6; ++p)
+    covariance[p * NODES + i] =
+        isnan(variance) ? points[p * NODES + i] : variance * common[p * NODES + i];
 }
 
 /* The displacement of each node in space without the shift by bent edges, and its covariance, both
@@ -508,23 +497,42 @@ __kernel void finish_in_space(__global const float *moved, __global const float 
                               __global const float *common, __global const float *points,
                               __global const float *bent, __global const uchar *valid,
                               __global float *displacement, __global float *raw,
-                              __global float *covariance, __global float *raw_covariance,
-                              __global float *sigma, __global float *raw_sigma) {
+                              __global float *covariance, __global float *raw_covariance) {
   const int i = get_global_id(0);
   if (i >= NODES) return;
   if (!valid[i]) {
-    for (int k = 0; k < K; ++k) displacement[k * NODES + i] = raw[k * NODES + i] = NAN;
+    NO_DISPLACEMENT
     for (int p = 0; p < 6; ++p) covariance[p * NODES + i] = raw_covariance[p * NODES + i] = NAN;
-    sigma[i] = raw_sigma[i] = NAN;
     return;
   }
   FINAL_OF_NODE
-  for (int k = 0; k < K; ++k) {
-    displacement[k * NODES + i] = final[k] - bent[k * NODES + i];
-    raw[k * NODES + i] = moved[k * NODES + i];
+  STORE_DISPLACEMENT
+  store_covariance(after, common, points, i, covariance);
+  store_covariance(s2, common, points, i, raw_covariance);
+}
+
+#elif K == 2
+
+/* The same in the plane, where both axes have the same variance. */
+__kernel void finish_in_plane(__global const float *moved, __global const float *values,
+                              __global const uchar *votes, __global const uchar *measured,
+                              __global const float *variance_before,
+                              __global const float *variance_after,
+                              __global const float *points, __global const float *bent,
+                              __global const uchar *valid, __global float *displacement,
+                              __global float *raw, __global float *variance,
+                              __global float *raw_variance) {
+  const int i = get_global_id(0);
+  if (i >= NODES) return;
+  if (!valid[i]) {
+    NO_DISPLACEMENT
+    variance[i] = raw_variance[i] = NAN;
+    return;
   }
-  store_covariance(after, common, points, i, covariance, sigma);
-  store_covariance(s2, common, points, i, raw_covariance, raw_sigma);
+  FINAL_OF_NODE
+  STORE_DISPLACEMENT
+  variance[i] = isnan(after) ? points[i] : after;
+  raw_variance[i] = isnan(s2) ? points[i] : s2;
 }
 
 #endif

@@ -1,28 +1,10 @@
-#include "field.clh"
+#include "moment.clh"
 
-/* From the nodes of two views to their displacement in space. REAL is double where the device has
- * it; float32 errs by some hundredths of a micrometre on points a few centimetres away. */
-
-#if DOUBLE
-#pragma OPENCL EXTENSION cl_khr_fp64 : enable
-typedef double REAL;
-#else
-typedef float REAL;
-#endif
+/* From the nodes of two views to their displacement in space. In float32 points
+ * a few centimetres away err by some hundredths of a micrometre. */
 
 #define MOST_STEPS 30
 #define ROUND_TRIP ((REAL)1e-2) /* px, from a pixel through the lens and back */
-#define LEAST_SINE_2 0.030153689f /* the square of the sine of 10 degrees */
-
-/* Why a node has no position, as PointStatus in cmp_cl/space/points.py. */
-#define MISSING 0
-#define VALID 1
-#define PARALLEL 2
-#define BEHIND 3
-#define INCONSISTENT 4
-
-#define LAST_MEASURED 3 /* of NodeStatus: detected, attached, found by a second look */
-
 /* A camera: fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4, then rotation (9) and translation (3)
  * from the left camera, then the centre of the camera there (3), then the window if MEDIA is not 0. */
 #define CAMERA 31
@@ -161,43 +143,6 @@ void meet(__global const REAL *camera, const REAL *one, const REAL *two, REAL *p
   between(first, moved, centre, point);
 }
 #endif
-
-/* The shift of a node by bent edges, px: parabolas along both lines and lines across them, fitted
- * to BEND x BEND nodes; see bend_shift in cmp_cl/filter/bends.py. bend_down, bend_along: the
- * weights of the value of the line and of the first and second derivative of the parabola. It is 0
- * if fewer than three quarters of the nodes are there, or if the lines nearly coincide. */
-float2 bend_of(__global const float2 *nodes, __global const uchar *status, const int row,
-               const int column, __global const float *bend_down,
-               __global const float *bend_along, const float radius) {
-  const int top = WINDOW_START(row, BEND_DOWN / 2, ROWS);
-  const int left = WINDOW_START(column, BEND_ALONG / 2, COLUMNS);
-  __global const float *down = bend_down + row * 3 * BEND_DOWN;
-  __global const float *along = bend_along + column * 3 * BEND_ALONG;
-  float2 t_down = 0, t_along = 0, k_down = 0, k_along = 0;
-  int count = 0;
-  for (int r = 0; r < BEND_DOWN; ++r) {
-    float2 value = 0, slope = 0, second = 0;
-    for (int c = 0; c < BEND_ALONG; ++c) {
-      const int j = (top + r) * COLUMNS + left + c;
-      count += status[j] != MISSING;
-      value += along[c] * nodes[j];
-      slope += along[BEND_ALONG + c] * nodes[j];
-      second += along[2 * BEND_ALONG + c] * nodes[j];
-    }
-    t_down += down[BEND_DOWN + r] * value;
-    k_down += down[2 * BEND_DOWN + r] * value;
-    t_along += down[r] * slope;
-    k_along += down[r] * second;
-  }
-  const float q_down = fmax(dot(t_down, t_down), 1e-30f);
-  const float q_along = fmax(dot(t_along, t_along), 1e-30f);
-  const float area = t_down.x * t_along.y - t_down.y * t_along.x;
-  if (!(area * area > LEAST_SINE_2 * q_down * q_along)) return 0;
-  if (4 * count < 3 * BEND_DOWN * BEND_ALONG) return 0;
-  const float bend_d = (t_down.x * k_down.y - t_down.y * k_down.x) / q_down;
-  const float bend_a = (t_along.x * k_along.y - t_along.y * k_along.x) / q_along;
-  return radius * radius / 6 / area * (bend_d * t_along - bend_a * t_down);
-}
 
 /* Triangulate the nodes that both views show, and subtract their position at rest: the point at
  * which the rays meet best, then one Gauss-Newton step on the reprojection error, weighted by

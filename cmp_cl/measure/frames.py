@@ -22,8 +22,10 @@ from cmp_cl.image import GreyImage
 from cmp_cl.measure.patterns import Region, align_views, check_two
 from cmp_cl.measure.views import Search, Views
 from cmp_cl.motion import PlaneScale, displacement
+from cmp_cl.motion.geometry import InPlane, InSpace, fits
+from cmp_cl.motion.moments import Moment
 from cmp_cl.motion.nodes import grid_of
-from cmp_cl.motion.plan import FieldPlan, fits
+from cmp_cl.motion.plan import FieldPlan
 from cmp_cl.motion.track import Tracker, can_track, differing
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.opencl.program import programs_of
@@ -226,6 +228,33 @@ class Measurement(Closing):
         for view in self._views.views:
             view.lost()
 
+    def _plan_for(self, device: Device, rest: Moment, geometry: InSpace | InPlane) -> None:
+        """Make the plan of the field, and the tracker, where one detector finds all corners.
+
+        rest: the nodes at rest. geometry: how the views show them.
+        """
+        detector = self._views.detector
+        if detector is None:
+            return
+        views, programs = self._views.views, programs_of(device.handle)
+        self._plan = FieldPlan(
+            detector.queue, programs, device, rest=rest, geometry=geometry, strain=self._strain
+        )
+        self._stack.callback(self._plan.release)
+        if all(can_track(view.rest) for view in views):
+            self._tracker = Tracker(
+                detector.queue,
+                programs,
+                device,
+                views=[(view.rest, view.corners) for view in views],
+                sizes=[detector.shape] * len(views),
+                regions=[view.region for view in views],
+                frame=self._plan.frame,
+                octaves=detector.layout.octaves,
+                lists=detector.layout.lists,
+            )
+            self._stack.callback(self._tracker.release)
+
     def _views_of(self, frame: GreyImage) -> tuple[GreyImage, ...]:
         """Return the views of a frame."""
         raise NotImplementedError
@@ -391,6 +420,9 @@ class OneView(Measurement):
             self._scale = (
                 PlaneScale.pixels() if cell is None else PlaneScale.of_cells(at_rest, cell, unit)
             )
+            moment = Moment.in_plane(at_rest, self._scale)
+            geometry = InPlane(self._scale, at_rest.edge_radius)
+            self._plan_for(search.device, moment, geometry)
         self.unit = self._scale.unit
         self.nodes = at_rest.status.size
         still = displacement(at_rest, at_rest, scale=self._scale, raw=raw)
@@ -457,7 +489,9 @@ class TwoViews(Measurement):
             left, right = self._views.views
             right.rest = align_views(left.rest, right.rest)
             self.rest = self._placed(left.rest, right.rest)
-            self._plan_for(search.device)
+            if fits(rig):
+                geometry = InSpace(rig, [view.rest.edge_radius for view in self._views.views])
+                self._plan_for(search.device, Moment.in_space(self.rest), geometry)
         self.unit = rig.unit
         self.nodes = self.rest.status.size
         still = displacement(self.rest, self.rest, raw=raw)
@@ -539,37 +573,6 @@ class TwoViews(Measurement):
                 f"the rig fits the nodes to {error:.2g} px, but with {how} to {other:.2g} px; give "
                 "the views as they were in the calibration"
             )
-
-    def _plan_for(self, device: Device) -> None:
-        """Make the plan of the field, if its kernels have the lens model, and the tracker."""
-        detector = self._views.detector
-        if detector is None or not fits(self._rig):
-            return
-        views = self._views.views
-        programs = programs_of(device.handle)
-        self._plan = FieldPlan(
-            detector.queue,
-            programs,
-            device,
-            rest=self.rest,
-            rig=self._rig,
-            edge_radii=tuple(view.rest.edge_radius for view in views),
-            strain=self._strain,
-        )
-        self._stack.callback(self._plan.release)
-        if all(can_track(view.rest) for view in views):
-            self._tracker = Tracker(
-                detector.queue,
-                programs,
-                device,
-                views=[(view.rest, view.corners) for view in views],
-                sizes=[detector.shape] * len(views),
-                regions=[view.region for view in views],
-                frame=self._plan.frame,
-                octaves=detector.layout.octaves,
-                lists=detector.layout.lists,
-            )
-            self._stack.callback(self._tracker.release)
 
     def _views_of(self, frame: GreyImage) -> tuple[GreyImage, ...]:
         return self._split(frame)

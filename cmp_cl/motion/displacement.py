@@ -1,7 +1,6 @@
 """The displacement of each node, from two grids of one camera, or from points in space."""
 
 import dataclasses
-import math
 from typing import overload
 
 import numpy as np
@@ -9,14 +8,9 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.field.field import DisplacementField
-from cmp_cl.filter import (
-    Filtered,
-    bend_shift,
-    filter_at_rest,
-    filter_grid,
-    noise_of_change,
-)
+from cmp_cl.filter import Filtered, filter_grid, noise_of_change
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
+from cmp_cl.motion.moments import Moment, covariance_from
 from cmp_cl.motion.scale import PlaneScale
 from cmp_cl.points import Points3D, PointStatus
 
@@ -63,60 +57,15 @@ def displacement(
     return _between(before, after, raw=raw)
 
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class _Moment:
-    """The nodes at one moment: positions (R, C, D), their covariance from the images alone, (R, C,
-    D, D), their status and source, (R, C), and the shift by bent edges, (R, C, D)."""
-
-    at: Array
-    covariance: Array
-    status: NDArray[np.uint8]
-    source: NDArray[np.uint8]
-    bend: Array
-    unit: str
-
-    @property
-    def valid(self) -> NDArray[np.bool_]:
-        return np.equal(self.status, PointStatus.VALID)
-
-    @property
-    def own(self) -> Array:
-        """Return the standard deviation per axis from the images, (R, C)."""
-        variance: Array = np.trace(self.covariance, axis1=2, axis2=3) / self.at.shape[2]
-        return np.sqrt(variance)
-
-
-def _in_the_plane(rest: Grid, now: Grid, scale: PlaneScale | None) -> tuple[_Moment, _Moment]:
+def _in_the_plane(rest: Grid, now: Grid, scale: PlaneScale | None) -> tuple[Moment, Moment]:
     if not now.covers(rest):
         raise FieldError(f"rest has {rest.extent}, now has {now.extent}")
     scale = PlaneScale.pixels() if scale is None else scale
     check_kind("scale", scale, PlaneScale, FieldError)
-    return _seen(rest, scale), _seen(now.cut_to(rest), scale)
+    return Moment.in_plane(rest, scale), Moment.in_plane(now.cut_to(rest), scale)
 
 
-def _seen(grid: Grid, scale: PlaneScale) -> _Moment:
-    at, slope = scale(grid.xy)
-    per_axis = grid.image_sigma * np.sqrt(np.square(slope).sum(axis=(-2, -1)) / 2)
-    variance = np.where(per_axis > 0, np.square(per_axis), np.nan)
-    return _Moment(
-        at=at,
-        covariance=variance[..., None, None] * np.eye(2),
-        status=np.where(grid.valid, PointStatus.VALID, PointStatus.MISSING).astype(np.uint8),
-        source=grid.status,
-        bend=(slope @ _bend_shift(grid)[..., None])[..., 0],
-        unit=scale.unit,
-    )
-
-
-def _bend_shift(grid: Grid) -> Array:
-    """Return the shift of the nodes by bent edges, (R, C, 2), px; 0 if the radius is unknown."""
-    if not math.isfinite(grid.edge_radius):
-        return np.zeros(grid.xy.shape)
-    filtered = filter_at_rest(grid.xy, measured=np.isin(grid.status, MEASURED))
-    return bend_shift(filtered.values, grid.edge_radius)
-
-
-def _in_space(rest: Points3D, now: Points3D, scale: None) -> tuple[_Moment, _Moment]:
+def _in_space(rest: Points3D, now: Points3D, scale: None) -> tuple[Moment, Moment]:
     if scale is not None:
         raise FieldError("points in space have a unit; a scale is for the grids of one camera")
     if rest.status.shape != now.status.shape or rest.unit != now.unit:
@@ -124,21 +73,10 @@ def _in_space(rest: Points3D, now: Points3D, scale: None) -> tuple[_Moment, _Mom
             f"rest has {rest.status.shape} nodes in {rest.unit}, "
             f"now has {now.status.shape} in {now.unit}"
         )
-    before, after = (
-        _Moment(
-            at=each.xyz,
-            covariance=each.covariance,
-            status=each.status,
-            source=each.source,
-            bend=np.zeros_like(each.xyz) if each.bend_shift is None else each.bend_shift,
-            unit=each.unit,
-        )
-        for each in (rest, now)
-    )
-    return before, after
+    return Moment.in_space(rest), Moment.in_space(now)
 
 
-def _between(rest: _Moment, now: _Moment, *, raw: bool) -> DisplacementField:
+def _between(rest: Moment, now: Moment, *, raw: bool) -> DisplacementField:
     """Return the field between two moments of the same nodes."""
     status = np.where(now.valid, rest.status, now.status)
     valid = status == PointStatus.VALID
@@ -147,7 +85,7 @@ def _between(rest: _Moment, now: _Moment, *, raw: bool) -> DisplacementField:
         NodeStatus.MISSING
     )
     moved = np.where(valid[..., None], now.at - rest.at, np.nan)
-    at_rest = filter_at_rest(rest.at, measured=np.isin(rest.source, MEASURED))
+    at_rest = rest.filtered
     change = filter_grid(
         moved,
         measured=np.isin(source, MEASURED),
@@ -157,12 +95,8 @@ def _between(rest: _Moment, now: _Moment, *, raw: bool) -> DisplacementField:
     change_by_images = rest.covariance + now.covariance
 
     def chosen(filtered: Filtered, sigma: Array, by_images: Array) -> Array:
-        """Return the covariance from the lattice, or from the images where that is unknown."""
-        lattice = filtered.covariance_of(sigma)
-        if lattice.shape[2] == 2:  # in the plane, both axes have the same
-            lattice = np.square(sigma)[..., None, None] * np.eye(2)
-        known = np.isfinite(lattice).all(axis=(2, 3), keepdims=True)
-        return np.where(valid[..., None, None], np.where(known, lattice, by_images), np.nan)
+        found = covariance_from(filtered, sigma, by_images)
+        return np.where(valid[..., None, None], found, np.nan)
 
     unfiltered = DisplacementField(
         position=np.where(valid[..., None], rest.at, np.nan),

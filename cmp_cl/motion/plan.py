@@ -1,4 +1,4 @@
-"""The plan of a field: from the nodes of two views to their displacement in space.
+"""The plan of a field: from the nodes of one view or of two to their displacement.
 
 Tables and buffers are made once, and the launches are listed once. A frame then costs the upload of
 its nodes, the launches and one read.
@@ -6,7 +6,6 @@ its nodes, the launches and one read.
 
 import dataclasses
 import functools
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,10 +15,12 @@ from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners
 from cmp_cl.field import DisplacementField
-from cmp_cl.filter import Filtered, filter_at_rest, filter_grid
+from cmp_cl.filter import Filtered, filter_grid
 from cmp_cl.filter.polynomials import STRAIN_REACH
 from cmp_cl.grid.grid import MEASURED, Grid
+from cmp_cl.motion.geometry import InPlane, InSpace
 from cmp_cl.motion.memory import Memory
+from cmp_cl.motion.moments import Moment, covariance_from
 from cmp_cl.motion.nodes import put
 from cmp_cl.motion.tables import (
     NOISE_GAUSSIAN,
@@ -30,12 +31,9 @@ from cmp_cl.motion.track import Tracker
 from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.launches import GROUP, Launch, multiple
 from cmp_cl.opencl.program import Programs
-from cmp_cl.space import Points3D, PointStatus, StereoRig, Window
-from cmp_cl.space.rig import MIN_PARALLAX
+from cmp_cl.points import PointStatus
 
-LARGEST_ERROR = 3.0  # px, of the reprojection, as in `StereoRig.triangulate`
 ROUNDS = 3  # rounds of the search for outliers
-_COEFFICIENTS = 12  # of distortion, in kernels/space.cl
 _ESTIMATES, _MASKS = 5, 4  # of the noise, as in kernels/filter.cl
 _ROUGH = 6  # sums over a row, in kernels/strain.cl
 _PAIRS_OF_AXES = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of a symmetric matrix
@@ -43,13 +41,14 @@ Array = NDArray[np.float64]
 
 
 class FieldPlan:
-    """Buffers and bound kernels that turn the nodes of two views into a displacement field.
+    """Buffers and bound kernels that turn the nodes of V views into a field of D coordinates.
 
-    rest: the points at rest. rig: the cameras. edge_radii: of the left and the right grid, px, NaN
-    if unknown. strain: whether fields have a strain.
+    rest: the nodes at rest. geometry: how the views show them, in space or in the plane. strain:
+    whether fields in space have a strain.
     frame: what a frame starts from, see `Tracker.layout`, and what comes of it.
 
-    Where the device has no double precision, points err by some hundredths of a micrometre.
+    Where the device has no double precision, points in space err by some hundredths of a
+    micrometre.
     """
 
     def __init__(
@@ -58,30 +57,25 @@ class FieldPlan:
         programs: Programs,
         device: Device,
         *,
-        rest: Points3D,
-        rig: StereoRig,
-        edge_radii: Sequence[float] = (math.nan, math.nan),
+        rest: Moment,
+        geometry: InSpace | InPlane,
         strain: bool = False,
     ) -> None:
         self.shape = rows, columns = rest.status.shape
-        self._queue, self._device, self._strained = queue, device, strain
-        self._rest = rest
+        self._queue, self._device = queue, device
+        self._strained = strain and geometry.axes == 3
+        self._rest, self._geometry = rest, geometry
+        self._at_rest = rest.filtered
         self._double = has_double(device)
         self._down, self._along = axis_tables(rows), axis_tables(columns)
-        files = ["space", "filter", *(["strain"] if strain else [])]
-        self.kernels = programs.kernels(files, self._defines(rig))
-        self._at_rest = filter_at_rest(rest.xyz, measured=np.isin(rest.source, MEASURED))
-        bend = 0.0 if rest.bend_shift is None else rest.bend_shift
-        self._position = self._at_rest.values - bend
+        files = [geometry.file, "filter", *(["strain"] if self._strained else [])]
+        self.kernels = programs.kernels(files, self._defines())
+        self._position = self._at_rest.values - rest.bend
         self._position_covariance, self._raw_covariance = (
-            np.where(
-                np.isfinite(sigma)[..., None, None],
-                self._at_rest.covariance_of(sigma),
-                rest.covariance,
-            )
+            covariance_from(self._at_rest, sigma, rest.covariance)
             for sigma in (self._at_rest.sigma, self._at_rest.noise)
         )
-        self._constants = Memory.of(queue, **self._constant_arrays(rig))
+        self._constants = Memory.of(queue, **self._constant_arrays())
         self._work = Memory(queue, self._work_layout())
         self.frame = Memory(queue, self._frame_layout())
         self._parts = {
@@ -89,7 +83,7 @@ class FieldPlan:
             for memory in (self._constants, self._work, self.frame)
             for name, part in memory.parts.items()
         }
-        self.launches = self._listed(edge_radii)
+        self.launches = self._listed()
         self.events: list[tuple[str, cl.Event]] = []
 
     def release(self) -> None:
@@ -100,13 +94,13 @@ class FieldPlan:
 
     # What is compiled and allocated
 
-    def _defines(self, rig: StereoRig) -> dict[str, str | int]:
+    def _defines(self) -> dict[str, str | int]:
         rows, columns = self.shape
         down, along = self._down, self._along
         return {
             "ROWS": rows,
             "COLUMNS": columns,
-            "K": 3,
+            "K": self._geometry.axes,
             "PILOT_DOWN": down.pilot_side,
             "PILOT_ALONG": along.pilot_side,
             "FILTERS_DOWN": len(down.sides),
@@ -115,25 +109,21 @@ class FieldPlan:
             "BEND_DOWN": down.bend.shape[2],
             "BEND_ALONG": along.bend.shape[2],
             "STRAIN_REACH": STRAIN_REACH,
-            "MEDIA": 0 if rig.window is None else len(rig.window.layers) + 1,
-            "NEAR": "1e-7" if self._double else "1e-3f",
             "DOUBLE": int(self._double),
-            "EXACT": "1e-9" if self._double else "1e-3f",
-            "TINY": "1e-300" if self._double else "1e-30f",
+            **self._geometry.defines(double=self._double),
         }
 
     @property
     def _pairs(self) -> int:
         return len(self._down.sides) * len(self._along.sides)
 
-    def _constant_arrays(self, rig: StereoRig) -> dict[str, NDArray[Any]]:
+    def _constant_arrays(self) -> dict[str, NDArray[Any]]:
         rest, real = self._rest, np.float64 if self._double else np.float32
-        before = np.trace(rest.covariance, axis1=2, axis2=3) / 3
-        before = np.where(before > 0, before, np.nan)
+        before = np.where(rest.own > 0, np.square(rest.own), np.nan)
         wear = np.maximum(np.square(self._at_rest.noise) - before, 0)
         middle = np.nanmean(self._position, axis=(0, 1))
         by_column, by_row = np.moveaxis(self._at_rest.slope_variance(smoothed=True), 2, 0)
-        bend = np.zeros_like(rest.xyz) if rest.bend_shift is None else rest.bend_shift
+        seen = {name: np.asarray(each, real) for name, each in self._geometry.constants().items()}
         tables = {
             f"{name}_{axis}": getattr(each, name)
             for axis, each in (("down", self._down), ("along", self._along))
@@ -147,39 +137,43 @@ class FieldPlan:
             "gram_slope_along": np.moveaxis(self._along.grams.slope, 1, 3).astype(np.float32),
             "rows_noise": NOISE_GAUSSIAN,
             "rows_risk": RISK_GAUSSIAN,
-            "left": camera_numbers(
-                rig.K1, rig.D1, np.eye(3), np.zeros(3), window=rig.window
-            ).astype(real),
-            "right": camera_numbers(rig.K2, rig.D2, rig.R, rig.T, window=rig.window).astype(real),
-            "rest": _planes(rest.xyz).astype(real),
+            **seen,
+            "rest": _planes(rest.at).astype(real),
             "rest_status": rest.status,
             "rest_source": rest.source,
-            "rest_points": _planes(_six(rest.covariance)).astype(np.float32),
-            "rest_bent": _planes(bend).astype(np.float32),
+            "rest_points": self._flat(rest.covariance),
+            "rest_bent": _planes(rest.bend).astype(np.float32),
             "bound_rest": (before + 9 * wear).astype(np.float32),
             "rest_position": _planes(self._position - middle).astype(np.float32),
-            "rest_covariance": _planes(_six(self._position_covariance)).astype(np.float32),
+            "rest_covariance": self._flat(self._position_covariance),
             "rest_by_column": by_column.astype(np.float32),
             "rest_by_row": by_row.astype(np.float32),
         }
 
+    def _flat(self, covariance: Array) -> NDArray[np.float32]:
+        """Return covariances as planes: xx xy xz yy yz zz, or the variance per axis."""
+        numbers = _six(covariance) if self._geometry.axes == 3 else covariance[..., :1, 0]
+        return _planes(numbers).astype(np.float32)
+
     def _work_layout(self) -> dict[str, tuple[tuple[int, ...], Any]]:
+        axes = self._geometry.axes
+        products = axes * (axes + 1) // 2
         planes = {
-            "moved": 3,
-            "points": 6,
-            "bent": 3,
-            "data": 3,
-            "residual": 3,
+            "moved": axes,
+            "points": self._geometry.covariances,
+            "bent": axes,
+            "data": axes,
+            "residual": axes,
             "size": 1,
-            "near": _ESTIMATES + _MASKS + 6,
+            "near": _ESTIMATES + _MASKS + products,
             "variance": 1,
             "chosen": 1,
-            "common": 6,
-            "estimate": 3 * self._pairs,
+            "common": products,
+            "estimate": axes * self._pairs,
             "loss": self._pairs,
             "near_votes": 1,
             "weights": self._pairs,
-            "values": 3,
+            "values": axes,
             "mixed_variance": 1,
             "left_share": 1,
             "by_column": 1,
@@ -188,7 +182,7 @@ class FieldPlan:
         layout: dict[str, tuple[tuple[int, ...], Any]] = {
             name: ((count, *self.shape), np.float32) for name, count in planes.items()
         }
-        layout["sums"] = (self.shape[0], _ESTIMATES * 6 + 1), np.float32
+        layout["sums"] = (self.shape[0], _ESTIMATES * products + 1), np.float32
         layout["rough"] = (self.shape[0], _ROUGH), np.float32
         layout["unsupported"] = (self._pairs, *self.shape), np.uint8
         for name in ("valid", "measured", "votes"):
@@ -196,18 +190,17 @@ class FieldPlan:
         return layout
 
     def _frame_layout(self) -> dict[str, tuple[tuple[int, ...], Any]]:
+        axes, covariances = self._geometry.axes, self._geometry.covariances
         planes = {
-            "displacement": 3,
-            "raw_displacement": 3,
-            "covariance": 6,
-            "raw_covariance": 6,
-            "sigma": 1,
-            "raw_sigma": 1,
+            "displacement": axes,
+            "raw_displacement": axes,
+            "covariance": covariances,
+            "raw_covariance": covariances,
             "own": 1,
             **({"strain": 3, "strain_covariance": 6} if self._strained else {}),
         }
         layout: dict[str, tuple[tuple[int, ...], Any]] = {
-            **Tracker.layout(len(_VIEWS), self.shape),
+            **Tracker.layout(self._geometry.views, self.shape),
             **{name: ((count, *self.shape), np.float32) for name, count in planes.items()},
         }
         layout["status"] = layout["source"] = self.shape, np.uint8
@@ -216,20 +209,13 @@ class FieldPlan:
 
     # What is launched
 
-    def _listed(self, edge_radii: Sequence[float]) -> list[Launch]:
-        left, right = (np.float32(radius if radius >= 0 else 0) for radius in edge_radii)
-        focal = float(np.mean([self._camera("left")[:2], self._camera("right")[:2]]))
+    def _listed(self) -> list[Launch]:
         real = np.float64 if self._double else np.float32
         listed = [
             self._of_nodes(
-                "space",
-                *("nodes", "seen_status", "seen_sigma", *_VIEWS),
-                real(MIN_PARALLAX / focal),
-                np.float32(LARGEST_ERROR),
-                "bend_down",
-                "bend_along",
-                left,
-                right,
+                self._geometry.kernel,
+                *("nodes", "seen_status", "seen_sigma"),
+                *self._geometry.arguments(real),
                 *("rest", "rest_status", "rest_source", "rest_points", "rest_bent"),
                 *("moved", "points", "own", "bent", "status", "source"),
                 *("valid", "measured", "votes", "counts"),
@@ -254,10 +240,10 @@ class FieldPlan:
                 *("weights", "values", "mixed_variance", "left_share"),
             ),
             self._of_nodes(
-                "finish_in_space",
+                self._geometry.finish,
                 *("moved", "values", "votes", "measured", "variance", "mixed_variance"),
-                *("common", "points", "bent", "valid", "displacement", "raw_displacement"),
-                *("covariance", "raw_covariance", "sigma", "raw_sigma"),
+                *(*self._geometry.finished, "bent", "valid"),
+                *("displacement", "raw_displacement", "covariance", "raw_covariance"),
             ),
         ]
         if self._strained:
@@ -297,9 +283,6 @@ class FieldPlan:
                 *("votes", "variance", "chosen", "common"),
             ),
         ]
-
-    def _camera(self, view: str) -> NDArray[Any]:
-        return self._constants.arrays[view]
 
     def _of_nodes(self, name: str, *arguments: Any) -> Launch:
         """Bind a kernel with one work-item per node."""
@@ -367,7 +350,7 @@ class FieldPlan:
             "lattice": (self._at_rest, change),
         }
         raw = DisplacementField(
-            position=np.where(there, self._rest.xyz, np.nan),
+            position=np.where(there, self._rest.at, np.nan),
             displacement=raw_displacement,
             covariance=_matrices(results["raw_covariance"]),
             position_covariance=np.where(there[..., None], self._raw_covariance, np.nan),
@@ -408,35 +391,9 @@ class _Change:
         return self._filtered.slope_variance(smoothed=smoothed)
 
 
-def fits(rig: StereoRig) -> bool:
-    """Return whether kernels/space.cl has the lens model of both cameras: not a tilted sensor's."""
-    return max(len(rig.D1), len(rig.D2)) <= _COEFFICIENTS
-
-
-_VIEWS = ("left", "right")
-
-
 def has_double(device: Device) -> bool:
     """Return whether a device computes in double precision."""
     return "cl_khr_fp64" in device.handle.extensions
-
-
-def camera_numbers(
-    matrix: Array, distortion: Array, rotation: Array, move: Array, *, window: Window | None = None
-) -> Array:
-    """Return a camera as kernels/space.cl takes it, (31,), and its window after it.
-
-    rotation, move: from the frame of the left camera. The coefficients of distortion are at most
-    12; those of a tilted sensor have no place. window: before the camera; None is air.
-    """
-    coefficients = np.zeros(_COEFFICIENTS)
-    coefficients[: len(distortion)] = distortion
-    focal, middle, centre = matrix[[0, 1], [0, 1]], matrix[:2, 2], -move @ rotation
-    numbers = [focal, middle, coefficients, rotation.ravel(), move, centre]
-    if window is not None:
-        media = [*window.layers, (0.0, window.index)]
-        numbers += [window.normal, np.array([window.height(centre)]), np.ravel(media)]
-    return np.concatenate(numbers)
 
 
 def _six(matrices: Array) -> Array:
@@ -455,7 +412,11 @@ def _nodes(planes: NDArray[np.float32]) -> Array:
 
 
 def _matrices(planes: NDArray[np.float32]) -> Array:
-    """Return the symmetric matrices (R, C, 3, 3) float64 of xx xy xz yy yz zz, (6, R, C)."""
+    """Return the symmetric matrices (R, C, D, D) float64 of xx xy xz yy yz zz, (6, R, C), or of the
+    variance per axis of a plane, (1, R, C)."""
+    if len(planes) == 1:
+        flat: Array = planes[0, ..., None, None] * np.eye(2)
+        return flat
     place = np.zeros((3, 3), np.intp)
     for number, (i, j) in enumerate(_PAIRS_OF_AXES):
         place[i, j] = place[j, i] = number

@@ -1,4 +1,5 @@
-"""From the nodes of two views to points in space, node by node, in float64.
+"""From the nodes of two views to points in space, node by node, in float64, and of one view to a
+plane.
 
 1. A pixel becomes the point (x, y) of the plane at distance 1 that the lens maps to it. With
    r = x^2 + y^2 and g = (1 + k1 r + k2 r^2 + k3 r^3) / (1 + k4 r + k5 r^2 + k6 r^3), the lens maps
@@ -203,6 +204,34 @@ def points(
         if known:
             covariance[node] = inverse
     return Points(xyz=xyz, bent=bent, covariance=covariance, status=status)
+
+
+def in_plane(
+    nodes: Floats, shown: Bools, sigma: Floats, homography: Floats, radius: float
+) -> tuple[Floats, Floats, Floats]:
+    """Map the nodes (R, C, 2) of one view to the plane. shown, sigma, radius: as in `points`.
+
+    Returns the positions, (R, C, 2), their variance per axis, (R, C), NaN where unknown, and their
+    shift by bent edges, (R, C, 2). The variance is the mean of those along both axes.
+    """
+
+    def mapped(xy: Floats) -> Floats:
+        place = np.append(xy, 1.0) @ homography.T
+        flat: Floats = place[:2] / place[2]
+        return flat
+
+    at, bent = np.full(nodes.shape, np.nan), np.full(nodes.shape, np.nan)
+    variance = np.full(shown.shape, np.nan)
+    bends = np.where(_supported(shown)[..., None], bend_shift(nodes, radius), 0)
+    for node in zip(*np.nonzero(shown), strict=True):
+        step = 1e-3 * np.eye(2)
+        slope = np.stack(
+            [(mapped(nodes[node] + d) - mapped(nodes[node] - d)) / 2e-3 for d in step], axis=1
+        )
+        at[node], bent[node] = mapped(nodes[node]), slope @ bends[node]
+        if sigma[node] > 0:
+            variance[node] = np.trace(slope @ slope.T) / 2 * sigma[node] ** 2
+    return at, variance, bent
 
 
 def _supported(shown: Bools) -> Bools:

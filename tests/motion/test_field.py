@@ -8,8 +8,10 @@ import pytest
 
 from cmp_cl import StereoRig, Window
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
-from cmp_cl.motion import displacement
+from cmp_cl.motion import PlaneScale, displacement
 from cmp_cl.motion import plan as plans
+from cmp_cl.motion.geometry import InPlane, InSpace, camera_numbers
+from cmp_cl.motion.moments import Moment
 from cmp_cl.motion.plan import FieldPlan
 from cmp_cl.opencl.program import programs_of
 from cmp_cl.reference import lattice_filter, space
@@ -82,7 +84,7 @@ def views_of(rig, xyz, rng, noise=0.03, shared=0.0):
 
 
 def camera_of(rig, name):
-    numbers = plans.camera_numbers(
+    numbers = camera_numbers(
         getattr(rig, f"K{name}"),
         getattr(rig, f"D{name}"),
         np.eye(3) if name == "1" else rig.R,
@@ -117,18 +119,23 @@ def with_holes(grid, *nodes, status=NodeStatus.MISSING):
 
 @pytest.fixture
 def run(device):
-    """Return run(rig, rest, now): the plan, its results and its field for two pairs of grids."""
+    """Return run(rig, rest, now): the plan, its results and its field for two pairs of grids, or of
+    one view where the rig is a scale."""
     made = []
 
     def of(rig, rest, now, *, complete=None, strain=False):
+        if isinstance(rig, StereoRig):
+            moment = Moment.in_space(rig.triangulate(*rest))
+            geometry = InSpace(rig, (RADIUS, RADIUS))
+        else:
+            moment, geometry = Moment.in_plane(rest[0], rig), InPlane(rig, RADIUS)
         programs = programs_of(device.handle)
         plan = FieldPlan(
             cl.CommandQueue(programs.context),
             programs,
             device,
-            rest=rig.triangulate(*rest),
-            rig=rig,
-            edge_radii=(RADIUS, RADIUS),
+            rest=moment,
+            geometry=geometry,
             strain=strain,
         )
         made.append(plan)
@@ -220,6 +227,38 @@ def test_the_field_is_the_oracles(run, case, lens, window):
     )
     assert results["counts"][1:].sum() == found.refused.sum()
     assert bool(wrong) == found.refused.any()
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_field_in_the_plane_is_the_oracles(run, case):
+    shape, holes, wrong = CASES[case]
+    rng, rig = np.random.default_rng(9), rig_with()
+    scale = PlaneScale(np.array([[0.05, 0.002, 3], [-0.001, 0.06, 1], [1e-4, -5e-5, 1]]), "mm")
+    rest = views_of(rig, surface(*shape), rng)[0]
+    complete = views_of(rig, surface(*shape, press=1.0), rng)[0]
+    for node in wrong:
+        complete.xy[node] += 2.0
+    now = with_holes(complete, *holes)
+    _, results, field = run(scale, (rest,), (now,), complete=(complete,))
+    before, after = (
+        space.in_plane(
+            whole.xy.astype(float), seen.status > 0, seen.image_sigma, scale.matrix, RADIUS
+        )
+        for whole, seen in ((rest, rest), (complete, now))
+    )
+    quiet = lattice_filter.filter_grid(before[0], rest.valid)
+    most = np.sqrt(before[1] + after[1] + 9 * np.maximum(quiet.noise**2 - before[1], 0))
+    moved = after[0] - before[0]
+    found = lattice_filter.filter_whole(moved, now.valid, most)
+    assert found.margin > 1e-3, "the case tests a bound"
+    noise = np.nanmedian(found.noise) if np.isfinite(found.noise).any() else 1e-3
+    displaced = np.where(now.valid[..., None], found.values - (after[2] - before[2]), np.nan)
+    np.testing.assert_array_equal(field.valid, now.valid)
+    np.testing.assert_allclose(field.raw.displacement, moved, rtol=0, atol=2e-6)
+    np.testing.assert_allclose(field.displacement, displaced, rtol=0, atol=FEW * noise)
+    known = np.isfinite(found.sigma) & now.valid
+    np.testing.assert_allclose(field.sigma[known], found.sigma[known], rtol=3e-3)
+    assert results["counts"][1:].sum() == found.refused.sum()
 
 
 @pytest.mark.parametrize("kernels", [True, False], ids=["kernels", "NumPy"])

@@ -1,0 +1,105 @@
+"""From nodes in the views to positions: in space by two cameras, in the plane by one."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.motion.scale import PlaneScale
+from cmp_cl.space import StereoRig, Window
+from cmp_cl.space.rig import MIN_PARALLAX
+
+LARGEST_ERROR = 3.0  # px, of the reprojection, as in `StereoRig.triangulate`
+_COEFFICIENTS = 12  # of distortion, in kernels/space.cl
+Array = NDArray[np.float64]
+
+
+class InSpace:
+    """Two cameras. radii: the edge radius of the left and of the right grid, px, NaN if unknown."""
+
+    views, axes, covariances = 2, 3, 6
+    file, kernel, finish = "space", "space", "finish_in_space"
+    finished = ("common", "points")  # what the last kernel takes of the covariance
+
+    def __init__(self, rig: StereoRig, radii: Sequence[float]) -> None:
+        self._rig, self._radii = rig, radii
+
+    def defines(self, *, double: bool) -> dict[str, str | int]:
+        """Return the macros that only these kernels need."""
+        window = self._rig.window
+        return {
+            "MEDIA": 0 if window is None else len(window.layers) + 1,
+            "NEAR": "1e-7" if double else "1e-3f",
+            "EXACT": "1e-9" if double else "1e-3f",
+            "TINY": "1e-300" if double else "1e-30f",
+        }
+
+    def constants(self) -> dict[str, Array]:
+        """Return the arrays that the kernel takes, in order."""
+        rig = self._rig
+        return {
+            "left": camera_numbers(rig.K1, rig.D1, np.eye(3), np.zeros(3), window=rig.window),
+            "right": camera_numbers(rig.K2, rig.D2, rig.R, rig.T, window=rig.window),
+        }
+
+    def arguments(self, real: Any) -> list[Any]:
+        """Return the arguments after the nodes and before the tables of bends, and after those."""
+        focal = np.mean([np.diag(camera)[:2] for camera in (self._rig.K1, self._rig.K2)])
+        return [
+            *self.constants(),
+            real(MIN_PARALLAX / focal),
+            np.float32(LARGEST_ERROR),
+            *("bend_down", "bend_along"),
+            *map(_radius, self._radii),
+        ]
+
+
+class InPlane:
+    """One camera. radius: the edge radius of its grid, px, NaN if unknown."""
+
+    views, axes, covariances = 1, 2, 1
+    file, kernel, finish = "flat", "in_plane", "finish_in_plane"
+    finished = ("points",)
+
+    def __init__(self, scale: PlaneScale, radius: float) -> None:
+        self._scale, self._radius = scale, radius
+
+    def defines(self, *, double: bool) -> dict[str, str | int]:
+        """Return the macros that only this kernel needs: none."""
+        return {}
+
+    def constants(self) -> dict[str, Array]:
+        """Return the arrays that the kernel takes, in order."""
+        return {"homography": self._scale.matrix.ravel()}
+
+    def arguments(self, real: Any) -> list[Any]:
+        """Return the arguments after the nodes and before the moment at rest."""
+        return [*self.constants(), "bend_down", "bend_along", _radius(self._radius)]
+
+
+def _radius(radius: float) -> np.float32:
+    return np.float32(radius if radius >= 0 else 0)
+
+
+def fits(rig: StereoRig) -> bool:
+    """Return whether kernels/space.cl has the lens model of both cameras: not a tilted sensor's."""
+    return max(len(rig.D1), len(rig.D2)) <= _COEFFICIENTS
+
+
+def camera_numbers(
+    matrix: Array, distortion: Array, rotation: Array, move: Array, *, window: Window | None = None
+) -> Array:
+    """Return a camera as kernels/space.cl takes it, (31,), and its window after it.
+
+    rotation, move: from the frame of the left camera. The coefficients of distortion are at most
+    12; those of a tilted sensor have no place. window: before the camera; None is air.
+    """
+    coefficients = np.zeros(_COEFFICIENTS)
+    coefficients[: len(distortion)] = distortion
+    focal, middle, centre = matrix[[0, 1], [0, 1]], matrix[:2, 2], -move @ rotation
+    numbers = [focal, middle, coefficients, rotation.ravel(), move, centre]
+    if window is not None:
+        media = [*window.layers, (0.0, window.index)]
+        numbers += [window.normal, np.array([window.height(centre)]), np.ravel(media)]
+    return np.concatenate(numbers)

@@ -1,0 +1,50 @@
+#include "moment.clh"
+
+/* From the nodes of one view to their displacement in the plane of a flat pattern. */
+
+/* Map the nodes to the plane, and subtract their position at rest. nodes: complete, px of the view;
+ * status: of NodeStatus; sigma: px, not positive if unknown. homography: (9), from px to the plane.
+ * rest: positions (2 planes), rest_*: their status, source, variance per axis and motion by bent
+ * edges (2 planes). moved: 2 planes, 0 where not valid. points: the sum of the variances of both
+ * moments. own: the variance now. One work-item a node. */
+__kernel void in_plane(__global const float2 *nodes, __global const uchar *seen_status,
+                       __global const float *sigma, __global const REAL *homography,
+                       __global const float *bend_down, __global const float *bend_along,
+                       const float radius, __global const REAL *rest,
+                       __global const uchar *rest_status, __global const uchar *rest_source,
+                       __global const float *rest_points, __global const float *rest_bent,
+                       __global float *moved, __global float *points, __global float *own,
+                       __global float *bent, __global uchar *status, __global uchar *source,
+                       __global uchar *valid, __global uchar *measured, __global uchar *votes,
+                       __global int *counts) {
+  const int i = get_global_id(0);
+  if (i >= NODES) return;
+  __global const REAL *h = homography;
+  const int there = seen_status[i] != MISSING;
+  source[i] = there && rest_source[i] != MISSING ? max(seen_status[i], rest_source[i])
+                                                 : (uchar)MISSING;
+  status[i] = there ? rest_status[i] : (uchar)MISSING;
+  const int good = status[i] == VALID;
+  const int vote = good && source[i] != MISSING && source[i] <= LAST_MEASURED;
+  valid[i] = good;
+  measured[i] = votes[i] = vote;
+  if (!vote) atomic_inc(counts + HOLES);
+  const REAL x = nodes[i].x, y = nodes[i].y, w = h[6] * x + h[7] * y + h[8];
+  const REAL u = (h[0] * x + h[1] * y + h[2]) / w, v = (h[3] * x + h[4] * y + h[5]) / w;
+  const REAL slope[4] = {(h[0] - u * h[6]) / w, (h[1] - u * h[7]) / w, (h[3] - v * h[6]) / w,
+                         (h[4] - v * h[7]) / w};
+  const float2 bend = bend_of(nodes, seen_status, i / COLUMNS, i % COLUMNS, bend_down, bend_along,
+                              radius);
+  const REAL grown = (slope[0] * slope[0] + slope[1] * slope[1] + slope[2] * slope[2] +
+                      slope[3] * slope[3]) / 2;
+  const float variance =
+      good && sigma[i] > 0 ? (float)((REAL)sigma[i] * (REAL)sigma[i] * grown) : NAN;
+  own[i] = variance;
+  points[i] = variance + rest_points[i];
+  moved[i] = good ? (float)(u - rest[i]) : 0.0f;
+  moved[NODES + i] = good ? (float)(v - rest[NODES + i]) : 0.0f;
+  const float bent_u = (float)(slope[0] * bend.x + slope[1] * bend.y);
+  const float bent_v = (float)(slope[2] * bend.x + slope[3] * bend.y);
+  bent[i] = good ? bent_u - rest_bent[i] : 0.0f;
+  bent[NODES + i] = good ? bent_v - rest_bent[NODES + i] : 0.0f;
+}
