@@ -173,14 +173,21 @@ void add_covariance(const float3 *axis_1, const float3 *axis_2, const float (*in
   }
 }
 
-/* The covariance of the coordinates of a node, scaled to a mean diagonal of 1; return that mean. */
+/* The covariance of the coordinates of a node, scaled to a mean diagonal of 1; return that mean. In
+ * the plane, both axes have the same variance, and that alone is given. */
 float scaled_to_one(__global const float *covariance, const int i, float3 *result) {
-  float full[3][3] = {{0, 0, 0}, {0, 0, 0}, {0, 0, 0}};
-  int p = 0;
-  for (int j = 0; j < K; ++j)
-    for (int k = j; k < K; ++k) full[j][k] = full[k][j] = covariance[p++ * NODES + i];
-  const float mean = (full[0][0] + full[1][1] + full[2][2]) / K;
-  for (int j = 0; j < 3; ++j) result[j] = (float3)(full[j][0], full[j][1], full[j][2]) / mean;
+  float mean = covariance[i];
+  result[0] = (float3)(1, 0, 0);
+  result[1] = (float3)(0, 1, 0);
+  result[2] = (float3)(0, 0, 1);
+#if K == 3
+  float full[6];
+  for (int p = 0; p < 6; ++p) full[p] = covariance[p * NODES + i];
+  mean = (full[0] + full[3] + full[5]) / 3;
+  result[0] = (float3)(full[0], full[1], full[2]) / mean;
+  result[1] = (float3)(full[1], full[3], full[4]) / mean;
+  result[2] = (float3)(full[2], full[4], full[5]) / mean;
+#endif
   return mean;
 }
 
