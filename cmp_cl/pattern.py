@@ -7,21 +7,13 @@ import dataclasses
 import math
 import struct
 import zlib
-from collections.abc import Sequence
 from os import PathLike
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import (
-    ConfigError,
-    check_kind,
-    check_pair,
-    check_positive,
-    check_range,
-    check_shape,
-)
+from cmp_cl.errors import ConfigError, check_pair, check_range, check_shape
 from cmp_cl.files import suffix_of, write_bytes
 
 PAPERS = {  # mm, upright
@@ -44,20 +36,12 @@ _MOST_CELLS = 10**6
 _LONGEST_SIDE = 5000.0  # mm
 
 
-class _Label(NamedTuple):
-    """A text with the left end of its base line, mm."""
-
-    x: float
-    y: float
-    text: str
-
-
 class _Drawing(NamedTuple):
-    """A sheet of (width, height) mm: (N, 4) black rectangles x0 y0 x1 y1, mm, and labels."""
+    """A sheet: (N, 4) black rectangles x0 y0 x1 y1, mm, and texts with the left end of their base
+    line, mm."""
 
-    size: tuple[float, float]
     black: NDArray[np.float64]
-    labels: tuple[_Label, ...]
+    labels: list[tuple[float, float, str]]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -129,8 +113,8 @@ class Checkerboard:
         suffix = suffix_of(path, ConfigError)
         if suffix not in (".svg", ".png"):
             raise ConfigError(f"{str(path)!r}: the suffix must be .svg or .png")
-        drawing = self._drawing()
-        write_bytes(path, _svg(drawing) if suffix == ".svg" else _png(drawing, dpi))
+        size, drawing = self.size, self._drawing()
+        write_bytes(path, _svg(size, drawing) if suffix == ".svg" else _png(size, drawing, dpi))
 
     def _board(self) -> tuple[float, float]:
         """Return the width and height of all cells together, mm."""
@@ -156,52 +140,39 @@ class Checkerboard:
     def _drawing(self) -> _Drawing:
         rows, columns = self.shape
         row, column = np.nonzero(np.add.outer(np.arange(rows + 1), np.arange(columns + 1)) % 2 == 0)
-        black = np.column_stack([column, row, column + 1, row + 1]) * self.cell
-        labels: tuple[_Label, ...] = ()
-        if self.scale_bar:
-            bars, labels = self._bars()
-            black = np.vstack([black, bars])
         left, top = self._origin()
-        return _Drawing(
-            size=self.size,
-            black=black + np.array([left, top, left, top]),
-            labels=tuple(_Label(left + x, top + y, text) for x, y, text in labels),
-        )
-
-    def _bars(self) -> tuple[NDArray[np.float64], tuple[_Label, ...]]:
-        """Return the scale bars below and right of the cells, and their labels, mm from the
-        top left of the cells."""
+        black = np.column_stack([column, row, column + 1, row + 1]) * self.cell
+        black = black + np.array([left, top, left, top])
+        if not self.scale_bar:
+            return _Drawing(black, [])
         width, height = self._board()
-        border = self._border()
-        lengths = [next((x for x in _LENGTHS if x <= side), 1) for side in (width, height)]
-        below = _bar(lengths[0], height + border + _GAP)
-        beside = _bar(lengths[1], width + border + _GAP)[:, [1, 0, 3, 2]]
-        rows, columns = self.shape
-        title = f"{lengths[0]} mm   {rows} x {columns} corners   cell {self.cell:.4g} mm"
-        if _WIDTH * _LETTER * len(title) > width + border + _STRIP:
-            title = f"{lengths[0]} mm"
-        under = height + border + _GAP + _TICK + _GAP + _LETTER
-        labels = (
-            _Label(0, under, title),
-            _Label(width + border + _GAP + _TICK + _GAP, _LETTER, f"{lengths[1]}"),
-        )
-        return np.vstack([below, beside]), labels
+        right, bottom = left + width + self._border() + _GAP, top + height + self._border() + _GAP
+        along, down = (next((x for x in _LENGTHS if x <= side), 1) for side in (width, height))
+        title = f"{along} mm   {rows} x {columns} corners   cell {self.cell:.4g} mm"
+        if _WIDTH * _LETTER * len(title) > width + self._border() + _STRIP:
+            title = f"{along} mm"
+        beside = _bar(down, top, right)[:, [1, 0, 3, 2]]
+        labels = [
+            (left, bottom + _TICK + _GAP + _LETTER, title),
+            (right + _TICK + _GAP, top + _LETTER, f"{down}"),
+        ]
+        return _Drawing(np.vstack([black, _bar(along, left, bottom), beside]), labels)
 
 
-def _bar(length: float, top: float) -> NDArray[np.float64]:
-    """Return a horizontal bar from x = 0 with its two ends: (3, 4) rectangles, mm."""
-    bottom, middle, end = top + _TICK, top + _TICK / 2, _BAR / 2
+def _bar(length: float, left: float, top: float) -> NDArray[np.float64]:
+    """Return a horizontal bar with its two ends: (3, 4) rectangles, mm."""
+    right, bottom, middle, half = left + length, top + _TICK, top + _TICK / 2, _BAR / 2
     return np.array(
         [
-            [0, middle - end, length, middle + end],
-            [0, top, end, bottom],
-            [length - end, top, length, bottom],
+            [left, middle - half, right, middle + half],
+            [left, top, left + half, bottom],
+            [right - half, top, right, bottom],
         ]
     )
 
 
-def _svg(drawing: _Drawing) -> bytes:
-    width, height = drawing.size
+def _svg(size: tuple[float, float], drawing: _Drawing) -> bytes:
+    width, height = size
     path = " ".join(
         f"M{x0:.7g} {y0:.7g}H{x1:.7g}V{y1:.7g}H{x0:.7g}Z" for x0, y0, x1, y1 in drawing.black
     )
@@ -219,12 +190,12 @@ def _svg(drawing: _Drawing) -> bytes:
     ).encode()
 
 
-def _png(drawing: _Drawing, dpi: float) -> bytes:
+def _png(size: tuple[float, float], drawing: _Drawing, dpi: float) -> bytes:
     import cv2
 
     check_range("dpi", dpi, 10, 10_000)
     scale = dpi / _MM_PER_INCH
-    width, height = (math.ceil(side * scale - 1e-6) for side in drawing.size)
+    width, height = (math.ceil(side * scale - 1e-6) for side in size)
     if width * height > _MOST_PIXELS:
         raise ConfigError(
             f"{width} x {height} px are more than {_MOST_PIXELS // 10**6} million; "
@@ -239,21 +210,14 @@ def _png(drawing: _Drawing, dpi: float) -> bytes:
     for x, y, text in drawing.labels:
         font, origin = cv2.FONT_HERSHEY_SIMPLEX, (round(x * scale), round(y * scale))
         wide = cv2.getTextSize(text, font, 10, 1)[0][0] / 10  # the fonts of OpenCV 4 and 5 differ
-        size = _WIDTH * _LETTER * scale * len(text) / wide
-        cv2.putText(image, text, origin, font, size, 0, 1, cv2.LINE_AA)
+        letters = _WIDTH * _LETTER * scale * len(text) / wide
+        cv2.putText(image, text, origin, font, letters, 0, 1, cv2.LINE_AA)
     data: bytes = cv2.imencode(".png", image)[1].tobytes()
     per_metre = round(scale * 1000)
     chunk = b"pHYs" + struct.pack(">IIB", per_metre, per_metre, 1)
+    resolution = struct.pack(">I", 9) + chunk + struct.pack(">I", zlib.crc32(chunk))
     after_header = 33  # bytes: the signature and the chunk IHDR
-    return b"".join(
-        [
-            data[:after_header],
-            struct.pack(">I", len(chunk) - 4),
-            chunk,
-            struct.pack(">I", zlib.crc32(chunk)),
-            data[after_header:],
-        ]
-    )
+    return data[:after_header] + resolution + data[after_header:]
 
 
 def _covered(start: float, end: float, count: int) -> tuple[slice, NDArray[np.float32]]:
@@ -262,27 +226,3 @@ def _covered(start: float, end: float, count: int) -> tuple[slice, NDArray[np.fl
     edge = np.arange(first, max(last, first) + 1)
     inside = np.minimum(edge[1:], end) - np.maximum(edge[:-1], start)
     return slice(first, max(last, first)), inside.clip(0, 1).astype(np.float32)
-
-
-def fitting_paper(name: str, board: Checkerboard) -> tuple[float, float]:
-    """Return the (width, height) of a paper, mm, rotated to fit the longer side of a board.
-
-    name: a key of PAPERS. Raises ConfigError for any other name, and if board is no Checkerboard.
-    """
-    check_kind("board", board, Checkerboard, ConfigError)
-    if not isinstance(name, str) or name not in PAPERS:
-        raise ConfigError(f"paper must be one of {', '.join(PAPERS)}, not {name!r}")
-    width, height = PAPERS[name]
-    upright = board.size[1] >= board.size[0]
-    return (width, height) if upright else (height, width)
-
-
-def cell_for(size: float, shape: Sequence[int]) -> float:
-    """Return the side of a cell, mm, for which the longer side of all cells is `size` mm.
-
-    shape: rows and columns of inner corners. Raises ConfigError if size is not positive, or shape
-    is not two whole numbers from 1.
-    """
-    check_positive("size", size, ConfigError)
-    check_shape(shape, ConfigError)
-    return size / (max(shape) + 1)

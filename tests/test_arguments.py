@@ -40,7 +40,7 @@ from cmp_cl.measure import (
 )
 from cmp_cl.media.cameras import CameraSettings, Source, is_live
 from cmp_cl.motion import PlaneScale, contact_of, displacement, filter_positions
-from cmp_cl.pattern import Checkerboard, cell_for, fitting_paper
+from cmp_cl.pattern import Checkerboard
 from cmp_cl.space import Camera, Lens, undistort
 from cmp_cl.space.exports import save_cameras, save_corners
 from cmp_cl.synthetic import (
@@ -58,7 +58,6 @@ GRID = grid_of(np.moveaxis(10.0 * np.mgrid[:5, :6], 0, -1))
 IMAGE = np.zeros((60, 70), np.uint8)
 SIZE = IMAGE.shape[::-1]
 BOARD = Path(media.__file__).parent / "data" / "board.png"
-BOARD_5X6 = Checkerboard(shape=(5, 6), cell=2.0)
 CAMERA = Camera(
     lens=Lens.PINHOLE,
     size=SIZE,
@@ -113,7 +112,6 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
         (lambda: cell_of(None), "grid", "Grid"),
         (lambda: square_sides(None), "points", "Points3D"),
         (lambda: save_figure("a.png", None), "figure", "Figure"),
-        (lambda: fitting_paper("a4", None), "board", "Checkerboard"),
         (lambda: is_live(None), "name", "str"),
         (lambda: Source(0), "name", "str"),
         (lambda: Source(str(BOARD), "a"), "settings", "CameraSettings"),
@@ -135,9 +133,6 @@ def test_an_argument_of_another_type_is_named(call, name, expected):
         (lambda: trusted(GRID, np.nan), "max_sigma must be above 0 px, not nan"),
         (lambda: refine_markers(GRID, 1, IMAGE, contrast="a"), "contrast must be a number in"),
         (lambda: refine_markers(GRID, -1, IMAGE), "a grid of (5, 6) nodes does not hold -1"),
-        (lambda: cell_for(100, None), "shape must be (rows, columns), each at least 1"),
-        (lambda: cell_for("a", (5, 6)), "size must be a positive number, not 'a'"),
-        (lambda: fitting_paper("a9", BOARD_5X6), "paper must be one of a5, a4, a3, letter, not"),
         (lambda: Checkerboard(shape=5, cell=2), "shape must be (rows, columns), each at least 1"),
         (lambda: Checkerboard(shape=(5, 6), cell=2, paper=()), "paper must be a tuple of two"),
         (
@@ -183,7 +178,6 @@ def several(views=None, sizes=None, **changed):
         (lambda: default_rig((5, 0)), "shape"),
         (lambda: save_corners("a.vnl", [GRID]), "views"),
         (lambda: save_corners("a.vnl", {"a.png": 3}), r"views\['a.png'\]"),
-        (lambda: save_corners("a.yaml", {"a.png": GRID}, spacing="a"), "spacing"),
         *(
             (lambda cameras=cameras: save_cameras("a.yaml", cameras), name)
             for cameras, name in [

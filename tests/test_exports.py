@@ -69,24 +69,10 @@ def test_a_vnl_holds_missing_nodes_and_weights(tmp_path):
     assert len(lines) == 8
 
 
-@pytest.mark.parametrize("suffix", [".yaml", ".yml"])
-def test_opencv_reads_the_corners(tmp_path, suffix):
-    path = tmp_path / f"corners{suffix}"
-    save_corners(path, corners(), spacing=2.5)
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    assert storage.getNode("spacing").real() == 2.5
-    assert storage.getNode("columns").real() == 3
-    view = storage.getNode("views").at(0)
-    assert view.getNode("name").string() == "a.png"
-    nodes, points = corners()["a.png"].to_opencv(2.5)
-    np.testing.assert_array_equal(view.getNode("object_points").mat(), nodes[:, 0])
-    np.testing.assert_array_equal(view.getNode("image_points").mat(), points[:, 0])
-
-
 def test_corners_that_a_format_cannot_hold_are_refused(tmp_path):
     path = tmp_path / "corners.vnl"
     path.write_text("old")
-    with pytest.raises(ConfigError, match=r"\.vnl, \.yaml"):
+    with pytest.raises(ConfigError, match=r"as \.vnl"):
         save_corners(tmp_path / "corners.mat", corners())
     with pytest.raises(CalibrationError, match=r"a b\.png"):
         save_corners(path, {"a b.png": corners()["a.png"]})

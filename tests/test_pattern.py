@@ -9,7 +9,7 @@ import resvg_py
 
 import cmp_cl
 from cmp_cl.cli.main import main
-from cmp_cl.pattern import Checkerboard, cell_for
+from cmp_cl.pattern import Checkerboard
 
 DPI = 254  # 10 px a mm
 PX = DPI / 25.4
@@ -79,12 +79,11 @@ def test_patterns_that_cannot_be_drawn_are_refused(wrong, says):
         Checkerboard(**{"shape": (4, 4), "cell": 4, **wrong})
 
 
-def test_the_longer_side_gives_the_cell():
-    assert cell_for(32, (30, 39)) == 0.8
-
-
 def test_the_command_writes_the_pattern_that_it_reports(tmp_path, capsys):
     out = tmp_path / "gel.svg"
     assert main(["pattern", "--grid", "20x30", "--size", "31", "--out", str(out)]) == 0
     assert "20 x 30 corners, cells of 1 mm" in capsys.readouterr().out
     assert out.read_text().count("M") == 21 * 31 // 2 + 1 + 6  # black cells, lines of two bars
+    paper = [*("--cell", "5", "--paper", "a4", "--out", str(out))]
+    assert main(["pattern", "--grid", "20x30", *paper]) == 0
+    assert "sheet of 297.0 x 210.0 mm" in capsys.readouterr().out  # turned to the longer side

@@ -111,9 +111,7 @@ def add_parser(commands: Any) -> None:
         help="where the boards were, how they were tilted, and the residuals; default: beside the "
         "calibration, if matplotlib is installed",
     )
-    output.add_argument(
-        "--corners", metavar="FILE", help="write the corners too, .vnl (mrcal), or .yaml (OpenCV)"
-    )
+    output.add_argument("--corners", metavar="VNL", help="write the corners too, for mrcal")
     add_window(parser)
     add_split(
         parser,
@@ -169,7 +167,7 @@ def run(arguments: argparse.Namespace) -> int:
         pictures = itertools.chain.from_iterable(
             zip(map(str, files[name]), boards.grids[name], strict=True) for name in files
         )
-        save_corners(arguments.corners, dict(pictures), spacing=arguments.square)
+        save_corners(arguments.corners, dict(pictures))
         written.append(Path(arguments.corners))
     try:
         save_figure(picture, calibration_figure(found, _names(files)))

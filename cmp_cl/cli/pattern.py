@@ -6,7 +6,7 @@ from typing import Any
 
 from cmp_cl.cli.arguments import grid_shape, positive_number
 from cmp_cl.cli.messages import shown
-from cmp_cl.pattern import PAPERS, Checkerboard, cell_for, fitting_paper
+from cmp_cl.pattern import PAPERS, Checkerboard
 
 
 def add_parser(commands: Any) -> None:
@@ -51,14 +51,18 @@ def add_parser(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Write the pattern that the arguments describe; return the exit status."""
     cell = arguments.cell
+    if cell is None:
+        cell = arguments.size / (max(arguments.grid) + 1)
     board = Checkerboard(
         shape=arguments.grid,
-        cell=cell_for(arguments.size, arguments.grid) if cell is None else cell,
+        cell=cell,
         border=arguments.border,
         scale_bar=not arguments.no_scale_bar,
     )
     if arguments.paper is not None:
-        board = dataclasses.replace(board, paper=fitting_paper(arguments.paper, board))
+        short, long = PAPERS[arguments.paper]
+        upright = board.size[1] >= board.size[0]
+        board = dataclasses.replace(board, paper=(short, long) if upright else (long, short))
     board.save(arguments.out, dpi=arguments.dpi)
     rows, columns = board.shape
     width, height = board.size

@@ -4,13 +4,10 @@ Pixel coordinates are OpenCV's, with (0, 0) at the centre of the first pixel.
 """
 
 import json
-import math
-from collections.abc import Callable, Mapping, Sequence
-from numbers import Real
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,52 +26,37 @@ Views = Mapping[str, Grid | None]
 # corners
 
 
-def save_corners(path: str | PathLike[str], views: Views, *, spacing: float = math.nan) -> None:
-    """Write the corners of a board in many images, by suffix, whole or not at all.
+def save_corners(path: str | PathLike[str], views: Views) -> None:
+    """Write the corners of a board in many images as mrcal's corners.vnl, whole or not at all.
 
     views: the grid, by file name of the image; None if the board is not seen. All grids have one
-    shape. spacing: side of a square, for the formats that state it.
+    shape.
 
-    A name in .vnl is mrcal's corners.vnl, `# filename x y level`, row by row, with `- -` for a
-    missing corner and for an image without the board. mrcal weights a level of n by 2^-n. The level
-    is log2(sigma / smallest sigma of all), rounded, and 0 if sigma is unknown.
+    The lines are `# filename x y level`, row by row, with `- - -` for a missing corner and for an
+    image without the board. mrcal weights a level of n by 2^-n. The level is
+    log2(sigma / smallest sigma of all), rounded, and 0 if sigma is unknown.
 
-    A name in .yaml or .yml is OpenCV's FileStorage, with `rows`, `columns`, `spacing`, and of each
-    view `name`, `object_points` (N, 3) and `image_points` (N, 2).
-
-    Raises ConfigError on another suffix or without any view, CalibrationError if shapes
-    differ or a name has white space that .vnl cannot hold, OSError.
+    Raises ConfigError on another suffix than .vnl or without any view, CalibrationError if shapes
+    differ or a name has white space, OSError.
     """
     check_corners(path)
     check_kind("views", views, Mapping, CalibrationError)
-    check_kind("spacing", spacing, Real, CalibrationError)
     for name, grid in views.items():
         check_kind("each name of views", name, str, CalibrationError)
         if grid is not None:
             check_kind(f"views[{name!r}]", grid, Grid, CalibrationError)
-    shapes = {grid.shape for grid in views.values() if grid is not None}
-    if not shapes:
-        raise ConfigError("no view shows the board: there are no corners to write")
-    if len(shapes) > 1:
-        raise CalibrationError(f"the views show boards of different shapes: {sorted(shapes)}")
-    write_text(path, _CORNER_WRITERS[suffix_of(path, ConfigError)](views, spacing))
-
-
-def check_corners(path: str | PathLike[str]) -> None:
-    """Raise ConfigError if `save_corners` does not know the suffix of a path."""
-    if suffix_of(path, ConfigError) not in _CORNER_WRITERS:
-        known = ", ".join(_CORNER_WRITERS)
-        raise ConfigError(f"{str(path)!r}: the suffix must be one of {known}")
-
-
-def _vnl(views: Views, _: float) -> str:
-    known = [g.sigma[g.valid & (g.sigma > 0)] for g in views.values() if g is not None]
-    every = np.concatenate(known)
-    smallest = float(every.min()) if len(every) else 1.0
-    lines = ["# filename x y level"]
-    for name, grid in views.items():
         if not name or any(letter.isspace() for letter in name) or name.startswith("#"):
             raise CalibrationError(f"mrcal's .vnl cannot hold the file name {name!r}")
+    grids = [grid for grid in views.values() if grid is not None]
+    if not grids:
+        raise ConfigError("no view shows the board: there are no corners to write")
+    if len({grid.shape for grid in grids}) > 1:
+        shapes = sorted({grid.shape for grid in grids})
+        raise CalibrationError(f"the views show boards of different shapes: {shapes}")
+    known = np.concatenate([grid.sigma[grid.valid & (grid.sigma > 0)] for grid in grids])
+    smallest = float(known.min()) if len(known) else 1.0
+    lines = ["# filename x y level"]
+    for name, grid in views.items():
         if grid is None:
             lines.append(f"{name} - - -")
             continue
@@ -85,34 +67,13 @@ def _vnl(views: Views, _: float) -> str:
             lines.append(
                 f"{name} - - -" if np.isnan(x) else f"{name} {x:.6f} {y:.6f} {level[node]}"
             )
-    return "\n".join(lines) + "\n"
+    write_text(path, "\n".join(lines) + "\n")
 
 
-def _opencv_corners(views: Views, spacing: float) -> str:
-    storage = new_storage()
-    seen = {name: grid for name, grid in views.items() if grid is not None}
-    rows, columns = next(iter(seen.values())).shape
-    storage.write("rows", rows)
-    storage.write("columns", columns)
-    side = spacing if spacing > 0 else 1.0
-    storage.write("spacing", side)
-    storage.startWriteStruct("views", cv2.FILE_NODE_SEQ)
-    for name, grid in seen.items():
-        nodes, points = grid.to_opencv(side)
-        storage.startWriteStruct("", cv2.FILE_NODE_MAP)
-        storage.write("name", name)
-        storage.write("object_points", nodes.reshape(-1, 3))
-        storage.write("image_points", points.reshape(-1, 2))
-        storage.endWriteStruct()
-    storage.endWriteStruct()
-    return yaml_text(storage)
-
-
-_CORNER_WRITERS: dict[str, Callable[[Views, float], str]] = {
-    ".vnl": _vnl,
-    ".yaml": _opencv_corners,
-    ".yml": _opencv_corners,
-}
+def check_corners(path: str | PathLike[str]) -> None:
+    """Raise ConfigError if the suffix of a path is not that of `save_corners`."""
+    if suffix_of(path, ConfigError) != ".vnl":
+        raise ConfigError(f"{str(path)!r}: corners are written as .vnl, for mrcal")
 
 
 # cameras
