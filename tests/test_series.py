@@ -23,7 +23,6 @@ import numpy as np
 import pytest
 from cases import some
 from children import ENVIRONMENT, python
-from disks import full_after
 
 from cmp_cl import SeriesWriter
 from cmp_cl.errors import ConfigError, FieldError
@@ -268,15 +267,6 @@ def test_an_older_file_is_replaced_at_the_end_and_gives_its_mode(tmp_path, suffi
     assert os.name == "nt" or path.stat().st_mode & 0o777 == 0o600
 
 
-@pytest.mark.parametrize("suffix", READABLE)
-def test_a_series_without_frames_is_a_file_too(tmp_path, suffix):
-    with SeriesWriter(tmp_path / f"none{suffix}", unit="mm"):
-        pass
-    if suffix == ".npz":
-        assert read_series(tmp_path / "none.npz")["index"].shape == (0,)
-    assert len(list(tmp_path.iterdir())) == 1
-
-
 def test_memory_does_not_grow_with_the_recording(tmp_path):
     values = np.zeros((100, 100, 3))
     tracemalloc.start()
@@ -376,32 +366,6 @@ def test_a_full_disk_is_reported_and_keeps_all_frames_up_to_then(tmp_path, suffi
     assert found == list(range(len(found)))
     assert int(told[-1]) <= len(found) <= int(told[-1]) + (suffix == ".mcap")
     assert int(used.split()[0]) > kilobytes - 400
-
-
-@pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
-@pytest.mark.parametrize("suffix", [".npz", ".csv", ".pvd"])
-def test_a_frame_that_the_disk_refuses_leaves_no_trace(tmp_path, suffix):
-    path, flat = tmp_path / f"a{suffix}", np.indices((2, 2)).T
-
-    def fill(series):
-        while True:
-            number = len(series)
-            series.append(index=number, time_ms=number, xy=flat + float(number))
-
-    with SeriesWriter(path, rest=flat) as series:
-        with full_after(4000), pytest.raises(OSError, match="File too large"):
-            fill(series)
-        added = len(series)
-        part = tmp_path / f"a{suffix}.part"
-        if suffix == ".pvd":
-            assert len(xml.etree.ElementTree.parse(part).findall(".//DataSet")) == added
-        if suffix == ".csv":
-            assert part.read_text().count("\n") == 1 + 4 * added
-        if suffix == ".npz":
-            assert read_series(part)["xy"][:, 0, 0, 0].tolist() == list(range(added))
-        series.append(index=added, time_ms=added, xy=flat + float(added))
-        assert len(series) == added + 1
-    assert path.exists()
 
 
 # damage and lies

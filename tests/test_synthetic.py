@@ -9,8 +9,7 @@ import pytest
 
 from cmp_cl import synthetic
 from cmp_cl.errors import ConfigError
-from cmp_cl.synthetic import Indenter, Mode, Scene, Surround, rendering
-from cmp_cl.synthetic.material import SAMPLES
+from cmp_cl.synthetic import Indenter, Mode, Scene, Surround
 from cmp_cl.synthetic.surface import surface
 
 PRESSED = [kind for kind in Indenter if kind is not Indenter.NONE]
@@ -36,44 +35,27 @@ def saddles(image, points):
     return np.array(found)
 
 
-def test_markers_counts_the_inner_corners_along_a_side():
-    rendered = synthetic.render(Scene(markers=44))
-    assert rendered.image.shape == (480, 640)
-    assert rendered.image.dtype == np.uint8
-    assert rendered.truth.shape == (44, 44, 2)
-    assert rendered.truth.dtype == np.float64
-    assert rendered.junctions.shape == (4 * 45, 2)
-    assert 9 < rendered.cell < 11
-
-
-def test_the_same_seed_gives_the_same_bytes_and_another_does_not():
+def test_the_same_seed_gives_the_same_bytes_and_another_tears_elsewhere():
     scene = synthetic.random_scene(7, markers=20, shape=(160, 200))
     first = synthetic.render(scene)
     again = synthetic.render(synthetic.random_scene(7, markers=20, shape=(160, 200)))
-    other = synthetic.render(dataclasses.replace(scene, seed=8))
+    other = synthetic.render(dataclasses.replace(scene, seed=8, noise=0.0))
     assert first.image.tobytes() == again.image.tobytes()
-    assert first.truth.tobytes() == again.truth.tobytes()
-    assert first.image.tobytes() != other.image.tobytes()
-    assert first.truth.tobytes() == other.truth.tobytes()
-
-
-def test_the_seed_decides_where_the_print_is_torn():
-    quiet = Scene(markers=20, shape=(160, 160), noise=0.0, light=0.0)
-    image, other = (
-        synthetic.render(dataclasses.replace(quiet, seed=seed)).image.astype(int) for seed in (0, 1)
-    )
-    assert np.abs(image - other).max() > 20
+    assert first.truth.tobytes() == again.truth.tobytes() == other.truth.tobytes()
+    assert np.abs(first.image.astype(int) - other.image).max() > 20
 
 
 @pytest.mark.parametrize("markers", [20, 44])
 @pytest.mark.parametrize(
-    ("indenter", "mode"), [(Indenter.BALL, Mode.TWIST), (Indenter.CUBE, Mode.SHEAR)]
+    ("indenter", "mode", "severity"),
+    [(Indenter.BALL, Mode.TWIST, 0.5), (Indenter.CUBE, Mode.SHEAR, 0.5)],
 )
-def test_truth_is_where_the_clean_image_shows_a_corner(markers, indenter, mode):
+def test_truth_is_where_the_clean_image_shows_a_corner(markers, indenter, mode, severity):
     scene = Scene(
-        markers=markers, indenter=indenter, mode=mode, severity=0.5, direction=0.4, **CLEAN
+        markers=markers, indenter=indenter, mode=mode, severity=severity, direction=0.4, **CLEAN
     )
     rendered = synthetic.render(scene)
+    assert rendered.truth.shape == (markers, markers, 2)
     truth = rendered.truth[1:-1:3, 1:-1:3].reshape(-1, 2)
     shown = saddles(rendered.image, truth)
     error = np.linalg.norm(shown - truth, axis=1)
@@ -82,80 +64,43 @@ def test_truth_is_where_the_clean_image_shows_a_corner(markers, indenter, mode):
     assert np.abs((shown - truth).mean(axis=0)).max() < 0.005
 
 
-@pytest.mark.parametrize("severity", [0.0, 1.5, 2.0])
-def test_each_pixel_shows_the_material_point_that_projects_to_it(severity, monkeypatch):
-    seen = {}
-    inverse = rendering._inverse
-
-    def keep(scene, forward):
-        seen["forward"], seen["points"] = forward, inverse(scene, forward)
-        return seen["points"]
-
-    monkeypatch.setattr(rendering, "_inverse", keep)
-    shape = (240, 320)
-    synthetic.render(
-        Scene(shape=shape, indenter=Indenter.TORUS, severity=severity, tilt=(0.05, -0.03))
-    )
-    fine = rendering._supersample(seen["points"], shape).astype(np.float64)
-    samples = SAMPLES
-    y, x = np.mgrid[: shape[0] * samples, : shape[1] * samples]
-    pixels = (np.stack([x, y], axis=-1) + 0.5) / samples - 0.5
-    assert np.abs(seen["forward"](fine) - pixels).max() < 0.01
-
-
 @pytest.mark.parametrize("mode", Mode)
 @pytest.mark.parametrize("indenter", PRESSED)
-def test_the_pattern_stays_in_the_image_and_does_not_fold(indenter, mode):
+def test_a_pattern_stays_in_the_image_unfolded_and_moves_with_severity(indenter, mode):
     scene = synthetic.random_scene(
-        3, markers=40, severity=1.5, indenter=indenter, mode=mode, shape=(240, 320)
+        3, markers=20, severity=1.5, indenter=indenter, mode=mode, shape=(120, 160), corrosion=0.0
     )
     rendered = synthetic.render(scene)
     assert rendered.junctions.min() > 0
-    assert (rendered.junctions < [319, 239]).all()
+    assert (rendered.junctions < [159, 119]).all()
     down, across = np.diff(rendered.truth, axis=0)[:, :-1], np.diff(rendered.truth, axis=1)[:-1]
     area = across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0]
     assert area.min() > 0.3 * rendered.cell**2
     assert area.max() < 4 * rendered.cell**2
-
-
-@pytest.mark.parametrize("mode", Mode)
-@pytest.mark.parametrize("indenter", PRESSED)
-def test_displacement_grows_with_severity(indenter, mode):
-    scene = Scene(
-        markers=20, indenter=indenter, mode=mode, direction=0.3, shape=(120, 160), corrosion=0.0
-    )
-    rest = synthetic.render(scene.at_rest()).truth
     moved = [
-        np.linalg.norm(
-            synthetic.render(dataclasses.replace(scene, severity=severity)).truth - rest, axis=-1
-        ).max()
-        for severity in (0.0, 0.25, 0.5, 1.0, 1.5)
+        synthetic.render(dataclasses.replace(scene, severity=severity)).truth
+        for severity in (0.0, 0.25, 0.75)
     ]
-    assert moved[0] == 0
-    assert (np.diff(moved) > 0.1).all()
+    largest = [np.linalg.norm(each - moved[0], axis=-1).max() for each in (*moved, rendered.truth)]
+    assert largest[0] == 0
+    assert (np.diff(largest) > 0.1).all()
 
 
 def test_severity_one_is_a_press_of_2_mm_a_shear_of_1_2_mm_or_a_twist_of_20_degrees():
-    middle = np.zeros((1, 2))
-    press = surface(Scene(indenter=Indenter.CUBE), middle)[0]
-    np.testing.assert_allclose(press, [0, 0, -2], atol=1e-9)
-    shear = surface(Scene(indenter=Indenter.CUBE, mode=Mode.SHEAR, direction=math.pi / 2), middle)[
-        0
-    ]
-    np.testing.assert_allclose(shear, [0, 1.2, -1], atol=1e-9)
-    near = np.array([[0.1, 0.0]])
-    twist = surface(Scene(indenter=Indenter.CUBE, mode=Mode.TWIST), near)[0]
+    cube = Scene(indenter=Indenter.CUBE)
+    middle, near = np.zeros((1, 2)), np.array([[0.1, 0.0]])
+    np.testing.assert_allclose(surface(cube, middle)[0], [0, 0, -2], atol=1e-9)
+    shear = dataclasses.replace(cube, mode=Mode.SHEAR, direction=math.pi / 2)
+    np.testing.assert_allclose(surface(shear, middle)[0], [0, 1.2, -1], atol=1e-9)
+    twist = surface(dataclasses.replace(cube, mode=Mode.TWIST), near)[0]
     assert math.degrees(math.atan2(twist[1], twist[0])) == pytest.approx(20, abs=0.01)
 
 
 def test_junctions_lie_on_the_sides_of_the_pattern_one_cell_from_the_nodes():
     rendered = synthetic.render(Scene(markers=20, indenter=Indenter.NONE, surround=Surround.WHITE))
     cell = 0.92 * 480 / 21
-    half = 0.92 * 480 / 2
     off = np.abs(rendered.junctions - [319.5, 239.5])
-    np.testing.assert_allclose(off.max(axis=1), half, atol=1e-6)
-    steps = (off.min(axis=1) + half) / cell
-    np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
+    np.testing.assert_allclose(off.max(axis=1), 0.92 * 480 / 2, atol=1e-6)
     gaps = np.linalg.norm(rendered.junctions[:, None] - rendered.truth.reshape(-1, 2), axis=2)
     assert gaps.min() == pytest.approx(cell)
     assert len(np.unique(rendered.junctions.round(3), axis=0)) == 84
@@ -170,75 +115,41 @@ def pair():
     return scene, rig, synthetic.render_stereo(scene, rig)
 
 
-def test_points_in_space_project_to_the_truth_of_both_views(pair):
-    _, rig, (left, right, xyz) = pair
-    flat = xyz.reshape(-1, 3)
-    cameras = [
+def test_points_in_space_project_to_the_truth_and_both_images_show_them(pair):
+    scene, rig, (left, right, xyz) = pair
+    for view, R, T, matrix, distortion in (
         (left, np.eye(3), np.zeros(3), rig.K1, rig.D1),
         (right, rig.R, rig.T, rig.K2, rig.D2),
-    ]
-    for view, R, T, matrix, distortion in cameras:
-        seen = cv2.projectPoints(flat, cv2.Rodrigues(R)[0], T, matrix, distortion)[0]
+    ):
+        rotation = cv2.Rodrigues(R)[0]
+        seen = cv2.projectPoints(xyz.reshape(-1, 3), rotation, T, matrix, distortion)[0]
         np.testing.assert_allclose(seen.reshape(view.truth.shape), view.truth, atol=1e-9)
         assert view.truth.min() > 0
         assert (view.truth < [399, 599]).all()
-
-
-def test_both_images_show_the_corners_of_the_rig_with_distortion(pair):
-    scene, rig, _ = pair
     clean = dataclasses.replace(scene, severity=0.5, **CLEAN)
     for view in synthetic.render_stereo(clean, rig)[:2]:
         truth = view.truth[1:-1:4, 1:-1:4].reshape(-1, 2)
         error = np.linalg.norm(saddles(view.image, truth) - truth, axis=1)
         assert np.median(error) < 0.03
         assert error.max() < 0.15
+    frame = synthetic.binocular_frame(left, right)
+    np.testing.assert_array_equal(frame, np.hstack([left.image, right.image]))
 
 
-def test_the_gel_at_rest_is_a_flat_sheet_of_the_stated_size(pair):
-    scene, rig, (_, _, xyz) = pair
+def test_the_gel_at_rest_is_a_flat_sheet_of_the_stated_size_in_front_of_the_cameras(pair):
+    scene, rig, _ = pair
     rest = synthetic.render_stereo(scene.at_rest(), rig)[2]
-    pitch = 32 / 21
     for axis in (0, 1):
-        np.testing.assert_allclose(np.linalg.norm(np.diff(rest, axis=axis), axis=-1), pitch)
-    depth = np.linalg.norm(xyz - rest, axis=-1).max()
-    assert 0.8 < depth < 8
-
-
-def test_parallel_cameras_see_the_gel_in_front_of_them():
+        np.testing.assert_allclose(np.linalg.norm(np.diff(rest, axis=axis), axis=-1), 32 / 21)
     matrix = np.array([[500.0, 0, 249.5], [0, 500, 199.5], [0, 0, 1]])
-    rig = synthetic.Cameras(
+    parallel = synthetic.Cameras(
         matrix, np.zeros(5), matrix, np.zeros(5), np.eye(3), np.array([-6.0, 0, 0])
     )
-    scene = Scene(markers=10, shape=(400, 500), indenter=Indenter.NONE)
-    left, right, xyz = synthetic.render_stereo(scene, rig)
+    flat = Scene(markers=10, shape=(400, 500), indenter=Indenter.NONE)
+    left, right, xyz = synthetic.render_stereo(flat, parallel)
     np.testing.assert_allclose(xyz.mean(axis=(0, 1)), [3, 0, 45], atol=1e-9)
     disparity = left.truth - right.truth
-    np.testing.assert_allclose(disparity[..., 0], 500 * 6 / 45, atol=1e-9)
-    np.testing.assert_allclose(disparity[..., 1], 0, atol=1e-9)
-
-
-def test_a_binocular_frame_holds_the_left_view_beside_the_right(pair):
-    left, right, _ = pair[2]
-    frame = synthetic.binocular_frame(left, right)
-    assert frame.shape == (600, 800)
-    np.testing.assert_array_equal(frame[:, :400], left.image)
-    np.testing.assert_array_equal(frame[:, 400:], right.image)
-
-
-def test_the_default_rig_fills_a_frame_of_1600_by_1200():
-    scene = Scene(markers=40, shape=(1200, 800), severity=0.0, corrosion=0.0)
-    left, right, _ = synthetic.render_stereo(scene, synthetic.default_rig())
-    assert synthetic.binocular_frame(left, right).shape == (1200, 1600)
-    assert 16 < left.cell < 20
-    for view in (left, right):
-        assert view.junctions.min() > 0
-        assert (view.junctions < [799, 1199]).all()
-
-
-def test_a_distortion_that_cannot_be_rendered_is_named():
-    rig = synthetic.default_rig((600, 400))._replace(D1=np.array([0, 0, 0, 0, 0, 0.1, 0, 0]))
-    with pytest.raises(ConfigError, match="k1 k2 p1 p2 k3"):
-        synthetic.render_stereo(Scene(markers=5, shape=(600, 400)), rig)
+    np.testing.assert_allclose(disparity - [500 * 6 / 45, 0], 0, atol=1e-9)
 
 
 CHANGES = {
@@ -265,18 +176,13 @@ CHANGES = {
 }
 
 
-@pytest.fixture(scope="session")
-def cube():
-    """Return a scene and its image."""
+def test_each_field_changes_the_image():
     scene = Scene(markers=20, shape=(120, 160), indenter=Indenter.CUBE)
-    return scene, synthetic.render(scene).image
-
-
-@pytest.mark.parametrize("field", [field.name for field in dataclasses.fields(Scene)])
-def test_each_field_changes_the_image(cube, field):
-    scene, image = cube
-    changed = synthetic.render(dataclasses.replace(scene, **{field: CHANGES[field]})).image
-    assert image.shape != changed.shape or (image != changed).any()
+    image = synthetic.render(scene).image
+    assert CHANGES.keys() == {field.name for field in dataclasses.fields(Scene)}
+    for name, value in CHANGES.items():
+        changed = synthetic.render(dataclasses.replace(scene, **{name: value})).image
+        assert image.shape != changed.shape or (image != changed).any(), name
 
 
 def test_a_twelve_bit_image_has_the_levels_of_a_twelve_bit_camera():
@@ -305,20 +211,12 @@ def test_wear_grows_with_the_strain():
 @pytest.mark.parametrize(
     ("field", "value", "words"),
     [
-        ("markers", 2, r"integer in \[3, 100\], not 2"),
         ("markers", 20.0, r"integer in \[3, 100\], not 20.0"),
-        ("severity", 2.1, r"number in \[0, 2\], not 2.1"),
         ("severity", math.nan, r"number in \[0, 2\], not nan"),
-        ("severity", "1", r"number in \[0, 2\], not '1'"),
-        ("noise", -1.0, r"\[0, 100\], not -1.0"),
         ("blur", True, r"\[0, 10\], not True"),
-        ("shape", (480,), r"two .*\[64, 8192\], not \(480,\)"),
         ("shape", (480, 63), r"\[64, 8192\], not 63"),
         ("contact", [0.0, 0.0], r"tuple of two"),
-        ("tilt", (0.0, 0.6), r"\[-0.5, 0.5\], not 0.6"),
-        ("indenter", "ball", "Indenter.BALL"),
         ("mode", Indenter.BALL, "Mode.PRESS"),
-        ("surround", 0, "Surround.WHITE"),
         ("bits", 10, "8 or 12, not 10"),
         ("seed", -1, r"integer in \[0, .*\], not -1"),
     ],
@@ -326,3 +224,9 @@ def test_wear_grows_with_the_strain():
 def test_a_wrong_field_is_named_with_its_value_and_range(field, value, words):
     with pytest.raises(ConfigError, match=rf"Scene\.{field} .*{words}"):
         Scene(**{field: value})
+
+
+def test_a_distortion_that_cannot_be_rendered_is_named():
+    rig = synthetic.default_rig((600, 400))._replace(D1=np.array([0, 0, 0, 0, 0, 0.1, 0, 0]))
+    with pytest.raises(ConfigError, match="k1 k2 p1 p2 k3"):
+        synthetic.render_stereo(Scene(markers=5, shape=(600, 400)), rig)
