@@ -21,7 +21,7 @@ import numpy as np
 from environment import parser_of, write_table
 
 from cmp_cl import Grid, NodeStatus, StereoRig, Window, build_grid, calibrate, detect, displacement
-from cmp_cl.space import calibrate_window
+from cmp_cl.space import Bias, calibrate_window
 from cmp_cl.synthetic import Scene, default_rig, render_stereo
 from cmp_cl.synthetic.camera import PinholeCamera, Pose, facing_both
 from cmp_cl.synthetic.surface import nodes_at_rest, surface
@@ -155,7 +155,8 @@ def drawn(*, quick: bool) -> Iterator[Row]:
             "gel_mm": gel,
             "index": 1.41,
             "error_um": 1e3 * float(abs(off[deepest])),
-            "sigma_um": 1e3 * float(fitted.bias_sigma(field)[deepest]),
+            "sigma_um": 1e3
+            * float(Bias(fitted, field.position).sigma(field.displacement)[deepest]),
         }
 
 

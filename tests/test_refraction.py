@@ -9,7 +9,7 @@ from stereo_data import grid_of
 
 from cmp_cl import CalibrationError, StereoRig, Window
 from cmp_cl.motion import displacement
-from cmp_cl.space import calibrate_window
+from cmp_cl.space import Bias, calibrate_window
 from cmp_cl.synthetic import default_rig
 
 PITCH = 0.8  # mm
@@ -98,7 +98,7 @@ def test_a_press_is_right_to_a_percent_and_its_bias_sigma_covers_it():
         )
         off = (field.displacement + NORMAL) @ NORMAL
         assert np.abs(off).max() < 0.01
-        covered.append(np.abs(off) < 1.96 * found.bias_sigma(field))
+        covered.append(np.abs(off) < 1.96 * Bias(found, field.position).sigma(field.displacement))
     assert np.mean(covered) > 0.9
     assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.4
 

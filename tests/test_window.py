@@ -13,7 +13,7 @@ from stereo_data import gel, grid_of, toed_in_rig
 from cmp_cl import CalibrationError, StereoRig, Window, build_grid, detect
 from cmp_cl.motion import displacement
 from cmp_cl.reference import space as oracle
-from cmp_cl.space import PointStatus, undistort
+from cmp_cl.space import Bias, PointStatus, undistort
 from cmp_cl.synthetic import Scene, default_rig, render_stereo
 
 GEL = Window((0.02, -0.03, 1.0), 20.0, ((5.0, 1.49),), 1.41)
@@ -203,7 +203,8 @@ def test_the_bias_of_a_field_is_what_an_error_of_the_rig_does_to_it():
         )
         moved = displacement(*(wrong.triangulate(*pair) for pair in views), raw=True)
         off = np.linalg.norm(moved.displacement - right.displacement, axis=2)
-        stated = dataclasses.replace(rig, covariance=np.outer(error, error)).bias_sigma(right)
+        known = dataclasses.replace(rig, covariance=np.outer(error, error))
+        stated = Bias(known, right.position).sigma(right.displacement)
         np.testing.assert_allclose(stated, off, rtol=0.1, atol=2e-5)
 
 

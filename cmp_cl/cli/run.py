@@ -150,7 +150,7 @@ class _Settings:
         views = ("xy",) if self.rig is None else ("left", "right")
         pixels = [view + when for view in views for when in ("", "_rest")]
         units = {
-            **dict.fromkeys(lengths, unit),
+            **dict.fromkeys([*lengths, "bias_sigma"], unit),
             **dict.fromkeys(pixels, "px"),
             **derived.units(unit),
         }

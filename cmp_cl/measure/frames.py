@@ -29,7 +29,7 @@ from cmp_cl.motion.plan import FieldPlan
 from cmp_cl.motion.track import Tracker, can_track, differing
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.opencl.program import programs_of
-from cmp_cl.space import BinocularSplit, Points3D, PointStatus, StereoRig
+from cmp_cl.space import Bias, BinocularSplit, Points3D, PointStatus, StereoRig
 from cmp_cl.stages.plan import Plan
 
 AUDITED = 256  # tracked frames, of which the last is numbered anew too
@@ -50,6 +50,7 @@ class Measured:
     views, corners: of the one view, or of the left and of the right one.
     number: returns their grids, see `grids`.
     rig: the cameras of two views; None from one view.
+    bias: of the rig, where it has a window and a covariance.
     tracked: whether its nodes have their numbers from the frame before.
     differing: the nodes for which tracking had another corner than the numbers that were found
         anew, which hold; 0 where none were looked for.
@@ -61,6 +62,7 @@ class Measured:
     corners: tuple[Corners, ...]
     number: Callable[[], tuple[Grid, ...]]
     rig: StereoRig | None = None
+    bias: Bias | None = None
     tracked: bool = False
     differing: int = 0
 
@@ -74,6 +76,12 @@ class Measured:
         """Return the positions of the nodes now, in space, triangulated when they are asked for;
         None from one view."""
         return None if self.rig is None else self.rig.triangulate(*self.grids)
+
+    @property
+    def bias_sigma(self) -> NDArray[np.float64] | None:
+        """Return the standard deviation of the displacement by the error of the rig, (R, C), see
+        `cmp_cl.space.Bias`; None without a bias."""
+        return None if self.bias is None else self.bias.sigma(self.field.displacement)
 
     @property
     def nodes(self) -> int:
@@ -92,8 +100,8 @@ class Measured:
 
         displacement, sigma, status and source of the field; raw_displacement and raw_sigma before
         the lattice filter, if it is on; its strain, if it has one, see
-        `DisplacementField.strains`; and the detected positions, (R, C, 2) float32, px: xy of one
-        view, left and right of two.
+        `DisplacementField.strains`; bias_sigma, if there is one; and the detected positions,
+        (R, C, 2) float32, px: xy of one view, left and right of two.
         """
         field = self.field
         arrays: dict[str, NDArray[Any]] = {
@@ -105,6 +113,8 @@ class Measured:
         }
         if field.raw is not None:
             arrays |= {"raw_displacement": field.raw.displacement, "raw_sigma": field.raw.sigma}
+        if self.bias is not None:
+            arrays["bias_sigma"] = self.bias.sigma(field.displacement)
         names = ("xy",) if len(self.grids) == 1 else ("left", "right")
         return arrays | {name: grid.xy for name, grid in zip(names, self.grids, strict=True)}
 
@@ -157,6 +167,7 @@ class Measurement(Closing):
     _plan: FieldPlan | None = None
     _tracker: Tracker | None = None
     _rig: StereoRig | None = None
+    _bias: Bias | None = None
 
     def __init__(self, *, raw: bool, strain: bool) -> None:
         self.tally = Tally()
@@ -335,6 +346,7 @@ class Measurement(Closing):
             corners=settled.corners,
             number=settled.number,
             rig=self._rig,
+            bias=self._bias,
             tracked=settled.tracked,
             differing=settled.differing,
         )
@@ -492,6 +504,8 @@ class TwoViews(Measurement):
             if fits(rig):
                 geometry = InSpace(rig, [view.rest.edge_radius for view in self._views.views])
                 self._plan_for(search.device, Moment.in_space(self.rest), geometry)
+        if rig.window is not None and rig.covariance is not None:
+            self._bias = Bias(rig, self.rest.xyz)
         self.unit = rig.unit
         self.nodes = self.rest.status.size
         still = displacement(self.rest, self.rest, raw=raw)

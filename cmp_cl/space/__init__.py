@@ -1,6 +1,7 @@
 """Two views of one pattern: calibration, and points in space."""
 
 from cmp_cl.points import Points3D, PointStatus
+from cmp_cl.space.bias import Bias
 from cmp_cl.space.calibration import Calibration, Camera, MisfitError, calibrate
 from cmp_cl.space.lens import Lens
 from cmp_cl.space.refraction import calibrate_window
@@ -10,6 +11,7 @@ from cmp_cl.space.triangulation import triangulate_points, undistort
 from cmp_cl.space.window import Window
 
 __all__ = [
+    "Bias",
     "BinocularSplit",
     "Calibration",
     "Camera",

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError, FieldError, as_numbers, check_kind
-from cmp_cl.field import DisplacementField
 from cmp_cl.files import write_text
 from cmp_cl.filter import bend_shift
 from cmp_cl.grid.grid import Grid, NodeStatus
-from cmp_cl.points import Points3D, PointStatus, largest_deviation
+from cmp_cl.points import Points3D, PointStatus
 from cmp_cl.space.lens import (
     ESTIMATED,
     POSE,
@@ -39,7 +38,6 @@ from cmp_cl.space.storage import (
 from cmp_cl.space.triangulation import (
     between,
     inverse_symmetric,
-    points_by_image,
     rays_through,
     triangulate_points,
     undistort,
@@ -339,25 +337,6 @@ class StereoRig:
         seen = self._projected(points, by_rig=False)[0]
         return seen[:, :2], seen[:, 2:]
 
-    def bias_sigma(self, field: DisplacementField) -> Array:
-        """Return the standard deviation of a displacement by the error of the rig, (R, C).
-
-        It is along the most uncertain axis, in `unit`, from `covariance`. All nodes and frames
-        share this error; `DisplacementField.sigma` is their noise. NaN where a node is not valid,
-        or the covariance is unknown.
-
-        Raises FieldError if field is of another type, or not in space.
-        """
-        check_kind("field", field, DisplacementField, FieldError)
-        if field.position.shape[2] != 3:
-            raise FieldError("a rig has an error in space only; this field is in a plane")
-        if self.covariance is None:
-            return np.full(field.valid.shape, np.nan)
-        at_rest = field.position[field.valid]
-        change = self._by_rig(at_rest + field.displacement[field.valid]) - self._by_rig(at_rest)
-        shared = change @ self.covariance @ change.transpose(0, 2, 1)
-        return spread(field.valid, largest_deviation(shared))
-
     def slopes(self, xyz: Array) -> tuple[Array, Array]:
         """Return the derivatives of the pixels of both views, left and right.
 
@@ -365,12 +344,6 @@ class StereoRig:
         `covariance`, (N, 4, P), px.
         """
         return self._projected(xyz, by_rig=True)[1:]
-
-    def _by_rig(self, xyz: Array) -> Array:
-        """Return the derivatives of points (N, 3) by the parameters of `covariance`, (N, 3, P), at
-        fixed positions in the image."""
-        jacobian, by_rig = self.slopes(xyz)
-        return -points_by_image(jacobian) @ by_rig
 
     def _projected(self, xyz: Array, *, by_rig: bool) -> tuple[Array, Array, Array]:
         """Project points into both cameras.

@@ -64,11 +64,13 @@ def test_a_press_behind_a_window_is_measured_with_the_rig_that_calibrate_writes(
     assert measured[0] == 0
     assert "as in air" not in measured[1]
     with np.load("press.npz") as series:
-        moved = series["displacement"][1]
+        moved, bias = series["displacement"][1], series["bias_sigma"]
     true = frames["press.png"][1] - frames["rest.png"][1]
     assert np.nanmax(np.linalg.norm(moved, axis=2)) == pytest.approx(
         np.linalg.norm(true, axis=2).max(), rel=0.02
     )
+    assert 0 < bias[1].max() < 0.02
+    assert bias[0].max() < 1e-3 * bias[1].max()
     beyond = dataclasses.replace(rig, window=dataclasses.replace(rig.window, distance=60.0))
     beyond.save("beyond.yaml")
     lost = run("run", "both", "--stereo", "beyond.yaml", "--grid", "20x20", "--out", "no.npz")

@@ -1,0 +1,62 @@
+"""What the error of a rig does to the displacements of points: one error, shared by all of them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import FieldError, check_kind
+from cmp_cl.points import largest_deviation
+from cmp_cl.space.rig import StereoRig
+from cmp_cl.space.triangulation import points_by_image
+
+Array = NDArray[np.float64]
+
+_STEP = 1e-3  # of the differences, share of the distance of the points
+
+
+class Bias:
+    """The standard deviation of displacements by the error of a rig, from its `covariance`.
+
+    rig: with a covariance. rest: the points from which they are, (R, C, 3), NaN where missing.
+
+    Raises FieldError if rig is of another type, or has no covariance.
+
+    With points x(p) at fixed positions in the image and parameters p of the covariance P, a
+    displacement u is off by G u dp, G the derivatives of dx/dp by x. So its covariance is quadratic
+    in u, (G u) P (G u)^T; its coefficients are computed once.
+    """
+
+    def __init__(self, rig: StereoRig, rest: Array) -> None:
+        check_kind("rig", rig, StereoRig, FieldError)
+        if rig.covariance is None:
+            raise FieldError("the rig has no covariance; calibrate it")
+        self._shape, flat = rest.shape, np.asarray(rest, np.float64).reshape(-1, 3)
+        step = _STEP * float(np.nanmedian(np.linalg.norm(flat, axis=1)))
+        by_axis = [
+            (_by_rig(rig, flat + way) - _by_rig(rig, flat - way)) / (2 * step)
+            for way in step * np.eye(3)
+        ]
+        change = np.stack(by_axis, axis=1).reshape(len(flat), 9, -1)
+        # (N, 3, 3, 3, 3): axes of the two displacements and of the covariance, in turns
+        self._form = (change @ rig.covariance @ change.transpose(0, 2, 1)).reshape(-1, 3, 3, 3, 3)
+
+    def sigma(self, displacement: Array) -> Array:
+        """Return it along the most uncertain axis, (R, C), NaN where unknown.
+
+        displacement: (R, C, 3), in the unit of the rig. All nodes and frames share this error; it
+        is no noise, and does not average out.
+        """
+        u = np.asarray(displacement, np.float64)
+        if u.shape != self._shape:
+            raise FieldError(f"displacement must be {self._shape}, not {u.shape}")
+        flat = u.reshape(-1, 3)
+        half = np.einsum("njakb,nj->nakb", self._form, flat)
+        covariance = np.einsum("nakb,nk->nab", half, flat)
+        return largest_deviation(covariance).reshape(self._shape[:2])
+
+
+def _by_rig(rig: StereoRig, xyz: Array) -> Array:
+    """Return the derivatives of points (N, 3) by the parameters of the rig, (N, 3, P), at fixed
+    positions in the image."""
+    by_point, by_rig = rig.slopes(xyz)
+    found: Array = -points_by_image(by_point) @ by_rig
+    return found
