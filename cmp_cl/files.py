@@ -198,7 +198,10 @@ def read_toml(path: str | PathLike[str]) -> dict[str, Any]:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError("it is not text in UTF-8") from error
-    return tomllib.loads(text.replace("\r\n", "\n"))
+    try:
+        return tomllib.loads(text.replace("\r\n", "\n"))
+    except RecursionError as error:
+        raise ValueError("nested too deep, no settings") from error
 
 
 def read_npz(

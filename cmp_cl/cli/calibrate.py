@@ -91,12 +91,6 @@ def add_parser(commands: Any) -> None:
         help="find the nodes of the board too, for a print that is bent or not exact; at least "
         "four views of a board whose rows and columns add up to an odd number, such as 9x6",
     )
-    parser.add_argument(
-        "--lens",
-        choices=[lens.value for lens in Lens],
-        default=Lens.PINHOLE.value,
-        help="model of the lenses; default: pinhole; rational and fisheye are for wide ones",
-    )
     output = parser.add_argument_group("output")
     output.add_argument(
         "--out",
@@ -113,18 +107,25 @@ def add_parser(commands: Any) -> None:
     )
     output.add_argument("--corners", metavar="VNL", help="write the corners too, for mrcal")
     add_window(parser)
+    rare = parser.add_argument_group("rarely needed")
+    rare.add_argument(
+        "--lens",
+        choices=[lens.value for lens in Lens],
+        default=Lens.PINHOLE.value,
+        help="model of the lenses; default: pinhole; rational and fisheye are for wide ones",
+    )
     add_split(
-        parser,
+        rare,
         help_="where the views are in a frame that shows both: halves (the default), or "
         "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, px",
     )
     add_region(
-        parser,
+        rare,
         help_="which of several patterns to use: X,Y,WIDTH,HEIGHT, px, and after a colon that in "
         "the view of the second camera; corners outside are left out in all views",
     )
-    add_full_scale(parser)
-    add_device(parser)
+    add_full_scale(rare)
+    add_device(rare)
     parser.set_defaults(run=run)
 
 

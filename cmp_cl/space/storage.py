@@ -1,4 +1,4 @@
-"""Files of OpenCV's FileStorage: read with limits on their size and nesting, written to memory."""
+"""Files of OpenCV's FileStorage: read with a limit on their size, written to memory."""
 
 import re
 from collections.abc import Iterable
@@ -15,8 +15,6 @@ from cmp_cl.space.window import Window
 
 _MAX_FILE = 1 << 20  # bytes
 _MAX_NUMBERS = 676  # entries of the largest matrix, a covariance of 26 parameters
-_MOST_NESTED = 4000  # OpenCV's parsers recurse, and overflow the stack from some 20 000 levels on
-_OPENING = (b"[", b"{", b"<", b"- ", b"-\t", b"-\n")
 
 
 def open_storage(path: str | PathLike[str], keys: Iterable[str] = ()) -> cv2.FileStorage:
@@ -31,7 +29,6 @@ def open_storage(path: str | PathLike[str], keys: Iterable[str] = ()) -> cv2.Fil
             data = file.read(_MAX_FILE + 1)
         if len(data) > _MAX_FILE:
             raise CalibrationError(f"{path}: over {_MAX_FILE} bytes, no calibration file")
-        check_nesting(data, path)
         text = data.decode("utf-8")
         for key in keys:
             if len(re.findall(rf'^{key}\s*:|"{key}"\s*:|<{key}[\s>]', text, re.MULTILINE)) > 1:
@@ -108,16 +105,3 @@ def read_window(storage: cv2.FileStorage, path: str | PathLike[str]) -> Window |
         return Window(normal.ravel(), distance, [] if layers is None else layers.tolist(), index)
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error}") from error
-
-
-def check_nesting(data: bytes, path: str | PathLike[str]) -> None:
-    """Raise CalibrationError if a YAML, JSON or XML file may be nested too deeply to parse.
-
-    data: the bytes of the file. path: its name, for messages. It counts all characters that may
-        open a level, even in strings. A rig has about a dozen.
-    """
-    levels = sum(data.count(opening) for opening in _OPENING)
-    if levels > _MOST_NESTED:
-        raise CalibrationError(
-            f"{path}: over {_MOST_NESTED} brackets, tags or dashes, no calibration file"
-        )
