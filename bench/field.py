@@ -228,11 +228,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parser_of(__doc__, quick="two minutes").parse_args(argv)
     made = films(1 if arguments.quick else 4)
     presses = [film for film in made if len(film) > len(STEPS)]
-    rows = times(presses[:3], 1 if arguments.quick else 4)
-    rows.append(from_a_file(presses[0]))
-    rows += errors(made)
-    for what, case, frames, value, unit, goal in rows:
-        print(f"{what:34}{case:40}{frames:6} frames {value:9.3g} {unit:6}{goal}")
+    parts = (
+        lambda: times(presses[:3], 1 if arguments.quick else 4),
+        lambda: [from_a_file(presses[0])],
+        lambda: errors(made),
+    )
+    rows: list[Row] = []
+    for part in parts:
+        for what, case, frames, value, unit, goal in part():
+            print(f"{what:34}{case:40}{frames:6} frames {value:9.3g} {unit:6}{goal}", flush=True)
+            rows.append((what, case, frames, value, unit, goal))
     if not arguments.quick or arguments.out:
         table = [dict(zip(COLUMNS, row, strict=True)) for row in rows]
         write_table("field", table, arguments.out)
