@@ -2,6 +2,7 @@
 
 import operator
 import threading
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
@@ -20,7 +21,6 @@ from cmp_cl.lattice.plan import LatticePlan
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
 from cmp_cl.opencl.program import Programs, programs_of
 from cmp_cl.stages.form import Form
-from cmp_cl.stages.layout import PlanBase
 from cmp_cl.stages.plan import Overflow, Plan, Plans
 from cmp_cl.stages.refine import copy_positions, no_corners, read_corners
 
@@ -187,8 +187,8 @@ class Detector(Closing):
         return self._queue
 
     @property
-    def layout(self) -> PlanBase:
-        """Return the layout of its frames on the device."""
+    def layout(self) -> Plan:
+        """Return the plan that has the layout of its frames on the device."""
         return self._plans.lend()
 
     def begin(self, frames: Sequence[Frame]) -> Plan:
@@ -310,6 +310,35 @@ class Detector(Closing):
             previous=previous,
             strict=strict,
         )
+
+    def grids(
+        self,
+        frames: Iterable[Frame],
+        *,
+        shape: tuple[int, int] | None = None,
+        like: Grid | None = None,
+        region: tuple[float, float, float, float] | None = None,
+    ) -> Iterator[tuple[Corners, Grid]]:
+        """Find and number the corners of each frame, in order.
+
+        frames: (H, W) each. shape, like, region: as in `grid`.
+
+        The kernels of the next frame run while this one is numbered, so a frame must not change
+        before the frame after the next one is requested. To follow a pattern from frame to frame,
+        see `cmp_cl.measure`. Raises the errors of `stream` and of `build_grid`.
+        """
+        from cmp_cl.grid.build import build_grid
+
+        images: deque[GreyImage] = deque()
+
+        def kept() -> Iterator[GreyImage]:
+            for frame in _iterated("frames", frames):
+                images.append(self._checked(frame))
+                yield images[-1]
+
+        for corners in self.stream(kept()):
+            image = images.popleft()
+            yield corners, build_grid(corners, image, shape=shape, like=like, region=region)
 
     def boards(self, frame: Frame) -> tuple[Corners, list[Board]]:
         """Find the corners of a frame, and the boards that they form.

@@ -84,8 +84,8 @@ __kernel void fill(__global const float *moved, __global const uchar *votes,
 }
 
 /* Apply a filter along the columns for one row. */
-void filter_down(__global const float *plane, const int row, const int side,
-                 __global const float *weights, float *result) {
+void filter_down(__global const float *restrict plane, const int row, const int side,
+                 __global const float *restrict weights, float *restrict result) {
   const int first = WINDOW_START(row, side, ROWS);
   EACH_COLUMN result[c] = 0;
   for (int t = 0; t <= 2 * side; ++t) {
@@ -96,8 +96,8 @@ void filter_down(__global const float *plane, const int row, const int side,
 }
 
 /* Apply a filter along the row. */
-void filter_along(const float *line, const int side, __global const float *weights,
-                  float *result) {
+void filter_along(const float *restrict line, const int side, __global const float *restrict weights,
+                  float *restrict result) {
   for (int c = side; c < COLUMNS - side; ++c) result[c] = 0;
   for (int t = 0; t <= 2 * side; ++t) {
     const float weight = weights[side * TAPS + t];
@@ -113,8 +113,8 @@ void filter_along(const float *line, const int side, __global const float *weigh
 }
 
 /* Sum with Gaussian weights along the row; `line` has `reach` zeros before it and behind it. */
-void average_along(const float *line, const int reach, __global const float *weights,
-                   __global float *result) {
+void average_along(const float *restrict line, const int reach, __global const float *restrict weights,
+                   __global float *restrict result) {
   float sum[COLUMNS];
   EACH_COLUMN sum[c] = 0;
   for (int t = 0; t <= 2 * reach; ++t) {
@@ -125,8 +125,8 @@ void average_along(const float *line, const int reach, __global const float *wei
 }
 
 /* Sum with Gaussian weights along the columns, for one row. */
-void average_down(__global const float *plane, const int row, const int reach,
-                  __global const float *weights, float *result) {
+void average_down(__global const float *restrict plane, const int row, const int reach,
+                  __global const float *restrict weights, float *restrict result) {
   EACH_COLUMN result[c] = 0;
   for (int r = max(row - reach, 0); r <= min(row + reach, ROWS - 1); ++r) {
     const float weight = weights[r - row + reach];
@@ -139,12 +139,12 @@ void average_down(__global const float *plane, const int row, const int reach,
  * the masks of the nodes that count and the products of the coordinates of the first, averaged
  * along the row into `near`; and sums over the row, from which the degrees of freedom of each
  * estimate and the floor of the noise come. One work-item a row. */
-__kernel void pilot(__global const float *data, __global const uchar *votes,
-                    __global const int *counts, const int round,
-                    __global const float *pilot_down, __global const float *pilot_along,
-                    __global const float *own_down, __global const float *own_along,
-                    __global const float *rows_noise, __global float *residual,
-                    __global float *size, __global float *near, __global float *sums) {
+__kernel void pilot(__global const float *restrict data, __global const uchar *restrict votes,
+                    __global const int *restrict counts, const int round,
+                    __global const float *restrict pilot_down, __global const float *restrict pilot_along,
+                    __global const float *restrict own_down, __global const float *restrict own_along,
+                    __global const float *restrict rows_noise, __global float *restrict residual,
+                    __global float *restrict size, __global float *restrict near, __global float *restrict sums) {
   const int row = get_global_id(0);
   if (row >= ROWS) return;
   SKIP_IF_SETTLED
@@ -258,12 +258,12 @@ float expected_length(__global const float *sums, const int estimate) {
  * five estimates and of an upper bound; the covariance of the coordinates over its mean diagonal;
  * and the nodes whose residual is too large lose their vote. bound: the upper bound is the sum of
  * that at rest and of the variance of the points now. One work-item a row. */
-__kernel void noise(__global const float *near, __global const float *sums,
-                    __global const float *size, __global const float *own_down,
-                    __global const float *own_along, __global const float *rows_noise,
-                    __global const float *bound_rest, __global const float *variance_now,
-                    const int round, __global int *counts, __global uchar *votes,
-                    __global float *variance, __global float *chosen, __global float *common) {
+__kernel void noise(__global const float *restrict near, __global const float *restrict sums,
+                    __global const float *restrict size, __global const float *restrict own_down,
+                    __global const float *restrict own_along, __global const float *restrict rows_noise,
+                    __global const float *restrict bound_rest, __global const float *restrict variance_now,
+                    const int round, __global int *restrict counts, __global uchar *restrict votes,
+                    __global float *restrict variance, __global float *restrict chosen, __global float *restrict common) {
   const int row = get_global_id(0);
   if (row >= ROWS) return;
   SKIP_IF_SETTLED
@@ -317,14 +317,14 @@ __kernel void noise(__global const float *near, __global const float *sums,
 
 /* Every pair of filters: its estimate, and its loss, averaged along the row. A pair whose window
  * holds too few votes is marked. One work-item a row and a filter along the columns. */
-__kernel void smooth(__global const float *data, __global const uchar *votes,
-                     __global const int *counts, __global const float *chosen,
-                     __global const int *sides_down, __global const int *sides_along,
-                     __global const float *filters_down, __global const float *filters_along,
-                     __global const float *own_down, __global const float *own_along,
-                     __global const float *rows_risk, __global float *estimate,
-                     __global float *loss, __global float *near_votes,
-                     __global uchar *unsupported) {
+__kernel void smooth(__global const float *restrict data, __global const uchar *restrict votes,
+                     __global const int *restrict counts, __global const float *restrict chosen,
+                     __global const int *restrict sides_down, __global const int *restrict sides_along,
+                     __global const float *restrict filters_down, __global const float *restrict filters_along,
+                     __global const float *restrict own_down, __global const float *restrict own_along,
+                     __global const float *restrict rows_risk, __global float *restrict estimate,
+                     __global float *restrict loss, __global float *restrict near_votes,
+                     __global uchar *restrict unsupported) {
   const int row = get_global_id(0), a = get_global_id(1);
   if (row >= ROWS) return;
   const int side = sides_down[a], first = WINDOW_START(row, side, ROWS);
@@ -391,14 +391,14 @@ float exp_below(const float x) {
 }
 
 /* The mean of all pairs with weights by their risk, and its variance. One work-item a row. */
-__kernel void blend(__global const float *estimate, __global const float *loss,
-                    __global const float *near_votes, __global const uchar *unsupported,
-                    __global const int *counts, __global const float *variance,
-                    __global const float *chosen, __global const float *own_down,
-                    __global const float *own_along, __global const float *gain_down,
-                    __global const float *gain_along, __global const float *rows_risk,
-                    __global float *weights, __global float *values, __global float *result,
-                    __global float *gain) {
+__kernel void blend(__global const float *restrict estimate, __global const float *restrict loss,
+                    __global const float *restrict near_votes, __global const uchar *restrict unsupported,
+                    __global const int *restrict counts, __global const float *restrict variance,
+                    __global const float *restrict chosen, __global const float *restrict own_down,
+                    __global const float *restrict own_along, __global const float *restrict gain_down,
+                    __global const float *restrict gain_along, __global const float *restrict rows_risk,
+                    __global float *restrict weights, __global float *restrict values, __global float *restrict result,
+                    __global float *restrict gain) {
   const int row = get_global_id(0);
   if (row >= ROWS) return;
   float risk[PAIRS][COLUMNS], least[COLUMNS], scale[COLUMNS], near[COLUMNS];

@@ -29,6 +29,7 @@
 #define STRAY_CELLS 0.3f /* from the prediction of the nodes around */
 #define STRAY_TORN_CELLS 0.07f
 #define STRAY_PX 1.0f
+#define STENCIL 24 /* at most so many nodes predict a node */
 #define ADRIFT_CELLS 0.75f /* a free corner so near to a lost node may be its own */
 #define MISSING 0 /* of NodeStatus */
 #define DETECTED 1
@@ -89,12 +90,20 @@ float grown_variance(const float correlation, const float4 quartile) {
 #define SIGMA_OF(n, quartile)                                                       \
   sqrt(variances[n] + (float)(1 << 2 * OCTAVE_OF(n)) * grown_variance(correlations[n], quartile))
 
+/* The sine of an angle within .001; sin is a slow call on PoCL. */
+float sine_of(const float angle) {
+  const float turns = angle * 0.15915494f;
+  const float x = 2 * (turns - floor(turns + 0.5f)); /* in pi, -1 to 1 */
+  const float y = 4 * x * (1 - fabs(x));
+  return y * (0.775f + 0.225f * fabs(y));
+}
+
 /* Whether a corner of this first boundary has the colour of node i, where the lattice has these
  * steps; true if the boundary is unknown. `colour`: 1 if the first boundary of a corner of even row
  * + column runs along the row, -1 if down. */
 int has_colour(const float angle, const float2 along, const float2 down, const int i,
                const int colour) {
-  const float2 edge = (float2)(cos(angle), sin(angle));
+  const float2 edge = (float2)(sine_of(angle + 1.57079633f), sine_of(angle));
   const float off_down = fabs(edge.x * down.y - edge.y * down.x);
   const float off_along = fabs(along.x * edge.y - along.y * edge.x);
   const float sign = (i / COLUMNS + i % COLUMNS) % 2 ? -colour : colour;
@@ -123,9 +132,11 @@ __kernel void quartiles(__global const float *result, const uint stride, const u
     for (int n = first; n < count; n += items) {
       if (methods[n] != BY_EDGE_STEP || OCTAVE_OF(n) != octave) continue;
       const uint key = ordered(correlations[n]);
-      for (int q = 0; q < 3; ++q)
-        if (shift == 24 || key >> (shift + 8) == prefix[q])
-          atomic_inc(bins[q] + (key >> shift & 255));
+      for (int q = 0; q < 3; ++q) {
+        if (shift != 24 && key >> (shift + 8) != prefix[q]) continue;
+        if (items == 1) ++bins[q][key >> shift & 255];
+        else atomic_inc(bins[q] + (key >> shift & 255));
+      }
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     if (first == 0)
@@ -273,14 +284,15 @@ __kernel void agree(__global const float4 *corners, __global const float2 *last,
  *
  * Free corners where a line beyond a side would be are counted, and failed nodes that have a corner
  * near: where corners moved too far they have one, where they are torn they have none. `stencils`:
- * 49 weights of the 7 x 7 nodes around for each of 16 x 16 distances from the sides, 0 to 3 above,
- * below, before and behind; all 0 where too few nodes predict. One work-item a node. */
+ * the weights of nodes around, and how far away they are in the list of nodes, for each of 16 x 16
+ * distances from the sides, 0 to 3 above, below, before and behind; a weight of 0 ends them, and is
+ * the first where too few nodes predict. One work-item a node. */
 __kernel void check(__global const float4 *corners, const float bin, const int bin_rows,
                     const int bin_columns, __global const int *first_of_bin,
                     __global const int *next, __global const int *claims,
                     __global const int *nearest, __global const int *kept,
                     __global const float2 *nodes, __global const uchar *torn,
-                    __global const float *stencils, __global float2 *expected,
+                    __global const float2 *stencils, __global float2 *expected,
                     __global int *look, __global int *looks, const uint look_length,
                     __global uint *look_counts, const uint first_count, __global int *counts) {
   VIEW
@@ -290,16 +302,15 @@ __kernel void check(__global const float4 *corners, const float bin, const int b
   STEPS(at)
   const int rows_around = 4 * min(row, 3) + min(ROWS - 1 - row, 3);
   const int columns_around = 4 * min(column, 3) + min(COLUMNS - 1 - column, 3);
-  __global const float *weights = stencils + 49 * (16 * rows_around + columns_around);
+  __global const float2 *stencil = stencils + STENCIL * (16 * rows_around + columns_around);
   float2 mean = 0;
   float sum = 0;
-  for (int r = -3; r <= 3; ++r)
-    for (int c = -3; c <= 3; ++c) {
-      const float weight = weights[7 * (r + 3) + c + 3];
-      if (weight == 0) continue;
-      mean += weight * at[i + r * COLUMNS + c];
-      sum += weight;
-    }
+  for (int k = 0; k < STENCIL; ++k) {
+    const float weight = stencil[k].x;
+    if (weight == 0) break;
+    mean += weight * at[i + (int)stencil[k].y];
+    sum += weight;
+  }
   const float cell = (length(along) + length(down)) / 2, off = length(at[i] - mean);
   const float most = torn[OF_NODE] ? STRAY_TORN_CELLS : STRAY_CELLS;
   const int lost = kept[OF_NODE] < 0, between = sum > 0.5f;

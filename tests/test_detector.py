@@ -830,3 +830,9 @@ def test_a_region_selects_which_of_two_boards_is_numbered(detector_for):
     assert (corners.xy[:, 0] < 120).sum() > 30
     again = detector.grid(frame, like=grid, region=region)[1]
     np.testing.assert_array_equal(again.index, grid.index)
+    frames = [frame, np.roll(frame, 2, axis=1)]
+    found = list(detector.grids(iter(frames), like=grid, region=region))
+    for image, (_, one) in zip(frames, found, strict=True):
+        alone = detector.grid(image, like=grid, region=region)[1]
+        np.testing.assert_array_equal(one.index, alone.index)
+        np.testing.assert_array_equal(one.xy, alone.xy)

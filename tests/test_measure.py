@@ -14,6 +14,7 @@ from videos import write_video
 
 import cmp_cl
 from cmp_cl import GridError, StereoRig, measure
+from cmp_cl.measure.views import View
 from cmp_cl.media import read_frames
 from cmp_cl.synthetic import Indenter, Mode, Scene, binocular_frame, default_rig, render_stereo
 
@@ -106,6 +107,38 @@ def test_a_frame_is_tracked_or_numbered_anew_and_the_result_is_the_same(film):
             np.testing.assert_array_equal(grid.index, expected.index)
         for name, values in one.arrays.items():
             np.testing.assert_array_equal(values, other.arrays[name], err_msg=name)
+
+
+def test_an_audit_tells_the_nodes_that_tracking_numbered_otherwise(film, monkeypatch):
+    split, rig = cmp_cl.BinocularSplit.halves(*film[0].shape[::-1]), StereoRig(*RIG)
+    number = View.number
+
+    def otherwise(view, corners, image):
+        grid = number(view, corners, image)
+        index = grid.index.copy()
+        index[[5, 7]] = index[[7, 5]]
+        return dataclasses.replace(grid, index=index)
+
+    monkeypatch.setattr("cmp_cl.measure.frames.AUDITED", 2)
+    with measure.TwoViews(film[0], rig, split, shape=(12, 12)) as following:
+        found = [following(frame) for frame in film[:4]]
+        assert [each.tracked for each in found] == [False, True, True, True]
+        assert (following.tally.audited, following.tally.differing) == (1, 0)
+        monkeypatch.setattr(View, "number", otherwise)
+        assert following(film[3]).differing == 4  # two in each view
+        assert not following(film[3]).differing
+        assert following.tally == measure.Tally(tracked=5, numbered=3, audited=2, differing=4)
+
+
+def test_a_tracked_frame_says_what_its_kernels_took(film):
+    split, rig = cmp_cl.BinocularSplit.halves(*film[0].shape[::-1]), StereoRig(*RIG)
+    with measure.TwoViews(film[0], rig, split, shape=(12, 12), profile=True) as following:
+        following(film[0])
+        assert following(film[1]).tracked
+        assert 20 < following.launches < 60
+        assert {"match", "enter", "space", "blend"} < set(following.times)
+        assert len(following.times) <= following.launches
+        assert all(ms >= 0 for ms in following.times.values())
 
 
 def test_a_frame_that_is_missing_in_a_stream_has_no_result(film):

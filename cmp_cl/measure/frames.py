@@ -9,12 +9,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
-from cmp_cl.errors import ConfigError, GridError, check_kind
+from cmp_cl.errors import ConfigError, DeviceError, GridError, check_kind
 from cmp_cl.field import DisplacementField
 from cmp_cl.grid import Grid
 from cmp_cl.grid.grid import NO_SIDES
@@ -153,7 +154,7 @@ class Measurement(Closing):
     unit: unit of the displacements.
     nodes: number of nodes of the pattern.
     tally: how the frames so far got their numbers.
-    raw, strain: as in `OneView`.
+    raw, strain, profile: as in `OneView`.
 
     A frame gets its numbers from the frame before, if its nodes are found where they were expected;
     else they are found anew. One frame in AUDITED that were tracked is numbered anew all the same,
@@ -169,16 +170,38 @@ class Measurement(Closing):
     _rig: StereoRig | None = None
     _bias: Bias | None = None
 
-    def __init__(self, *, raw: bool, strain: bool) -> None:
+    def __init__(self, *, raw: bool, strain: bool, profile: bool) -> None:
         self.tally = Tally()
-        self._raw, self._strain = raw, strain
+        self._raw, self._strain, self._profile = raw, strain, profile
         self._lock = threading.Lock()  # one frame at a time
         self._stack = contextlib.ExitStack()
+        self._events: list[tuple[str, cl.Event]] = []  # of the last frame, but of the detector
         self._follows = False  # whether the tracker has the nodes of the frame before
 
     def close(self) -> None:
         """Release the device's memory."""
         self._stack.close()
+
+    @property
+    def times(self) -> dict[str, float]:
+        """Return the milliseconds of each kernel of the last frame, those of the detector first;
+        empty without profile=True. The kernels of a frame that was tracked run one after the other,
+        without a decision of the host in between."""
+        detector = self._views.detector
+        if not self._profile or detector is None:
+            return {}
+        spent = detector.times
+        for stage, event in self._events:
+            ms = (event.profile.end - event.profile.start) * 1e-6
+            spent[stage] = spent.get(stage, 0.0) + ms
+        return spent
+
+    @property
+    def launches(self) -> int:
+        """Return the number of launches that a tracked frame takes."""
+        own = [each.launches for each in (self._tracker, self._plan) if each is not None]
+        looks = self._tracker is not None
+        return self._views.launches + sum(map(len, own)) + looks
 
     @contextlib.contextmanager
     def _closed_on_error(self) -> Iterator[None]:
@@ -227,7 +250,8 @@ class Measurement(Closing):
                 yield last
         finally:
             if waiting is not None:
-                self._views.finish(waiting.plans)
+                with contextlib.suppress(DeviceError):  # closed
+                    self._views.finish(waiting.plans)
 
     def skip(self) -> None:
         """Note that a frame is missing here; `track` continues numbers over few missing frames
@@ -285,8 +309,8 @@ class Measurement(Closing):
             return
         (plan,) = begun.plans
         looks = self._tracker.looks(plan)
-        self._tracker.start(plan.arrays["result"], plan.corner_capacity, looks)
-        self._plan.start()
+        self._events = self._tracker.start(plan.arrays["result"], plan.corner_capacity, looks)
+        self._events += self._plan.start()
         begun.tracked = True
 
     def _settled(self, begun: _Begun) -> "_Settled":
@@ -327,7 +351,7 @@ class Measurement(Closing):
         if self._plan is not None:
             self._plan.take(anew, corners)
             self._follows = self._tracker is not None and self._tracker.begin(anew)
-            self._plan.start()
+            self._events = self._plan.start()
             settled.arrays = self._plan.read()
         return settled
 
@@ -396,6 +420,7 @@ class OneView(Measurement):
     device: a Device, a text for `select_device`, or None for the default device.
     raw: leave out the lattice filter, see `cmp_cl.displacement`.
     strain: give every field its strain, see `DisplacementField.with_strain`.
+    profile: record the times of the kernels of the last frame, see `times`.
 
     With a cell, constants has the homography too, (3, 3), from px to the plane.
 
@@ -417,14 +442,16 @@ class OneView(Measurement):
         track: bool = False,
         raw: bool = False,
         strain: bool = False,
+        profile: bool = False,
     ) -> None:
-        super().__init__(raw=raw, strain=strain)
+        super().__init__(raw=raw, strain=strain, profile=profile)
         search = Search(
             device=select_device(device),
             shape=shape,
             config=config,
             full_scale=full_scale,
             track=track,
+            profile=profile,
         )
         with self._closed_on_error():
             self._views = self._stack.enter_context(Views([rest], search, [region]))
@@ -482,10 +509,11 @@ class TwoViews(Measurement):
         track: bool = False,
         raw: bool = False,
         strain: bool = False,
+        profile: bool = False,
     ) -> None:
         check_kind("rig", rig, StereoRig, ConfigError)
         check_kind("split", split, BinocularSplit, ConfigError)
-        super().__init__(raw=raw, strain=strain)
+        super().__init__(raw=raw, strain=strain, profile=profile)
         self._rig: StereoRig = rig
         self._split = split
         check_two("regions", regions)
@@ -495,6 +523,7 @@ class TwoViews(Measurement):
             config=config,
             full_scale=full_scale,
             track=track,
+            profile=profile,
         )
         with self._closed_on_error():
             self._views = self._stack.enter_context(Views(split(rest), search, regions))

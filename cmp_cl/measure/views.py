@@ -30,6 +30,7 @@ class Search:
     config: DetectorConfig | None
     full_scale: int | None
     track: bool
+    profile: bool
 
 
 class View:
@@ -111,7 +112,7 @@ class Views(Closing):
         with contextlib.ExitStack() as stack:
             # One detector for views of one size, so that their kernels run together.
             self._detectors = [
-                (stack.enter_context(_detector(at_rest[part][0], config, search.device)), part)
+                (stack.enter_context(_detector(at_rest[part][0], config, search)), part)
                 for part in parts
             ]
             for number, (view, name) in enumerate(zip(at_rest, names, strict=True)):
@@ -130,6 +131,11 @@ class Views(Closing):
     def detector(self) -> Detector | None:
         """Return the detector of all views; None if each has its own."""
         return self._detectors[0][0] if len(self._detectors) == 1 else None
+
+    @property
+    def launches(self) -> int:
+        """Return the number of launches that find the corners of a frame."""
+        return sum(len(detector.layout.launches) for detector, _ in self._detectors)
 
     def begin(self, views: Sequence[GreyImage]) -> list[Plan]:
         """Enqueue the kernels that find the corners of a frame, see `Detector.begin`."""
@@ -169,5 +175,11 @@ def _config_for(view: GreyImage, search: Search, region: Region | None) -> Detec
     return config if search.full_scale is None else config.replace(full_scale=search.full_scale)
 
 
-def _detector(view: GreyImage, config: DetectorConfig, device: Device) -> Detector:
-    return Detector(shape=view.shape, dtype=view.dtype, config=config, device=device)
+def _detector(view: GreyImage, config: DetectorConfig, search: Search) -> Detector:
+    return Detector(
+        shape=view.shape,
+        dtype=view.dtype,
+        config=config,
+        device=search.device,
+        profile=search.profile,
+    )

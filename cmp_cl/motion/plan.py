@@ -84,7 +84,6 @@ class FieldPlan:
             for name, part in memory.parts.items()
         }
         self.launches = self._listed()
-        self.events: list[tuple[str, cl.Event]] = []
 
     def release(self) -> None:
         """Release the device's memory."""
@@ -313,18 +312,23 @@ class FieldPlan:
             put(self.frame.arrays, view, grid, found)
         self.frame.upload()
 
-    def start(self) -> None:
-        """Enqueue the launches and the download of the results. The inputs are on the device."""
+    def start(self) -> list[tuple[str, cl.Event]]:
+        """Enqueue the launches and the download of the results; return the event of each launch.
+        The inputs are on the device."""
         queue = self._queue
         cl.enqueue_fill_buffer(
             queue, self._parts["counts"], np.zeros(1, np.int32), 0, 4 * (1 + ROUNDS)
         )
-        self.events.clear()
-        for launch in self.launches:
-            event = cl.enqueue_nd_range_kernel(queue, launch.kernel, launch.items, launch.group)
-            self.events.append((launch.stage, event))
+        events = [
+            (
+                each.stage,
+                cl.enqueue_nd_range_kernel(queue, each.kernel, each.items, each.group),
+            )
+            for each in self.launches
+        ]
         self.frame.download()
         queue.flush()
+        return events
 
     def read(self) -> dict[str, NDArray[Any]]:
         """Wait for the launches. Return copies of the arrays of the frame by name; results are

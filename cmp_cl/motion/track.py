@@ -33,6 +33,7 @@ QUARTILE_GROUP = 256  # work-items that look for quartiles together
 EVERYWHERE = (-np.inf, -np.inf, np.inf, np.inf)  # px
 Region = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 _RESULT = (None, np.uint32(0), np.uint32(0))  # the corners, which are given with a frame
+STENCIL = 24  # nodes that predict a node, at most, as in kernels/track.cl
 _BIN = 0.45  # cells at rest: side of a bin
 _LEAST_BIN = 4.0  # px
 
@@ -132,7 +133,7 @@ class Tracker:
             queue,
             colour=np.array([colour_of(*view) for view in views], np.int32),
             regions=np.array([EVERYWHERE if each is None else each for each in regions], "f4"),
-            stencils=stencils(),
+            stencils=stencils(columns),
         )
         self._parts = {
             name: part
@@ -331,13 +332,16 @@ def _step(grid: Grid) -> float:
     return float(min(np.nanmedian(each) for each in steps))
 
 
-def stencils() -> NDArray[np.float32]:
-    """Return the weights of the 7 x 7 nodes around that predict a node, (16, 16, 7, 7).
+def stencils(row: int) -> NDArray[np.float32]:
+    """Return the nodes around that predict a node, (16, 16, STENCIL, 2).
+
+    These are the weight of each, and how far behind the node it is in the list of nodes. row: nodes
+    of a row.
 
     The first two axes count its distances from the sides, 4 times the one before plus the one
     behind, up to 3 each. Nodes of too weak predictions have no weights.
     """
-    found = np.zeros((16, 16, 7, 7), np.float32)
+    found = np.zeros((16, 16, STENCIL, 2), np.float32)
     for rows in range(16):
         for columns in range(16):
             reach = (-(rows // 4), rows % 4), (-(columns // 4), columns % 4)
@@ -352,7 +356,10 @@ def stencils() -> NDArray[np.float32]:
                     for (r, c), factor in factors.items():
                         mean[r + 3, c + 3] += weight * factor
             if total >= STRONG:
-                found[rows, columns] = mean / total
+                used = np.argwhere(mean)
+                behind = (used - 3) @ (row, 1)
+                weights = mean[tuple(used.T)] / total
+                found[rows, columns, : len(used)] = np.stack([weights, behind], axis=1)
     return found
 
 
