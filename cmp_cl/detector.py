@@ -297,19 +297,26 @@ class Detector(Closing):
         frame, region: (H, W), and (x0, y0, x1, y1), px. The other arguments are those of
             `build_grid`. Raises the errors of a call and of `build_grid`.
         """
-        from cmp_cl.grid.build import build_grid
+        from cmp_cl.grid.build import asked_of, build_grid, grid_of
+        from cmp_cl.grid.placing import Given
 
         image = self._checked(frame)
-        corners = self(image)
-        return corners, build_grid(
-            corners,
-            image,
-            shape=shape,
-            like=like,
-            region=region,
-            previous=previous,
-            strict=strict,
-        )
+        if region is not None:
+            corners = self(image)
+            return corners, build_grid(
+                corners,
+                image,
+                shape=shape,
+                like=like,
+                region=region,
+                previous=previous,
+                strict=strict,
+                device=self.device,
+            )
+        asked = asked_of(shape, like, previous)
+        corners, boards = self.boards(image)
+        given, count = Given.of(corners), len(corners)
+        return corners, grid_of(boards, given, image, asked, count, strict=strict)
 
     def grids(
         self,

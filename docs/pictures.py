@@ -110,7 +110,7 @@ def edges() -> Figure:
 
 
 def grid() -> Figure:
-    """Draw the grid of a torn gel, whose nodes have four sources of their position."""
+    """Draw the grid of a torn gel, some of whose nodes are predicted."""
     scene = gel(markers=30, severity=1.5, seed=SEED + 11)
     found = cmp_cl.build_grid(detect(scene.image), scene.image, shape=(30, 30))
     figure, axes = plt.subplots(figsize=(4.6, 4.6), layout="constrained")

@@ -104,8 +104,6 @@ class Grid:
     confidence: by how much the numbers are more probable than the second best, nats (the logarithm
         of the ratio); inf if no others are possible, 0 if others are as probable. See `ambiguous`.
     rival: the second best numbering, None if there is no other.
-    reflected: whether a part of the pattern may be the reflection of another part. The grid is then
-        ambiguous.
     others: corners of the largest other lattice in view that may be the pattern that is meant,
         0 where none is: squares behind a board, or a part of a torn pattern without numbers.
         It is not looked for where the shape is known.
@@ -125,7 +123,6 @@ class Grid:
     seen_shape: tuple[int, int] | None = None
     confidence: float = math.inf
     rival: Rival | None = None
-    reflected: bool = False
     others: int = 0
     edge_radius: float = math.nan
 
@@ -179,12 +176,7 @@ class Grid:
                 f"another pattern of {self.others} corners is seen; give a region without it, or "
                 "the number of rows and columns"
             )
-        if self.reflected:
-            found.append(
-                "a part of the pattern may be a reflection, or another pattern: its steps, its "
-                "printing errors or its brightness change at a line; give a region without it"
-            )
-        elif self.ambiguous:
+        if self.ambiguous and self.seen_shape is None:
             other = ""
             if self.rival is not None:
                 turn = f", turned by {90 * self.rival.quarters} degrees" * (self.rival.quarters > 0)

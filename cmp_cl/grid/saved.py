@@ -22,7 +22,6 @@ SAVED: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "seen_shape": ("int64", (2,)),
     "confidence": ("float64", ()),
     "rival": ("int64", (3,)),
-    "reflected": ("bool", ()),
     "others": ("int64", ()),
     "edge_radius": ("float64", ()),
 }

@@ -91,3 +91,15 @@ class Board:
         """Return `sign` at every node, (R, C)."""
         rows, columns = self.x.shape
         return self.sign * (1 - 2 * (np.add.outer(np.arange(rows), np.arange(columns)) & 1))
+
+    def turned(self, quarters: int) -> "Board":
+        """Return the board after quarter turns: after one, row 0 is the former last column."""
+        rows, columns = self.x.shape
+        odd = (0, columns, rows + columns, rows)[quarters % 4] % 2
+        return Board(
+            x=np.rot90(self.x, quarters),
+            y=np.rot90(self.y, quarters),
+            owner=np.rot90(self.owner, quarters),
+            torn=np.rot90(self.torn, quarters),
+            sign=self.sign * (1 - 2 * odd),
+        )

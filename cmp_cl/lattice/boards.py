@@ -1,5 +1,6 @@
 """From the parts of a frame to its boards, the largest first; the host's share of the work."""
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -10,29 +11,27 @@ from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.joins import Placed, joined, units_of
 from cmp_cl.lattice.plan import LatticePlan
 
+LEAST_FACES = 4  # of a part where no other is larger
+
 
 def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
     """Yield the boards of a frame that was started, without margins, the largest part's first.
 
-    xy: (N, 2), the corners of the plan, px. A corner is a node of one board at most.
+    xy: (N, 2), the corners of the plan, px. A corner is a node of one board at most. If no part has
+    `least_part` faces, four are enough, which 3 x 3 corners have.
     """
     k = plan.constants
     alone = plan.alone()
-    if alone is not None:
+    if alone is not None and alone.there.any():
         board = trimmed(alone, plan.shape, k)
         if np.count_nonzero(board.there) >= k.least_board:
             yield board
         return
-    parts = plan.parts()
-    units, faces = units_of(
-        parts.root,
-        parts.column,
-        parts.row,
-        parts.direction,
-        parts.contradicted,
-        xy,
-        k,
-    )
+    found = plan.parts()
+    every = found.root, found.column, found.row, found.direction, found.contradicted
+    units, faces = units_of(*every, xy, k)
+    if not len(faces):
+        units, faces = units_of(*every, xy, dataclasses.replace(k, least_part=LEAST_FACES))
     votes = plan.votes(units)
     taken = np.zeros(len(xy), np.bool_)
     for main in range(len(faces)):

@@ -68,6 +68,21 @@ class LatticeConstants:
     rounds: times, that nodes are looked for.
     drop_passes: times, that nodes are dropped in each round.
     edge_px: px, nearer to the edge of the image no node is predicted.
+    end_share: share, of the contrast of the last squares that is no sign of further ones.
+    follow_share: share of it, by which levels two cells apart differ where cells follow.
+    parallel_cells: cells, by which squares that end together may reach differently far.
+    passing: share, of the contrast; a line that shows so much past the pattern is an object's edge.
+    alike_cells: cells, by which the reach of one border differs between two images.
+    end_nats: nats, for a whole border, against the edge of an object.
+    edge_nats: nats, for a border that may be such an edge.
+    place_nats: nats, against a line that a known size lacks, or whose places in view are empty.
+    rest_sd_cells: cells, standard deviation of the motion since rest.
+    step_sd_cells: cells, the same from one frame to the next.
+    motion_nats: nats, the most against any motion: one by more than half a cell between frames is
+        not sure then.
+    turn_sd_degrees: degrees, standard deviation of the rotation since rest.
+    turn_nats: nats, the most against any rotation.
+    camera_px: px, printing errors as small as that may be the camera's.
     """
 
     # Links
@@ -121,6 +136,21 @@ class LatticeConstants:
     rounds: int = 12
     drop_passes: int = 6
     edge_px: float = 3.0
+    # Borders, numberings, boards
+    end_share: float = 0.3
+    follow_share: float = 0.2
+    parallel_cells: float = 0.11
+    passing: float = 0.2
+    alike_cells: float = 0.12
+    end_nats: float = 6.0
+    edge_nats: float = 3.0
+    place_nats: float = 4.0
+    rest_sd_cells: float = 1.0
+    step_sd_cells: float = 0.2
+    motion_nats: float = 8.5
+    turn_sd_degrees: float = 8.0
+    turn_nats: float = 15.0
+    camera_px: float = 0.1
 
     def face_tolerances(self) -> NDArray[np.float32]:
         """Return the squared tolerance of faces after so many cuts, (cuts + 1,) float32."""

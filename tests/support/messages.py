@@ -14,4 +14,4 @@ def fails_in_one_line(result, *words):
     assert err.endswith("\n")
     assert re.search(OF_PYTHON, err) is None
     for word in words:
-        assert word in err
+        assert word in err, err

@@ -1,0 +1,195 @@
+"""Which board of a view is meant: by its size, its print, or because it alone is seen whole."""
+
+import functools
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from cmp_cl.errors import GridError
+from cmp_cl.grid.grid import MEASURED, Grid
+from cmp_cl.image import GreyImage
+from cmp_cl.lattice.arrays import Board
+from cmp_cl.lattice.borders import Border, border_of
+from cmp_cl.lattice.constants import LatticeConstants
+from cmp_cl.lattice.numbers import (
+    Decision,
+    Numbering,
+    Reference,
+    Seen,
+    in_shape,
+    like_rest,
+    upright,
+)
+
+SMALL = 0.1  # least share of the corners that the board must hold
+OTHER = 12  # corners: a board of so many may be the one that is meant
+COMPARABLE = 0.5  # share of a board's nodes from which another may be the one that is meant
+TEXTURE = 1 / 16  # share of a board's area; another of less, with gaps, is texture
+WHOLE = 0.9  # share of the nodes of a known shape
+BORDERS = 3  # sides; the edge of the image, or things beside, may hide one
+
+K = LatticeConstants()
+
+
+class Asked(NamedTuple):
+    """What is known of the numbers, as in `build_grid`."""
+
+    shape: tuple[int, int] | None = None
+    like: Grid | None = None
+    previous: Grid | None = None
+
+
+class Found(NamedTuple):
+    """A board in a view, upright; the number of its first node and how sure it is."""
+
+    board: Board
+    seen: Seen
+    decision: Decision
+
+    @property
+    def size(self) -> int:
+        """Return the number of its corners."""
+        return int(np.count_nonzero(self.board.owner >= 0))
+
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        """Return the least x and y, and the greatest, of its nodes, px."""
+        at = self.seen.at[~np.isnan(self.seen.at)]
+        x, y = at.real, at.imag
+        return float(x.min()), float(y.min()), float(x.max()), float(y.max())
+
+    @property
+    def area(self) -> float:
+        x0, y0, x1, y1 = self.box
+        return (x1 - x0) * (y1 - y0)
+
+    def is_texture(self, first: "Found") -> bool:
+        """Return whether it has gaps, and is as small as texture beside another board."""
+        return self.size < self.board.owner.size and self.area < TEXTURE * first.area
+
+    @property
+    def is_full(self) -> bool:
+        """Return whether it is a full rectangle."""
+        return self.size == self.board.owner.size >= OTHER
+
+    @property
+    def is_whole(self) -> bool:
+        """Return whether it is a full rectangle whose border is seen, but for one side."""
+        return self.is_full and int(np.count_nonzero(self.seen.border.ends)) >= BORDERS
+
+    def fills(self, shape: tuple[int, int]) -> bool:
+        """Return whether it has nearly all nodes of a known size."""
+        return self.fits and self.size >= WHOLE * shape[0] * shape[1]
+
+    @property
+    def fits(self) -> bool:
+        """Return whether nothing speaks against the known size."""
+        return self.decision.best.nats > -K.place_nats
+
+
+def found_in(boards: Iterable[Board], image: GreyImage, asked: Asked) -> list[Found]:
+    """Return the boards of a view with their borders and numbers, those of more corners first."""
+    found = []
+    for board in boards:
+        at = np.where(board.owner >= 0, board.x + 1j * board.y.astype(np.float64), np.nan)
+        if not (board.owner >= 0).any():
+            continue
+        quarters = upright(at)
+        seen = Seen(at, int(board.sign < 0), border_of(at, image, K)).turned(quarters)
+        found.append(Found(board.turned(quarters), seen, _decided(seen, asked)))
+    return sorted(found, key=lambda each: -each.size)
+
+
+def _decided(seen: Seen, asked: Asked) -> Decision:
+    if asked.like is not None:
+        rest = reference_of(asked.like)
+        before = None if asked.previous is None else reference_of(asked.previous)
+        if asked.previous is asked.like:
+            before = rest._replace(sure=True)
+        return like_rest(seen, rest, before, K)
+    if asked.shape is not None:
+        return in_shape(seen, asked.shape, K)
+    return Decision(Numbering(0.0, 0, 0, 0), None, math.inf)
+
+
+@functools.lru_cache(maxsize=8)
+def reference_of(grid: Grid) -> Reference:
+    """Return a grid as a reference for other views. The last few are kept for a recording."""
+    at = np.where(
+        np.isin(grid.status, MEASURED), grid.xy[..., 0] + 1j * grid.xy[..., 1].astype("f8"), np.nan
+    )
+    sides = np.zeros(4, np.bool_)
+    border = Border(np.array(grid.reach), np.array(grid.past), sides, sides)
+    return Reference(Seen(at, grid.parity, border), grid.origin, not grid.ambiguous)
+
+
+def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | None, int]:
+    """Return the board that is meant, None without any, and the corners of another that may be.
+
+    count: corners that may belong to it.
+
+    Raises GridError if two are comparable, or the board holds few of the corners.
+    """
+    if not found:
+        return None, 0
+    if asked.shape is not None:
+        chosen, others = _fitting(found, asked), 0
+        sure, least = asked.like is None and chosen.fills(asked.shape), SMALL * count
+    else:
+        chosen, others = _alone(found)
+        sure, least = chosen.is_whole, max(SMALL * count, min(count / 2, K.least_board))
+    if not sure and chosen.size < least:
+        raise GridError(
+            f"the largest board has {chosen.size} of {count} corners, expected at least "
+            f"{math.ceil(least)}; check the detector's configuration, or give a region or the shape"
+        )
+    return chosen, others
+
+
+def _fitting(found: list[Found], asked: Asked) -> Found:
+    """Return the board that fits the known size, or the pattern at rest."""
+    first = found[0]
+    if asked.like is not None:
+        return first
+    assert asked.shape is not None
+    fitting = [each for each in found if each.fills(asked.shape)]
+    if len(fitting) > 1:
+        raise _two(*fitting[:2])
+    if fitting:
+        return fitting[0]
+    return next((each for each in found if each.fits and 2 * each.size >= first.size), first)
+
+
+def _alone(found: list[Found]) -> tuple[Found, int]:
+    """Return the only board that is seen whole, else the largest; and the corners of the largest
+    other that may be meant instead, 0 without one.
+
+    Raises GridError if that one is comparable, unless one alone is seen whole and the other has
+    gaps.
+    """
+    first = found[0]
+    whole = [each for each in found if each.is_whole]
+    chosen = whole[0] if len(whole) == 1 else first
+    others = [
+        each
+        for each in found
+        if each is not chosen and each.size >= OTHER and not each.is_texture(chosen)
+    ]
+    if not others:
+        return chosen, 0
+    other, comparable = others[0], others[0].size >= COMPARABLE * chosen.size
+    if len(whole) == 1 and not (comparable and other.is_full):
+        return chosen, other.size if comparable else 0
+    if comparable:
+        raise _two(chosen, other)
+    return chosen, other.size
+
+
+def _two(one: Found, other: Found) -> GridError:
+    boxes = [f"({', '.join(f'{value:.0f}' for value in each.box)})" for each in (one, other)]
+    return GridError(
+        f"two patterns are seen, of {one.size} and {other.size} corners, within {boxes[0]} and "
+        f"{boxes[1]}; give a region with one of them"
+    )

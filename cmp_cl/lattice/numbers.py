@@ -1,0 +1,320 @@
+"""Numberings of a board: every one is a hypothesis with a score, in nats.
+
+A hypothesis is a number of quarter turns, and the number of the first row and the first column.
+Printing errors, borders, the motion from a reference and a known size add their nats each; no one
+comes first. The best is sure if it beats the second by enough.
+"""
+
+import dataclasses
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from cmp_cl.lattice.arrays import Float, Numbers, Whole
+from cmp_cl.lattice.borders import Border
+from cmp_cl.lattice.constants import LatticeConstants
+from cmp_cl.lattice.printing import Prints, agreement, prints_of
+
+VOTERS = 400  # nodes that show the motion from a reference
+LOOKS = 6  # steps from the affine guess of a node's number to the nearest node of the reference
+NEAR = 0.75  # cells from that node, at most
+MOVED = 0.5  # cells: an edge that moved so far with the pattern is no object's
+ENOUGH = 10.0  # nats: a turn whose rotation alone costs so many more than the best is left out
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Seen:
+    """A board as it is seen: at (R, C) complex, px, NaN where nothing is measured; parity, 0 where
+    the cell between nodes (0, 0) and (1, 1) is black; its border."""
+
+    at: Numbers
+    parity: int
+    border: Border
+
+    def turned(self, quarters: int) -> "Seen":
+        """Return the same after quarter turns: after one, row 0 is the former last column."""
+        rows, columns = self.at.shape
+        odd = (0, columns, rows + columns, rows)[quarters % 4]
+        return Seen(
+            np.rot90(self.at, quarters), (self.parity + odd) % 2, self.border.turned(quarters)
+        )
+
+    @functools.cached_property
+    def prints(self) -> Prints:
+        return prints_of(self.at)
+
+
+class Reference(NamedTuple):
+    """A board with numbers; origin: the number of its node (0, 0); sure: whether it has them."""
+
+    seen: Seen
+    origin: tuple[int, int]
+    sure: bool = True
+
+
+class Numbering(NamedTuple):
+    """Turn the board, then its node (0, 0) has the number (row, column); nats: of its score."""
+
+    nats: float
+    quarters: int
+    row: int
+    column: int
+
+
+class Decision(NamedTuple):
+    """The best numbering, the second, None if there is no other, and by how many nats the best is
+    better."""
+
+    best: Numbering
+    second: Numbering | None
+    margin: float
+
+
+def upright(at: Numbers) -> int:
+    """Return the quarter turns after which the columns of a board follow the image's x axis."""
+    return int(np.argmin([abs(np.angle(_steps(np.rot90(at, q))[0])) for q in range(4)]))
+
+
+def like_rest(
+    now: Seen, rest: Reference, previous: Reference | None, k: LatticeConstants
+) -> Decision:
+    """Return the numbers of a board from those of the pattern at rest.
+
+    previous: the frame before, in the numbers of `rest`; the pattern as a whole moves little since.
+        If it was not sure itself, the numbers are continued, but only the frame at rest can make
+        them sure.
+    """
+    alone = functools.partial(_like, now, rest, k=k)
+    if previous is None:
+        return alone(rest, k.rest_sd_cells)
+    decided = alone(previous, k.step_sd_cells)
+    if previous.sure:
+        return decided
+    fresh = alone(rest, k.rest_sd_cells)
+    same = fresh.best[1:] == decided.best[1:]
+    return decided._replace(margin=min(fresh.margin, decided.margin) if same else 0.0)
+
+
+def _like(
+    now: Seen, rest: Reference, reference: Reference, sd_cells: float, *, k: LatticeConstants
+) -> Decision:
+    along, _ = _steps(reference.seen.at)
+    angles = [abs(math.degrees(np.angle(_steps(np.rot90(now.at, q))[0] / along))) for q in range(4)]
+    nats = [-min(angle**2 / (2 * k.turn_sd_degrees**2), k.turn_nats) for angle in angles]
+    found: list[Numbering] = []
+    for quarters in sorted(range(4), key=lambda q: angles[q]):
+        if found and nats[quarters] < max(found).nats - ENOUGH:
+            break
+        turned = now.turned(quarters)
+        prints = now.prints.turned(quarters)
+        found += _shifts(turned, prints, rest, reference, sd_cells, quarters, nats[quarters], k)
+    return decided_by(found)
+
+
+def decided_by(found: list[Numbering]) -> Decision:
+    """Return the best of some numberings."""
+    best, *others = sorted(found, key=lambda each: -each.nats)
+    margin = best.nats - others[0].nats if others else math.inf
+    return Decision(best, others[0] if others else None, margin)
+
+
+def _shifts(
+    now: Seen,
+    prints: Prints,
+    rest: Reference,
+    reference: Reference,
+    sd_cells: float,
+    quarters: int,
+    nats: float,
+    k: LatticeConstants,
+) -> list[Numbering]:
+    """Return the best placements of a board that is turned already."""
+    unmoved = _unmoved(now.at, reference)
+    size, shape = np.array(now.at.shape), np.array(rest.seen.at.shape)
+    origin = np.array(rest.origin)
+    about = np.rint(unmoved).astype(np.int64)
+    low = np.minimum(origin - size + 1, about - 3)
+    high = np.maximum(origin + shape - 1, about + 3)
+    row, column = (np.arange(low[n], high[n] + 1) for n in (0, 1))
+    away = np.square(row - unmoved[0])[:, None] + np.square(column - unmoved[1])
+    score = nats - np.minimum(away / (2 * sd_cells**2), k.motion_nats)
+    score += agreement(rest.seen.prints, prints, row - origin[0], column - origin[1], k)
+    here, there = full_lines(now.at), full_lines(rest.seen.at)
+    for axis, first in ((0, row), (1, column)):
+        ends = _of_ends(
+            first - origin[axis],
+            (here[2 * axis], here[2 * axis + 1]),
+            (there[2 * axis], there[2 * axis + 1]),
+            now.border,
+            rest.seen.border,
+            2 * axis,
+            unmoved[axis] - origin[axis],
+            k,
+        )
+        score += ends[:, None] if axis == 0 else ends
+    odd = np.add.outer(row - origin[0], column - origin[1]) + now.parity + rest.seen.parity
+    score[odd % 2 == 1] = -np.inf
+    some = np.argsort(-score, axis=None)[:6]
+    return [
+        Numbering(float(score.flat[n]), quarters, int(row[r]), int(column[c]))
+        for n, r, c in zip(some, *np.unravel_index(some, score.shape), strict=True)
+        if np.isfinite(score.flat[n])
+    ]
+
+
+def _of_ends(
+    first: Whole,
+    here: tuple[int, int],
+    there: tuple[int, int],
+    now: Border,
+    rest: Border,
+    side: int,
+    unmoved: float,
+    k: LatticeConstants,
+) -> Float:
+    """Return the nats of two opposite sides for each number of the first line, (P,).
+
+    here, there: the first and the last full line, now and at rest. unmoved: the number of the first
+    line if the pattern had not moved.
+
+    Two borders on one line agree. Else the pattern did not end where it seemed to, at rest or now,
+    and an object hid its rest. An edge that moved with the pattern is no object's.
+    """
+    nats_now, nats_rest = now.nats(k), rest.nats(k)
+    total = np.zeros(len(first))
+    beyond = (there[0] - (first + here[0]), first + here[1] - there[1])  # lines, outwards
+    for n, lines in zip((side, side + 1), beyond, strict=True):
+        unlike = abs(now.reach[n] - rest.reach[n]) > k.alike_cells
+        unlike |= abs(now.past[n] - rest.past[n]) > k.passing
+        moved = abs(there[n - side] - here[n - side] - unmoved) > MOVED
+        if moved and not unlike and now.ends[n] and rest.ends[n]:
+            nats_now[n] = nats_rest[n] = k.end_nats
+        same = -k.edge_nats if unlike else 0.0
+        if rest.ends[n] and now.follows[n]:
+            same = -nats_rest[n]
+        elif now.ends[n] and rest.follows[n]:
+            same = -nats_now[n]
+        fewer = -nats_now[n]
+        if now.room[n] and not (now.ends[n] or now.follows[n]):
+            fewer = -k.place_nats / 2
+        total += np.where(lines == 0, same, np.where(lines > 0, -nats_rest[n], fewer))
+    return total
+
+
+def in_shape(now: Seen, shape: tuple[int, int], k: LatticeConstants) -> Decision:
+    """Return the place of a board that is upright in a pattern of known rows and columns.
+
+    Rows and columns are exchanged if the shape fits better so; the columns then stay nearest to the
+    image's x axis. A line that the size lacks, a border inside it, and places in view without
+    corners are against a placement. Scores are 0 where all fits.
+    """
+    turns = [0]
+    if shape[0] != shape[1]:
+        turns.append(3 if _steps(now.at)[0].imag > 0 else 1)
+    found = []
+    for quarters in turns:
+        turned = now.turned(quarters)
+        top, bottom, left, right = full_lines(turned.at)
+        rows = _places(top, bottom, shape[0], turned.border, 0, k)
+        columns = _places(left, right, shape[1], turned.border, 2, k)
+        found += [
+            Numbering(a + b, quarters, row, column) for row, a in rows for column, b in columns
+        ]
+    found.sort(key=lambda each: (-each.nats, abs(each.row) + abs(each.column), each.quarters != 0))
+    return decided_by(found)
+
+
+def _places(
+    begin: int, end: int, size: int, border: Border, side: int, k: LatticeConstants
+) -> list[tuple[int, float]]:
+    """Return numbers for the first line of a board, and their nats.
+
+    begin, end: the first and the last of its full lines. size: the lines of the pattern.
+    """
+    nats, places = border.nats(k), []
+    lines = end - begin + 1
+    for start in range(min(0, size - lines), max(0, size - lines) + 1):
+        total = 0.0
+        for n, beyond in ((side, -start), (side + 1, start + lines - size)):
+            if beyond > 0:
+                total -= k.place_nats * beyond
+            elif beyond < 0 and not border.follows[n]:
+                total -= nats[n] if border.ends[n] else k.place_nats * bool(border.room[n])
+            elif beyond == 0 and border.follows[n]:
+                total -= k.place_nats
+        places.append((start - begin, total))
+    return places
+
+
+def seen_lines(now: Seen) -> tuple[int, int]:
+    """Return the rows and columns that a board seems to have: its own, and one more on each side
+    on which the pattern follows."""
+    top, bottom, left, right = full_lines(now.at)
+    more = now.border.follows.astype(int)
+    return bottom - top + 1 + more[:2].sum(), right - left + 1 + more[2:].sum()
+
+
+def full_lines(at: Numbers) -> tuple[int, int, int, int]:
+    """Return the first and last row, first and last column with a fair share of the nodes."""
+    there = ~np.isnan(at.real)
+    ends = []
+    for axis in (1, 0):
+        count = np.count_nonzero(there, axis=axis)
+        full = np.flatnonzero(count >= max(float(np.median(count[count > 0])) / 4, 1))
+        ends += [int(full[0]), int(full[-1])]
+    return ends[0], ends[1], ends[2], ends[3]
+
+
+def _steps(at: Numbers) -> tuple[complex, complex]:
+    """Return the mean steps of a board to the next column and the next row, px."""
+    steps = []
+    for step in (at[:, 1:] - at[:, :-1], at[1:] - at[:-1]):
+        known = step[~np.isnan(step)]
+        steps.append(complex(known.mean()) if len(known) else 0j)
+    along, down = steps
+    return along or -1j * down, down or 1j * along
+
+
+def _unmoved(at: Numbers, reference: Reference) -> Float:
+    """Return the number, (2,) real, of a board's node (0, 0) if the middle of the view had not
+    moved since the reference.
+
+    Nodes are compared with the nearest ones of the reference; their numbers there are an affine
+    function of their own, whose value in the middle of the view counts.
+    """
+    there = reference.seen.at
+    along, down = _steps(there)
+    row, column = np.nonzero(~np.isnan(at))
+    z = at[row, column]
+    middle = complex(np.median(z.real), np.median(z.imag))
+    some = np.argsort(np.abs(z - middle), kind="stable")[: max(len(z) // 2, 9)]
+    some = some[:: max(len(some) // VOTERS, 1)]
+    row, column, z = row[some], column[some], z[some]
+    known = np.argwhere(~np.isnan(there))
+    at_known = there[~np.isnan(there)]
+    model = np.stack([np.ones(len(known)), at_known.real, at_known.imag], axis=1)
+    affine = np.linalg.lstsq(model, known.astype(np.float64), rcond=None)[0]
+    place = np.stack([np.ones(len(z)), z.real, z.imag], axis=1) @ affine
+    area = (along.conjugate() * down).imag or 1.0
+    near = np.zeros(len(z), np.bool_)
+    for _ in range(LOOKS):
+        r, c = np.rint(np.clip(place, 0, np.array(there.shape) - 1)).astype(np.int64).T
+        off = z - there[r, c]
+        x, y = (off.conj() * down).imag / area, (along.conjugate() * off).imag / area
+        near = ~np.isnan(off) & (np.abs(x) < NEAR) & (np.abs(y) < NEAR)
+        found = np.stack([r + y, c + x], axis=1)
+        place = np.where(np.isnan(off)[:, None], place, found)
+    if np.count_nonzero(near) < 4:
+        near[:] = True
+    number = place[near] - np.stack([row, column], axis=1)[near] + reference.origin
+    from_middle = z[near] - middle
+    model = np.stack([np.ones(len(number)), from_middle.real, from_middle.imag], axis=1)
+    weight = np.ones(len(number))
+    for _ in range(3):
+        fit = np.linalg.lstsq(model * weight[:, None], number * weight[:, None], rcond=None)[0]
+        off = np.linalg.norm(number - model @ fit, axis=1)
+        weight = (off <= max(2.5 * float(np.median(off)), 1e-3)).astype(np.float64)
+    unmoved: Float = fit[0]
+    return unmoved
