@@ -121,8 +121,13 @@ def test_a_known_step_of_a_flat_punch_gives_the_index_too(given):
     assert abs(errors(found.window)[3]) < 0.004
     sigma = np.sqrt(np.diag(found.covariance)[22:])
     assert (np.abs(errors(found.window)) < 4 * sigma).all()
-    with pytest.raises(CalibrationError, match="stepped and step need each other"):
-        fitted(RIG, rest, step=1.0)
+    for changes, words in (
+        ({}, "stepped and step need each other"),
+        ({"stepped": rest}, "0 nodes moved as one"),
+        ({"stepped": views(pattern() + np.array([0.3, 0, 0]), rng)}, r"last index \(free\)"),
+    ):
+        with pytest.raises(CalibrationError, match=words):
+            fitted(RIG, rest, step=1.0, **changes)
 
 
 def test_a_window_that_the_views_do_not_fix_is_refused_by_name():

@@ -27,6 +27,7 @@ _DONE = 1e-3  # share of its sigma by which a parameter still moves
 _BLOCKS = 6  # of the pattern along each side, see `_with_neighbours`
 _GROSS = 5.0  # times the scatter: a difference beyond is left out
 _UNDER = 0.02  # share of the step by which the motion of nodes under a punch differs
+_FEWEST = 9  # nodes
 _LEAST_NODES = 0.75  # share of the nodes that must lie behind the window
 # With the largest sigma of one of these, a displacement errs by about half a percent.
 _LARGEST_TILT = 0.015  # rad
@@ -75,11 +76,13 @@ def calibrate_window(
         last one is the medium that holds the pattern, such as the gel. All but the thickness of
         that one are taken as exact; that one is only where the search begins.
     stepped, step: the grids of a second moment, at which a stage has pressed a flat punch into the
-        pattern by a known length. Then the index of the last medium is found too. Nodes that moved
+        pattern by a known length, which is taken as exact. Then the index of the last medium is
+        found too. Nodes that moved
         as far as most of those that moved farthest, to 2 %, are under the punch.
 
     The surface of the pattern may be of any form. The rig's covariance has 26 parameters, see
-    `StereoRig`; it includes what the error of the cameras does to the window.
+    `StereoRig`; it includes what the error of the cameras does to the window. Cameras without a
+    covariance count as exact.
 
     Raises CalibrationError if an argument is malformed, the pattern does not lie behind the window,
     or the views do not fix a parameter.
@@ -145,6 +148,10 @@ def _check(
         raise CalibrationError("stepped and step need each other: the views, and how far it moved")
     if step is not None:
         check_positive("step", step, CalibrationError)
+    if stepped is not None and (stepped[0].origin, stepped[0].shape) != (
+        rest[0].origin, rest[0].shape
+    ):  # fmt: skip
+        raise CalibrationError(f"rest has {rest[0].extent}, stepped {stepped[0].extent}")
 
 
 def _start(rig: StereoRig, rest: tuple[Grid, Grid], media: Sequence[tuple[float, float]]) -> Window:
@@ -158,10 +165,10 @@ def _start(rig: StereoRig, rest: tuple[Grid, Grid], media: Sequence[tuple[float,
     index = probe.layers[-1][1]
     points = rig.triangulate(*rest).xyz
     found = points[np.isfinite(points[..., 0])]
-    if len(found) < 9:
+    if len(found) < _FEWEST:
         raise CalibrationError(
-            f"both views at rest show {len(found)} nodes that fit the rig, at least 9 are needed; "
-            "check the rig, the split, and which view is the left one"
+            f"both views at rest show {len(found)} nodes that fit the rig, at least {_FEWEST} are "
+            "needed; check the rig, the split, and which view is the left one"
         )
     middle = found.mean(axis=0)
     normal = np.linalg.svd(found - middle)[2][2]
@@ -228,8 +235,14 @@ def _steps(before: _Surface, after: _Surface, step: float) -> _Differences:
     """Compare the motion of the nodes under a punch with its step."""
     way = after.points - before.points
     length = np.linalg.norm(way, axis=2)
-    most = np.median(length[length > 0.9 * np.nanpercentile(length, 98)])
+    far = length[length > 0.9 * np.nanpercentile(length, 98)]
+    most = np.median(far) if len(far) else 0.0
     under = np.abs(length - most) < _UNDER * most
+    if under.sum() < _FEWEST:
+        raise CalibrationError(
+            f"{under.sum()} nodes moved as one between rest and stepped, at least {_FEWEST} are "
+            "needed; press with a flat punch"
+        )
     along = (way / length[..., None])[..., None, :]
     slopes = (along @ (after.by_rig - before.by_rig))[..., 0, :]
     return _listed(np.where(under, step - length, np.nan), slopes)

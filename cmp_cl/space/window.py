@@ -28,11 +28,11 @@ class Apparent(NamedTuple):
 
     window, centre: through which the camera sees, and where it is. depth, lateral: (N,), the
     components of the points from the centre along the normal and along the unit vectors `ahead`
-    (N, 3) across it. tangent, inside: (N,), of the ray's angle in air and behind the window. slope,
-    by_index: (N,), of the lateral distance by the tangent and by the index behind the window.
+    (N, 3) across it. tangent, inside: (N,), of the ray's angle in air and behind the window. slope:
+    (N,), of the lateral distance by the tangent.
 
     With depth D, lateral distance L and the height H of the first face above the centre,
-    slope d tangent = dL - inside dD - (tangent - inside) dH - by_index d index.
+    slope d tangent = dL - inside dD - (tangent - inside) dH.
     """
 
     window: "Window"
@@ -43,7 +43,6 @@ class Apparent(NamedTuple):
     tangent: Array
     inside: Array
     slope: Array
-    by_index: Array
 
     @property
     def points(self) -> Array:
@@ -76,7 +75,10 @@ class Apparent(NamedTuple):
             + _product(along, ahead)
             - _product(self._by_height, self.centre)
         )
-        by_index = (-rate * self.by_index)[:, None] * ahead
+        n, q = self.window.index, self.tangent
+        behind = depth - self.window.height(self.centre) - self.window.thickness
+        short_by_index = behind * n * q * (1 + q * q) / np.sqrt(n * n + (n * n - 1) * q * q) ** 3
+        by_index = (rate * short_by_index)[:, None] * ahead
         return np.dstack([by_normal @ self.window.axes.T, self._by_height, by_index])
 
     @property
@@ -221,13 +223,13 @@ class Window:
                 reach += d * q / root
                 slope += d * n**2 / (root * root * root)
             off = lateral - reach
-            inside, by_index = q / root, -behind * q * n * (1 + q * q) / root**3  # the last one's
+            inside = q / root  # of the last one
             q = q + off / slope
             if not (np.abs(off) > _NEAR * depth).any():
                 break
         ahead = across / lateral[:, None]
         depth = depth + 0 * behind
-        return Apparent(self, centre, depth, lateral, ahead, q, inside, slope, by_index)
+        return Apparent(self, centre, depth, lateral, ahead, q, inside, slope)
 
 
 def _product(one: Array, other: Array) -> Array:
