@@ -263,10 +263,12 @@ class Measurement(Closing):
         for view in self._views.views:
             view.lost()
 
-    def _plan_for(self, device: Device, rest: Moment, geometry: InSpace | InPlane) -> None:
+    def _plan_for(
+        self, device: Device, at_rest: GreyImage, rest: Moment, geometry: InSpace | InPlane
+    ) -> None:
         """Make the plan of the field, and the tracker, where one detector finds all corners.
 
-        rest: the nodes at rest. geometry: how the views show them.
+        at_rest: the frame. rest: its nodes. geometry: how the views show them.
         """
         detector = self._views.detector
         if detector is None:
@@ -289,6 +291,15 @@ class Measurement(Closing):
                 lists=detector.layout.lists,
             )
             self._stack.callback(self._tracker.release)
+            grids, corners = [view.rest for view in views], [view.corners for view in views]
+            self._plan.take(grids, corners)
+            self._follows = self._tracker.begin(grids)
+            begun = self._begin(at_rest)
+            self._follow(begun)
+            self._views.finish(begun.plans)
+            if begun.tracked:
+                self._tracker.know_rest(self._plan.read())
+            self._follows = False
 
     def _views_of(self, frame: GreyImage) -> tuple[GreyImage, ...]:
         """Return the views of a frame."""
@@ -461,7 +472,7 @@ class OneView(Measurement):
             )
             moment = Moment.in_plane(at_rest, self._scale)
             geometry = InPlane(self._scale, at_rest.edge_radius)
-            self._plan_for(search.device, moment, geometry)
+            self._plan_for(search.device, rest, moment, geometry)
         self.unit = self._scale.unit
         self.nodes = at_rest.status.size
         still = displacement(at_rest, at_rest, scale=self._scale, raw=raw)
@@ -532,7 +543,7 @@ class TwoViews(Measurement):
             self.rest = self._placed(left.rest, right.rest)
             if fits(rig):
                 geometry = InSpace(rig, [view.rest.edge_radius for view in self._views.views])
-                self._plan_for(search.device, Moment.in_space(self.rest), geometry)
+                self._plan_for(search.device, rest, Moment.in_space(self.rest), geometry)
         if rig.window is not None and rig.covariance is not None:
             self._bias = Bias(rig, self.rest.xyz)
         self.unit = rig.unit

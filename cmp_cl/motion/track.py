@@ -1,6 +1,7 @@
 """The nodes of a frame from those of the frame before."""
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -23,7 +24,8 @@ from cmp_cl.stages.refine import EDGES, METHOD, RESULT_FIELDS, RESULT_HEAD, VARI
 STRONG = 8.0  # least weight of the predictions of a node that is checked
 LOST = 0.10  # largest share of the nodes without a corner
 CROSSED = 0.02  # largest share of the nodes whose corner has the other colour
-BEYOND = 0.05  # largest share of a side's nodes beyond which a free corner is
+BEYOND = 0.05  # largest share of the nodes of all sides beyond which a free corner is
+BEYOND_ONE = 0.25  # the same of one side
 ADRIFT = 0.005  # largest share of the nodes that are lost beside a corner
 GONE = 0.50  # largest share of a side's nodes that are lost
 KNOWN = 0.95  # least share of the nodes that the frame at rest must show
@@ -54,18 +56,21 @@ class Tracked:
     gone: tuple[int, ...]
     adrift: int
 
-    def holds(self, shape: tuple[int, int]) -> bool:
+    def holds(self, shape: tuple[int, int], usual: tuple[int, ...] = (0, 0, 0, 0)) -> bool:
         """Return whether the numbers of the frame before hold for a lattice of that shape.
 
         A lattice that slips by whole cells has free corners beyond a side, or loses a whole side.
+        usual: the free corners beyond each side at rest, where squares meet the surround.
         """
         rows, columns = shape
         sides = columns, columns, rows, rows
+        more = [now - before for now, before in zip(self.beyond, usual, strict=True)]
         return (
             self.lost <= LOST * rows * columns
             and self.crossed <= CROSSED * rows * columns
             and self.adrift <= ADRIFT * rows * columns
-            and sum(self.beyond) <= BEYOND * sum(sides)
+            and sum(more) <= BEYOND * sum(sides) + 2 * math.sqrt(sum(usual))
+            and all(each <= BEYOND_ONE * side for each, side in zip(more, sides, strict=True))
             and all(gone <= GONE * side for gone, side in zip(self.gone, sides, strict=True))
         )
 
@@ -102,6 +107,7 @@ class Tracker:
         self.shape = rows, columns = views[0][0].shape
         self._count, self._levels = len(views), octaves + 1
         self.capacity = multiple(max(LEAST_ROOM, 2 * rows * columns), GROUP)
+        self._usual: list[tuple[int, ...]] = [(0, 0, 0, 0)] * len(views)
         self.room = multiple(int(LOST * rows * columns), GROUP)  # of second looks
         look_columns = CORNER_COLUMNS + (octaves > 0)
         self._first_count = len(views) * lists
@@ -278,8 +284,13 @@ class Tracker:
         arrays: of the frame, see `FieldPlan.read`. corners: their number in each view.
         """
         return max(corners) <= self.capacity and all(
-            each.holds(self.shape) for each in self.found(arrays)
+            each.holds(self.shape, usual)
+            for each, usual in zip(self.found(arrays), self._usual, strict=True)
         )
+
+    def know_rest(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Take what is found in the frame at rest as usual. arrays: of it, see `FieldPlan.read`."""
+        self._usual = [each.beyond for each in self.found(arrays)]
 
     def found(self, arrays: Mapping[str, NDArray[Any]]) -> list[Tracked]:
         """Return what was found in each view. arrays: of the frame, see `FieldPlan.read`."""
