@@ -117,7 +117,7 @@ class RingHarmonic:
         the share for squeezed cells is 5/3 as large.
     fine: whether a ring of 3 px searches for cells squeezed under 6 px.
     octaves: how often the frame is halved at most, 0 to 3, to find corners whose squares ink, light
-        or blur joins or parts; a shorter side of a halved frame has at least 64 px. With 0, cells
+        or blur joins or parts; a shorter side of a halved frame has at least 48 px. With 0, cells
         under 20 px lose nothing.
     """
 

@@ -7,6 +7,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.image import GreyImage
+
+BLOCK = 4  # px, over which edges are looked for
+EDGE = 1 / 5  # of the brightest block: a strong edge
+EDGES = 0.01  # share of the blocks that such edges cross
+ASKED = 300  # corners, at most, whose neighbour is looked for
+ALTERNATE = -0.5  # mean cosine of twice the turn to the neighbour; -1 in a checkerboard
+
 
 class Method(enum.IntEnum):
     """How the position of a corner was found."""
@@ -74,6 +82,47 @@ class Corners:
     def to_opencv(self) -> NDArray[np.float32]:
         """Return the positions as OpenCV's functions take them: (N, 1, 2) float32, px."""
         return self.xy.reshape(-1, 1, 2).copy()
+
+    def advice(self, image: GreyImage) -> str:
+        """Return in one line why these seem not to be the corners of a pattern, and what to try.
+
+        The line is empty if nothing speaks against them. It says that there is no corner although
+        there are strong edges, or that neighbouring corners do not alternate as those of a
+        checkerboard do: most are then noise or texture. image: (H, W), which they are of.
+        """
+        if not len(self) and _has_edges(image):
+            return (
+                "no corner, although there are strong edges: enlarge an image whose cells are "
+                "under 5 px, and do not leave out octaves"
+            )
+        if self._alternation() > ALTERNATE:
+            return (
+                f"most of the {len(self)} corners are noise or texture, because neighbours do not "
+                "alternate as in a checkerboard: give more light, the mean of some frames, or the "
+                "part of the image that shows the pattern"
+            )
+        return ""
+
+    def _alternation(self) -> float:
+        """Return the mean cosine of twice the angle by which the first boundary of a corner and
+        that of its nearest neighbour differ; -1 if only few corners have boundaries."""
+        known = np.isfinite(self.edges[:, 0])
+        xy, angle = self.xy[known], self.edges[known, 0]
+        if len(xy) < 20:
+            return -1.0
+        asked = np.unique(np.linspace(0, len(xy) - 1, ASKED).astype(int))
+        apart = ((xy[asked, None] - xy) ** 2).sum(axis=2)
+        apart[np.arange(len(asked)), asked] = np.inf
+        return float(np.cos(2 * (angle[asked] - angle[apart.argmin(axis=1)])).mean())
+
+
+def _has_edges(image: GreyImage) -> bool:
+    """Return whether strong edges cross the image. Noise fades in the means of blocks."""
+    rows, columns = (length // BLOCK * BLOCK for length in image.shape)
+    blocks = image[:rows, :columns].reshape(rows // BLOCK, BLOCK, columns // BLOCK, BLOCK)
+    grey = blocks.mean(axis=(1, 3))
+    steps = [np.abs(np.diff(grey, axis=axis)) > EDGE * grey.max(initial=0) for axis in (0, 1)]
+    return bool(sum(int(step.sum()) for step in steps) > EDGES * grey.size)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

@@ -169,6 +169,7 @@ class _Found:
         self.brightest = 0
         self.full_scale: int | None = None
         self.device = ""
+        self.advice = ""  # of the first frame that gives one
 
     @property
     def is_dark(self) -> bool:
@@ -191,6 +192,8 @@ class _Found:
                 f"cmp-cl: {name}: the brightest pixel is {self.brightest}, above the full scale of "
                 f"{self.full_scale}: such pixels all look alike",
             )
+        if self.advice and not self.is_dark:
+            yield sys.stderr, f"cmp-cl: {name}: {self.advice}"
         if hint and self.is_dark:
             yield sys.stderr, f"cmp-cl: {name}: {in_shell(of_few_bits(self.brightest))}"
 
@@ -284,6 +287,8 @@ class _Search(Closing):
             self._key = key
         corners = self._detector(image)
         found.milliseconds.append((time.perf_counter() - start) * 1e3)
+        if not found.corners or not (len(corners) or found.advice):
+            found.advice = corners.advice(image)
         found.corners.append(len(corners))
         found.device = corners.device
         if image.dtype == np.uint16:

@@ -46,10 +46,12 @@ def find_pattern(
             cell = cell_of(grid)
         except GridError as error:
             why, cell = str(error), np.nan
+        advice = "" if cell >= 4 else detector(view).advice(view)
     if not cell >= 4:
         size = "" if shape is None else f" of {' x '.join(map(str, shape))} corners"
         brightest = int(view.max(initial=0)) if full_scale is None else 0
         hint = f"; {of_few_bits(brightest)}" if is_of_few_bits(view.dtype, brightest) else ""
+        hint = hint or (f"; {advice}" if advice else "")
         raise GridError(f"no pattern{size} is found: {why}{hint}")
     check_size(grid)
     return cell, grid

@@ -29,7 +29,7 @@ FINEST: Ring = (2, 1)
 ALIGNMENT, FINE_ALIGNMENT = 8, 4
 SUPPORT = 32
 WIDE: Ring = (8, 6)
-LEAST_SIDE = 64  # px, of a halved frame
+LEAST_SIDE = 48  # px, of a halved frame
 OCTAVE_SHARE = 48  # least response of a corner of a halved frame, 1/128 of the reference
 OCTAVE_APART = 5  # px of the halved frame: nearer to a corner found before it is that corner
 

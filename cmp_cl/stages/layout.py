@@ -15,7 +15,7 @@ from cmp_cl.stages.types import types_of
 LEAST_PAD = 16  # columns on either side of the pixels, for rings, discs and tents
 LANES = 8  # corners of a vector in the form for CPUs
 CORNER_COLUMNS = 6  # x, y, response, and the sum and the moments of the responses around it
-LEAST_OCTAVE = 64  # px, the shorter side of a halved frame
+LEAST_OCTAVE = 48  # px, the shorter side of a halved frame
 OCTAVE_ALIGNMENT = 128  # elements, of the start of an octave in the buffer of the frames
 
 

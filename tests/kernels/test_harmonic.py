@@ -40,22 +40,24 @@ LINES = configured(EdgeLines(), **EVERYTHING)
 # --- stored vectors -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("path", VECTORS, ids=lambda path: path.stem)
-def test_corners_are_those_of_the_stored_vector(detector_in_form, path):
-    with np.load(path) as file:
+@pytest.fixture(params=VECTORS, ids=lambda path: path.stem)
+def stored(request):
+    """Return a vector, and the settings that it was made with."""
+    with np.load(request.param) as file:
         vector = dict(file)
-    config = configured(full_scale=int(vector["full_scale"]))
-    detector = detector_in_form(vector["image"], config)
-    corners = detector(vector["image"])
+    made_with = {"noise": 2.0, "relative": 24 / 128, "fine": True, "octaves": 0}
+    return vector, configured(nms_radius=3, full_scale=int(vector["full_scale"]), **made_with)
+
+
+def test_corners_are_those_of_the_stored_vector(detector_in_form, stored):
+    vector, config = stored
+    corners = detector_in_form(vector["image"], config)(vector["image"])
     np.testing.assert_array_equal(corners.pixel, vector["kept"][:, :2])
     np.testing.assert_array_equal(corners.response, vector["kept"][:, 2])
 
 
-@pytest.mark.parametrize("path", VECTORS, ids=lambda path: path.stem)
-def test_maps_are_those_of_the_stored_vector(detector_for, path):
-    with np.load(path) as file:
-        vector = dict(file)
-    config = configured(full_scale=int(vector["full_scale"]))
+def test_maps_are_those_of_the_stored_vector(detector_for, stored):
+    vector, config = stored
     maps = detector_for(vector["image"], config).maps(vector["image"])
     for ours, theirs in NAMES.items():
         np.testing.assert_array_equal(getattr(maps, ours), vector[theirs], err_msg=ours)

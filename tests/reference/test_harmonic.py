@@ -35,6 +35,9 @@ SYMMETRIES = {
 DENSE = ("fine", "coarse", "coarse_response", "fine_response")
 
 
+MADE_WITH = {"noise": 2.0, "relative": 24 / 128, "fine": True, "octaves": 0}  # the vectors
+
+
 def corners_of(image, full_scale=None, mask=None, nms_radius=3, **rule):
     if full_scale is None:
         full_scale = 255 if image.dtype == np.uint8 else 65535
@@ -52,7 +55,7 @@ def vector(request):
 
 
 def test_every_map_and_every_number_equals_the_vector(vector):
-    found = corners_of(vector["image"], int(vector["full_scale"]))
+    found = corners_of(vector["image"], int(vector["full_scale"]), **MADE_WITH)
     for ours, theirs in zip(DENSE, ("S1", "S3", "R5", "R3"), strict=True):
         np.testing.assert_array_equal(getattr(found.maps, ours), vector[theirs], err_msg=ours)
     assert found.bounds == (vector["bound5"], vector["bound3"])
@@ -60,7 +63,7 @@ def test_every_map_and_every_number_equals_the_vector(vector):
 
 
 def test_the_maxima_before_the_checks_equal_the_vector(vector):
-    found = corners_of(vector["image"], int(vector["full_scale"]))
+    found = corners_of(vector["image"], int(vector["full_scale"]), **MADE_WITH)
     response = found.maps.coarse_response.astype(np.int64)
     y, x = np.nonzero(harmonic.maxima(response, found.bounds[0], 3))
     expected = vector["peaks5"]
@@ -69,11 +72,15 @@ def test_the_maxima_before_the_checks_equal_the_vector(vector):
 
 
 def test_the_corners_equal_the_vector(vector):
-    config = DetectorConfig(full_scale=int(vector["full_scale"]), refinement=None)
+    config = DetectorConfig(
+        detection=RingHarmonic(**MADE_WITH),
+        full_scale=int(vector["full_scale"]),
+        refinement=None,
+    )
     corners = reference.detect(vector["image"], config)
     np.testing.assert_array_equal(corners.pixel, vector["kept"][:, :2])
     np.testing.assert_array_equal(corners.response, vector["kept"][:, 2])
-    found = corners_of(vector["image"], int(vector["full_scale"]))
+    found = corners_of(vector["image"], int(vector["full_scale"]), **MADE_WITH)
     np.testing.assert_array_equal(found.fine, vector["kept"][:, 3] == 3)
 
 

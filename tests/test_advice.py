@@ -1,0 +1,61 @@
+"""Where no pattern is found, one line says why and what to try; where one is, nothing is said."""
+
+import cv2
+import images
+import numpy as np
+import pytest
+from corner_images import board
+
+from cmp_cl import Corners, GridError, detect, measure
+from cmp_cl.cli.main import main
+
+SHAPE = (240, 320)
+
+
+def grain(smooth):
+    """Return grey with noise of 8 grey levels, smoothed over that many px."""
+    noise = np.random.default_rng(1).normal(size=SHAPE)
+    noise = cv2.GaussianBlur(noise, (0, 0), smooth) if smooth else noise
+    return np.clip(128 + 8 * noise / noise.std(), 0, 255).astype(np.uint8)
+
+
+def advice(image) -> str:
+    corners = detect(image)
+    assert isinstance(corners, Corners)
+    return corners.advice(image)
+
+
+@pytest.mark.parametrize("smooth", [0.7, 1, 1.5, 2, 3])
+def test_the_corners_of_coarse_noise_are_said_to_be_noise(smooth):
+    assert "noise" in advice(grain(smooth))
+
+
+def test_strong_edges_without_a_corner_are_spoken_of():
+    y, x = np.indices(SHAPE)
+    stripes = np.where((x + y // 3) // 9 % 2, 30, 220).astype(np.uint8)
+    assert "enlarge" in advice(stripes)
+    assert "enlarge" in advice(stripes.astype(np.uint16) * 257)
+
+
+@pytest.mark.parametrize("cell", [7, 12, 30, 70])
+def test_nothing_is_said_of_a_pattern(cell):
+    assert advice(board(*SHAPE, cell, angle=0.3)[0]) == ""
+    assert advice(images.scene(1.5).image) == ""
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (3, 3), SHAPE])
+def test_nothing_is_said_of_an_image_without_edges(shape):
+    assert advice(np.full(shape, 90, np.uint8)) == ""
+    ramp = np.linspace(20, 200, shape[1]).astype(np.uint8)
+    assert advice(np.ascontiguousarray(np.broadcast_to(ramp, shape))) == ""
+    if shape == SHAPE:
+        assert advice(grain(0)) == ""
+
+
+def test_the_command_line_and_a_search_for_a_board_say_it(tmp_path, capsys):
+    image = grain(1.5)
+    cv2.imwrite(str(tmp_path / "noise.png"), image)
+    assert main(["detect", str(tmp_path / "noise.png")]) == 0
+    assert "noise or texture" in capsys.readouterr().err
+    with pytest.raises(GridError, match="noise or texture"):
+        measure.find_board(image, (6, 9))
