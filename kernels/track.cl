@@ -21,7 +21,7 @@
 #define CENTROID 0
 #define SAME_PX 0.5f            /* a corner so near is the same */
 #define VARIANCE_OF_EXCESS 1000 /* px^2 per squared excess, as in cmp_cl/stages/refine.py */
-#define LEAST_HALF_RANGE 0.0015f
+#define LEAST_RANGE 0.0025f
 
 #define NEAR_CELLS 0.3f /* from the prediction, of the smaller local step */
 #define ALONE_CELLS 0.5f /* no second corner may be as near as that */
@@ -79,16 +79,16 @@
 #define OCTAVE_OF(n) (OCTAVES ? octaves[n] : 0)
 
 /* By how much the variance of a corner grows, px^2: by the excess of its autocorrelation over the
- * median of its octave, and by the spread of the quartiles. */
-float grown_variance(const float correlation, const float4 quartile) {
-  const float excess = fmax(correlation - quartile.y, 0.0f); /* 0 if there are no quartiles */
-  const float spread = fmax((quartile.z - quartile.x) / 2 - LEAST_HALF_RANGE, 0.0f);
+ * median of its octave, and by the range of the least. */
+float grown_variance(const float correlation, const float4 quantile) {
+  const float excess = fmax(correlation - quantile.z, 0.0f); /* 0 if there are none */
+  const float spread = fmax(quantile.y - quantile.x - LEAST_RANGE, 0.0f);
   return VARIANCE_OF_EXCESS * (excess * excess + spread * spread);
 }
 
 /* The standard deviation of corner n. */
-#define SIGMA_OF(n, quartile)                                                       \
-  sqrt(variances[n] + (float)(1 << 2 * OCTAVE_OF(n)) * grown_variance(correlations[n], quartile))
+#define SIGMA_OF(n, quantile)                                                       \
+  sqrt(variances[n] + (float)(1 << 2 * OCTAVE_OF(n)) * grown_variance(correlations[n], quantile))
 
 /* The sine of an angle within .001; sin is a slow call on PoCL. */
 float sine_of(const float angle) {
@@ -116,11 +116,11 @@ uint ordered(const float v) {
   return bits & 0x80000000u ? ~bits : bits | 0x80000000u;
 }
 
-/* The quartiles of the residual's autocorrelation of the corners that EDGE_STEP accepted, of two the
- * lower one, for each view and octave, byte by byte from the first; infinite if there are none. One
+/* The 5th, 40th and 50th percentile of the residual's autocorrelation of the corners that EDGE_STEP
+ * accepted, for each view and octave, byte by byte from the first; infinite if there are none. One
  * work-group for each. */
-__kernel void quartiles(__global const float *result, const uint stride, const uint room,
-                        __global float4 *quartile) {
+__kernel void quantiles(__global const float *result, const uint stride, const uint room,
+                        __global float4 *quantile) {
   const int view = get_group_id(1) / LEVELS, octave = get_group_id(1) % LEVELS;
   const int first = get_local_id(0), items = get_local_size(0);
   RESULT_OF_VIEW(result, stride, room)
@@ -144,7 +144,8 @@ __kernel void quartiles(__global const float *result, const uint stride, const u
         if (shift == 24) {
           if (q == 0)
             for (int b = 0; b < 256; ++b) all += bins[0][b];
-          rank[q] = all ? all - 1 - (3 - q) * all / 4 : 0;
+          const uint above = q == 0 ? 19 * all / 20 : q == 1 ? 3 * all / 5 : all / 2;
+          rank[q] = all ? all - 1 - above : 0;
           prefix[q] = 0;
         }
         uint b = 0;
@@ -155,17 +156,17 @@ __kernel void quartiles(__global const float *result, const uint stride, const u
   }
 #define NUMBER_OF(key) as_float((key) & 0x80000000u ? (key) & 0x7fffffffu : ~(key))
   if (first == 0)
-    quartile[get_group_id(1)] = all ? (float4)(NUMBER_OF(prefix[0]), NUMBER_OF(prefix[1]),
+    quantile[get_group_id(1)] = all ? (float4)(NUMBER_OF(prefix[0]), NUMBER_OF(prefix[1]),
                                                NUMBER_OF(prefix[2]), 0.0f)
                                     : (float4)(INFINITY);
 }
 
 /* Chain the corners of each bin, and predict the nodes: they move on as they moved last. The
  * variance of a corner that does not look like its model grows by its excess over the median, and
- * that of all corners by the spread of the quartiles. Corners outside the region of a view, (x0, y0, x1, y1), take no part. One work-item a corner or a
+ * that of all corners by the range of the least. Corners outside the region of a view, (x0, y0, x1, y1), take no part. One work-item a corner or a
  * node. */
 __kernel void place(__global const float *result, const uint stride, const uint room,
-                    __global const float4 *quartile, __global const float4 *regions, const float bin,
+                    __global const float4 *quantile, __global const float4 *regions, const float bin,
                     const int bin_rows, const int bin_columns, __global const float2 *nodes,
                     __global float4 *corners, __global float2 *last, __global float2 *predicted,
                     __global int *first_of_bin, __global int *next, __global int *claims,
@@ -181,7 +182,7 @@ __kernel void place(__global const float *result, const uint stride, const uint 
   RESULT_OF_VIEW(result, stride, room)
   if (i >= min(count, CAPACITY)) return;
   const float4 region = regions[view];
-  const float sigma = SIGMA_OF(i, quartile[view * LEVELS + OCTAVE_OF(i)]);
+  const float sigma = SIGMA_OF(i, quantile[view * LEVELS + OCTAVE_OF(i)]);
   const int whole = sigma < TORN_PX && refusals[i] == 0;
   const float4 corner =
       (float4)(fields[2 * i], fields[2 * i + 1], edges[4 * i], whole ? sigma : -sigma);
@@ -351,7 +352,7 @@ __kernel void check(__global const float4 *corners, const float bin, const int b
  * for keeps a corner that is not too far; else it stays at that place, INTERPOLATED between two
  * neighbours. `result`: of the looks. One work-item a node. */
 __kernel void enter(__global const float *result, const uint stride,
-                    __global const float4 *quartile, __global const float4 *corners,
+                    __global const float4 *quantile, __global const float4 *corners,
                     const float bin, const int bin_rows, const int bin_columns,
                     __global const int *first_of_bin, __global const int *next,
                     __global const int *claims, __global const int *kept,
@@ -370,7 +371,7 @@ __kernel void enter(__global const float *result, const uint stride,
   const float2 place = expected[OF_NODE];
   if (n >= 0 && n < count && refusals[n] == 0 && methods[n] != CENTROID) {
     const float2 found = (float2)(fields[2 * n], fields[2 * n + 1]);
-    const float deviation = SIGMA_OF(n, quartile[view * LEVELS]), off = length(found - place);
+    const float deviation = SIGMA_OF(n, quantile[view * LEVELS]), off = length(found - place);
     const float most = deviation < TORN_PX ? NEAR_CELLS : STRAY_TORN_CELLS;
     if ((off < most * cell || off < STRAY_PX) &&
         has_colour(edges[4 * n], along, down, i, colour[view])) {

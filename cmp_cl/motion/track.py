@@ -31,7 +31,7 @@ GONE = 0.50  # largest share of a side's nodes that are lost
 KNOWN = 0.95  # least share of the nodes that the frame at rest must show
 COUNTED = 12  # numbers for each view, as in kernels/track.cl
 LEAST_ROOM = 4096  # corners of a view
-QUARTILE_GROUP = 256  # work-items that look for quartiles together
+QUANTILE_GROUP = 256  # work-items that look for quantiles together
 EVERYWHERE = (-np.inf, -np.inf, np.inf, np.inf)  # px
 Region = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 _RESULT = (None, np.uint32(0), np.uint32(0))  # the corners, which are given with a frame
@@ -118,7 +118,7 @@ class Tracker:
             queue,
             {
                 "corners": ((*corners, 4), np.float32),
-                "quartile": ((self._count, self._levels, 4), np.float32),
+                "quantile": ((self._count, self._levels, 4), np.float32),
                 "last": ((*nodes, 2), np.float32),
                 "predicted": ((*nodes, 2), np.float32),
                 "residual": ((*nodes, 2), np.float32),
@@ -192,15 +192,15 @@ class Tracker:
         bins = np.float32(self._bin), np.int32(self._bins[0]), np.int32(self._bins[1])
         chains = *bins, "first_of_bin", "next"
         look_counts = "look_counts", np.uint32(self._first_count)
-        group = 1 if self._device.kind is DeviceKind.CPU else QUARTILE_GROUP
+        group = 1 if self._device.kind is DeviceKind.CPU else QUANTILE_GROUP
         return [
             self._bound(
-                "quartiles", (group, self._count * self._levels), (group, 1), *_RESULT, "quartile"
+                "quantiles", (group, self._count * self._levels), (group, 1), *_RESULT, "quantile"
             ),
             self._of_nodes(
                 "place",
                 max(nodes, self.capacity),
-                *(*_RESULT, "quartile", "regions", *bins, "nodes", "corners", "last", "predicted"),
+                *(*_RESULT, "quantile", "regions", *bins, "nodes", "corners", "last", "predicted"),
                 *("first_of_bin", "next", "claims", *look_counts, "tracked"),
             ),
             self._of_nodes(
@@ -225,7 +225,7 @@ class Tracker:
             self._of_nodes(
                 "enter",
                 nodes,
-                *("look_result", np.uint32(_stride(self.room)), "quartile"),
+                *("look_result", np.uint32(_stride(self.room)), "quantile"),
                 *("corners", *chains, "claims", "kept", "look", "expected", "last", "colour"),
                 *("nodes", "seen_status", "seen_sigma", "owner"),
             ),

@@ -22,7 +22,7 @@ LEAST_SPREAD = 1e-3  # of the model, relative to its weighted mean square
 GRADIENT = 1e-3  # 1/px, expected gradient of the light, unless the image shows a larger one
 SIGNIFICANT = 9.0  # squared standard deviations: above it, the gradient in the image is used
 DOUBT = 0.010  # excess autocorrelation of the residual
-LEAST_HALF_RANGE = 0.0015  # half of the range of the autocorrelations' quartiles, in a good frame
+LEAST_RANGE = 0.0025  # from the 5th to the 40th percentile of autocorrelations, in a good frame
 # px: error of a position on perfect prints by bent edges, shading and sampling, beside the noise
 STEP_ERROR = 0.01
 
@@ -75,9 +75,9 @@ def edge_step(
 
     excess, spread = np.zeros(len(start)), 0.0
     if accepted.any():
-        lower, middle, upper = (ranked(correlation[accepted], n) for n in (1, 2, 3))
+        least, low, middle = (ranked(correlation[accepted], n) for n in (5, 40, 50))
         excess = np.maximum(0, correlation - middle)
-        spread = max(0, (upper - lower) / 2 - LEAST_HALF_RANGE)
+        spread = max(0, low - least - LEAST_RANGE)
     of_step = STEP_ERROR**2 + 0.5 * variance + 1000 * excess**2
     of_refused = np.where(solvable, longest**2, 0)  # the lines and the step differ by more
     margin = np.min(
@@ -106,10 +106,10 @@ def disc_radius(refinement: EdgeStep, scale: float) -> float:
     return min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
 
 
-def ranked(values: Floats, quarters: int) -> float:
-    """Return the value of that quartile, of two the lower one, which is one of the values."""
+def ranked(values: Floats, percent: int) -> float:
+    """Return that percentile, of two values the lower one."""
     ordered = np.sort(values)
-    return float(ordered[len(values) - 1 - (4 - quarters) * len(values) // 4])
+    return float(ordered[len(values) - 1 - (100 - percent) * len(values) // 100])
 
 
 def _step_terms(

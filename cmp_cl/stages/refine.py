@@ -24,9 +24,7 @@ RING_SAMPLES = 32
 STEP_RADIUS = (0.75, 4.5, 9.0)  # of EDGE_STEP's disc: cells, and its least and largest px
 DOUBTFUL_EXCESS = 0.010  # excess of the residual's autocorrelation over the frame's median
 VARIANCE_OF_EXCESS = 1000  # px^2 per squared excess, fitted on rendered scenes and on boards
-LEAST_HALF_RANGE = np.float32(
-    0.0015
-)  # half of the range of the autocorrelations' quartiles, in a good frame
+LEAST_RANGE = np.float32(0.0025)  # of the lesser autocorrelations, in a good frame
 
 
 def files(plan: PlanBase) -> list[str]:
@@ -272,15 +270,17 @@ def _excess(
 
     A corner with an excess above DOUBTFUL_EXCESS is doubtful: its surroundings do not look like the
     corner model. Where the whole frame does not, because its pixels are enlarged, compressed or
-    hidden by coarse noise, the autocorrelations spread.
+    hidden by coarse noise, the least autocorrelations spread; texture beside a pattern spreads the
+    others alone.
     """
     count = int(np.count_nonzero(accepted))
     if not count:
         return np.zeros_like(correlation), np.zeros_like(correlation)
-    ranks = [len(correlation) - 1 - quarters * count // 4 for quarters in (3, 2, 1)]
+    above = 19 * count // 20, 3 * count // 5, count // 2
+    ranks = [len(correlation) - 1 - n for n in above]
     ordered = np.partition(correlation, ranks)
-    lower, middle, upper = (ordered[rank] for rank in ranks)
+    least, low, middle = (ordered[rank] for rank in ranks)
     excess = np.maximum(correlation - middle, 0)
-    spread = np.maximum((upper - lower) / 2 - LEAST_HALF_RANGE, 0)
+    spread = np.maximum(low - least - LEAST_RANGE, 0)
     more: NDArray[np.float32] = VARIANCE_OF_EXCESS * (excess * excess + spread * spread)
     return excess, more
