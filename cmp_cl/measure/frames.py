@@ -262,6 +262,7 @@ class Measurement(Closing):
     def _skip(self) -> None:
         for view in self._views.views:
             view.lost()
+            self._follows &= view.continues
 
     def _plan_for(
         self, device: Device, at_rest: GreyImage, rest: Moment, geometry: InSpace | InPlane
@@ -278,7 +279,7 @@ class Measurement(Closing):
             detector.queue, programs, device, rest=rest, geometry=geometry, strain=self._strain
         )
         self._stack.callback(self._plan.release)
-        if all(can_track(view.rest) for view in views):
+        if all(can_track(view.rest, slow=view.track) for view in views):
             self._tracker = Tracker(
                 detector.queue,
                 programs,

@@ -54,7 +54,7 @@ class View:
         if not self.rest.valid.any():
             raise GridError("no pattern is seen")
         check_size(self.rest)
-        self.region, self._track = region, track
+        self.region, self.track = region, track
         self._previous: Callable[[], Grid] | None = None
         self._lost = 0  # frames since the last one with a grid
 
@@ -64,7 +64,7 @@ class View:
         The grid has the rows and columns of the grid at rest; nodes beyond them have no
         displacement.
         """
-        before = self._before() if self._track else None
+        before = self._before() if self.track else None
         try:
             whole = build_grid(corners, view, like=self.rest, region=self.region, previous=before)
         except GridError:
@@ -85,6 +85,11 @@ class View:
         if self._lost > BRIDGED:
             doubtful = dataclasses.replace(self._before(), confidence=0.0)
             self._previous = lambda: doubtful
+
+    @property
+    def continues(self) -> bool:
+        """Return whether few frames are missing since the last one with a grid."""
+        return self._lost <= BRIDGED
 
     def _before(self) -> Grid:
         return self.rest if self._previous is None else self._previous()

@@ -75,10 +75,14 @@ class Tracked:
         )
 
 
-def can_track(rest: Grid) -> bool:
+def can_track(rest: Grid, *, slow: bool) -> bool:
     """Return whether a slip by whole cells would show: the pattern ends on all sides of the view,
-    and nearly all nodes are there."""
-    return all(rest.border or NO_SIDES) and rest.valid.mean() > KNOWN and min(rest.shape) >= 3
+    and nearly all nodes are there.
+
+    slow: the pattern moves by less than half a cell from frame to frame, so that it cannot slip.
+    """
+    sure = slow or all(rest.border or NO_SIDES)
+    return bool(sure and rest.valid.mean() > KNOWN and min(rest.shape) >= 3)
 
 
 class Tracker:
