@@ -5,12 +5,14 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import MEASURED, Grid
 from cmp_cl.image import GreyImage
-from cmp_cl.lattice.arrays import Board
+from cmp_cl.lattice.arrays import Board, Numbers
+from cmp_cl.lattice.boards import cropped
 from cmp_cl.lattice.borders import Border, border_of
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.numbers import (
@@ -92,14 +94,46 @@ class Found(NamedTuple):
 def found_in(boards: Iterable[Board], image: GreyImage, asked: Asked) -> list[Found]:
     """Return the boards of a view with their borders and numbers, those of more corners first."""
     found = []
-    for board in boards:
-        at = np.where(board.owner >= 0, board.x + 1j * board.y.astype(np.float64), np.nan)
+    for board in (part for each in boards for part in _apart(each, image)):
+        at = _places(board)
         if not (board.owner >= 0).any():
             continue
         quarters = upright(at)
         seen = Seen(at, int(board.sign < 0), border_of(at, image, K)).turned(quarters)
         found.append(Found(board.turned(quarters), seen, _decided(seen, asked)))
     return sorted(found, key=lambda each: -each.size)
+
+
+def _apart(board: Board, image: GreyImage) -> list[Board]:
+    """Return a board, or several if a part of it that touches no other ends where others follow.
+
+    Colours counted across plain ground can join two boards that lie in one plane.
+    """
+    count, label = cv2.connectedComponents((board.owner >= 0).astype(np.uint8), connectivity=4)
+    parts = [label == n for n in range(1, count)]
+    parts = sorted((each for each in parts if each.sum() >= OTHER), key=lambda each: -each.sum())
+    found, rest = [], board.owner >= 0
+    for part in parts[1:]:
+        row, column = (np.flatnonzero(part.any(axis)) for axis in (1, 0))
+        top, bottom, left, right = row[0], row[-1] + 1, column[0], column[-1] + 1
+        others = (board.owner >= 0) & ~part
+        follow = (
+            others[:top, left:right].any(),
+            others[bottom:, left:right].any(),
+            others[top:bottom, :left].any(),
+            others[top:bottom, right:].any(),
+        )
+        alone = board.only(part)
+        if (border_of(_places(cropped(alone)), image, K).ends & follow).any():
+            found.append(cropped(alone))
+            rest &= ~part
+    return [cropped(board.only(rest)), *found] if found else [board]
+
+
+def _places(board: Board) -> Numbers:
+    """Return where the corners of a board are, (R, C) complex, px, NaN where there is none."""
+    at: Numbers = np.where(board.owner >= 0, board.x + 1j * board.y.astype(np.float64), np.nan)
+    return at
 
 
 def _decided(seen: Seen, asked: Asked) -> Decision:

@@ -103,3 +103,13 @@ class Board:
             torn=np.rot90(self.torn, quarters),
             sign=self.sign * (1 - 2 * odd),
         )
+
+    def only(self, nodes: Mask) -> "Board":
+        """Return the board with only some of its nodes, (R, C)."""
+        return Board(
+            x=np.where(nodes, self.x, np.float32(np.nan)),
+            y=np.where(nodes, self.y, np.float32(np.nan)),
+            owner=np.where(nodes, self.owner, NONE),
+            torn=self.torn & nodes,
+            sign=self.sign,
+        )

@@ -584,7 +584,7 @@ def test_a_rectangle_in_each_view_selects_one_of_two_patterns(run, recording, pr
         cv2.imwrite(str(doubled / f"{number}.png"), frame)
     StereoRig(*shifted(RIG, VIEW[1])).save("rig.yaml")
     wide = 2 * VIEW[1]
-    fails_in_one_line(run("run", doubled, *STEREO), "the left view", "looks like 12 x")
+    fails_in_one_line(run("run", doubled, *STEREO), "the left view", "two patterns", "region")
     boxes = [f"{x},0,{VIEW[1]},{VIEW[0]}" for x in (VIEW[1], wide + VIEW[1])]
     status, _, err = run("run", doubled, *STEREO, "--region", ":".join(boxes))
     assert (status, err) == (0, "")
