@@ -11,7 +11,7 @@ import numpy as np
 from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import MEASURED, Grid
 from cmp_cl.image import GreyImage
-from cmp_cl.lattice.arrays import Board, Numbers
+from cmp_cl.lattice.arrays import Board, Mask, Numbers
 from cmp_cl.lattice.boards import cropped
 from cmp_cl.lattice.borders import Border, border_of
 from cmp_cl.lattice.constants import LatticeConstants
@@ -29,6 +29,7 @@ SMALL = 0.1  # least share of the corners that the board must hold
 OTHER = 12  # corners: a board of so many may be the one that is meant
 COMPARABLE = 0.5  # share of a board's nodes from which another may be the one that is meant
 TEXTURE = 1 / 16  # share of a board's area; another of less, with gaps, is texture
+LEAST_GAP, GAP = 10, 0.04  # places inside a board without a node that are many, and their share
 WHOLE = 0.9  # share of the nodes of a known shape
 BORDERS = 3  # sides; the edge of the image, or things beside, may hide one
 
@@ -66,6 +67,15 @@ class Found(NamedTuple):
     def area(self) -> float:
         x0, y0, x1, y1 = self.box
         return (x1 - x0) * (y1 - y0)
+
+    @property
+    def gap(self) -> int:
+        """Return the number of places between nodes of its rows and of its columns that show no
+        corner, 0 if they are few."""
+        there = self.board.there
+        inside = _between(there) & _between(there.T).T
+        missing = int(np.count_nonzero(inside & ~there))
+        return missing if missing >= max(LEAST_GAP, GAP * np.count_nonzero(inside)) else 0
 
     def is_texture(self, first: "Found") -> bool:
         """Return whether it has gaps, and is as small as texture beside another board."""
@@ -128,6 +138,13 @@ def _apart(board: Board, image: GreyImage) -> list[Board]:
             found.append(cropped(alone))
             rest &= ~part
     return [cropped(board.only(rest)), *found] if found else [board]
+
+
+def _between(there: Mask) -> Mask:
+    """Return which places lie between nodes of their row, (R, C)."""
+    after = np.logical_or.accumulate(there[:, ::-1], axis=1)[:, ::-1]
+    between: Mask = np.logical_or.accumulate(there, axis=1) & after
+    return between
 
 
 def _places(board: Board) -> Numbers:
@@ -212,10 +229,10 @@ def _alone(found: list[Found]) -> tuple[Found, int]:
         if each is not chosen and each.size >= OTHER and not each.is_texture(chosen)
     ]
     if not others:
-        return chosen, 0
+        return chosen, chosen.gap
     other, comparable = others[0], others[0].size >= COMPARABLE * chosen.size
     if len(whole) == 1 and not (comparable and other.is_full):
-        return chosen, other.size if comparable else 0
+        return chosen, other.size if comparable else chosen.gap
     if comparable:
         raise _two(chosen, other)
     return chosen, other.size

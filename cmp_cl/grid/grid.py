@@ -105,8 +105,9 @@ class Grid:
         of the ratio); inf if no others are possible, 0 if others are as probable. See `ambiguous`.
     rival: the second best numbering, None if there is no other.
     others: corners of the largest other lattice in view that may be the pattern that is meant,
-        0 where none is: squares behind a board, or a part of a torn pattern without numbers.
-        It is not looked for where the shape is known.
+        0 where none is: squares behind a board, or a part of a torn pattern without numbers. Places
+        inside the grid that show no corner count too, if they are many: two patterns that touch
+        leave such a gap. It is not looked for where the shape is known.
     edge_radius: the `edge_radius` of the corners, px. The filters of positions and displacements
         use it to remove the effect of bent edges. NaN if unknown.
     """
@@ -173,8 +174,8 @@ class Grid:
             found.append(f"the board looks like {seen} corners; {rows} x {columns} were asked for")
         if self.others:
             found.append(
-                f"another pattern of {self.others} corners is seen; give a region without it, or "
-                "the number of rows and columns"
+                f"another pattern of {self.others} corners is seen, or so many are missing inside "
+                "this one; give a region without it, or the number of rows and columns"
             )
         if self.ambiguous and self.seen_shape is None:
             other = ""
