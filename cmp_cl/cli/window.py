@@ -30,8 +30,8 @@ def add_window(parser: argparse.ArgumentParser) -> None:
         "--window",
         metavar="LENGTH:INDEX,...",
         type=media,
-        help="thickness and refractive index of each layer, from the cameras to the pattern, as in "
-        "5:1.49,20:1.41; the last one holds the pattern. The views of the board are in air",
+        help="thickness, in --unit, and refractive index of each layer, from the cameras to the "
+        "pattern, as in 5:1.49,20:1.41; the last one holds it. The views of the board are in air",
     )
     window.add_argument(
         "--rest",

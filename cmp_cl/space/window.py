@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError, as_numbers, listed
+from cmp_cl.errors import CalibrationError, listed
+from cmp_cl.space.lens import checked_array
 
 Array = NDArray[np.float64]
 
@@ -21,6 +22,7 @@ WINDOW = 4
 _MOST_STEPS = 50
 _NEAR = 1e-8  # share of the depth; a step of Newton's method squares such an error
 _TINY = 1e-300
+_LARGEST_INDEX = 10.0
 
 
 class Apparent(NamedTuple):
@@ -108,7 +110,7 @@ class Window:
     index: of the medium behind the last face, such as the gel.
 
     Raises CalibrationError if a number is not finite, the normal has no length, the distance is not
-    above 0, a thickness is below 0 or an index below 1.
+    above 0, a thickness is below 0, or an index is not from 1 to 10.
     """
 
     normal: Array
@@ -117,31 +119,34 @@ class Window:
     index: float
 
     def __post_init__(self) -> None:
-        normal = _finite("normal", self.normal, (3,))
+        normal = checked_array("the window's normal", self.normal, (3,))
         length = float(np.linalg.norm(normal))
         if not length > 0:
             raise CalibrationError(
                 "the window's normal has length 0; give its direction, from the camera to the "
                 "pattern, such as (0, 0, 1)"
             )
-        distance = float(_finite("distance", self.distance, ()))
+        distance = float(checked_array("the window's distance", self.distance, ()))
         if not distance > 0:
             raise CalibrationError(
                 "the window lies behind the left camera: its distance must be above 0, not "
                 f"{distance:g}"
             )
         given = listed("the window's layers", self.layers, object, CalibrationError)
-        layers = [tuple(_finite("layers", layer, (2,)).tolist()) for layer in given]
-        index = float(_finite("index", self.index, ()))
+        layers = [
+            tuple(checked_array("the window's layers", layer, (2,)).tolist()) for layer in given
+        ]
+        index = float(checked_array("the window's index", self.index, ()))
         media = {f"layer {k} of the window": layer for k, layer in enumerate(layers, 1)}
         for name, (thickness, refraction) in {
             **media, "the medium behind the window": (0.0, index)
         }.items():  # fmt: skip
             if thickness < 0:
                 raise CalibrationError(f"{name} has thickness {thickness:g}; it must be at least 0")
-            if refraction < 1:
+            if not 1 <= refraction <= _LARGEST_INDEX:
                 raise CalibrationError(
-                    f"{name} has index {refraction:g}; it must be at least 1, that of air"
+                    f"{name} has index {refraction:g}; it must be from 1, that of air, to "
+                    f"{_LARGEST_INDEX:g}"
                 )
         normal /= length
         normal.flags.writeable = False
@@ -236,14 +241,3 @@ def _product(one: Array, other: Array) -> Array:
     """Return the matrices one other^T, (N, 3, 3), of (N, 3) and (N, 3) or (3,)."""
     product: Array = one[:, :, None] * other[..., None, :]
     return product
-
-
-def _finite(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return a parameter of that name as a new array; raises CalibrationError unless it has that
-    shape and is finite."""
-    array = as_numbers(f"the window's {name}", value, CalibrationError)
-    if array.shape != shape:
-        raise CalibrationError(f"the window's {name} must have shape {shape}, not {array.shape}")
-    if not np.isfinite(array).all():
-        raise CalibrationError(f"the window's {name} must be finite, not {array.tolist()}")
-    return array
