@@ -109,6 +109,20 @@ def test_a_frame_is_tracked_or_numbered_anew_and_the_result_is_the_same(film):
             np.testing.assert_array_equal(values, other.arrays[name], err_msg=name)
 
 
+def test_a_call_within_a_stream_changes_no_result_of_it(film):
+    split, rig = cmp_cl.BinocularSplit.halves(*film[0].shape[::-1]), StereoRig(*RIG)
+    with measure.TwoViews(film[0], rig, split, shape=(12, 12)) as following:
+        alone = [following(frame).field.displacement for frame in film]
+        for each, expected in zip(following.stream(film), alone, strict=True):
+            np.testing.assert_array_equal(each.field.displacement, expected)
+            between = following(film[5]).field.displacement
+            np.testing.assert_array_equal(between, alone[5])
+        left = following.stream(film)
+        next(left)
+        left.close()  # the second frame runs
+        np.testing.assert_array_equal(following(film[4]).field.displacement, alone[4])
+
+
 def test_an_audit_tells_the_nodes_that_tracking_numbered_otherwise(film, monkeypatch):
     split, rig = cmp_cl.BinocularSplit.halves(*film[0].shape[::-1]), StereoRig(*RIG)
     number = View.number

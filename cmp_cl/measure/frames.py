@@ -138,11 +138,13 @@ class Tally:
 
 @dataclasses.dataclass(eq=False)
 class _Begun:
-    """A frame whose kernels run. tracked: whether those that track its nodes do."""
+    """A frame whose kernels run. tracked: whether those that track its nodes do. settled: what has
+    been read of it."""
 
     views: tuple[GreyImage, ...]
     plans: list[Plan]
     tracked: bool = False
+    settled: "_Settled | None" = None
 
 
 class Measurement(Closing):
@@ -176,6 +178,7 @@ class Measurement(Closing):
         self._lock = threading.Lock()  # one frame at a time
         self._stack = contextlib.ExitStack()
         self._events: list[tuple[str, cl.Event]] = []  # of the last frame, but of the detector
+        self._running: _Begun | None = None  # whose results have not been read
         self._follows = False  # whether the tracker has the nodes of the frame before
 
     def close(self) -> None:
@@ -250,8 +253,14 @@ class Measurement(Closing):
                 yield last
         finally:
             if waiting is not None:
-                with contextlib.suppress(DeviceError):  # closed
-                    self._views.finish(waiting.plans)
+                self._abandon(waiting)
+
+    def _abandon(self, begun: _Begun) -> None:
+        """Forget a frame whose kernels run: nobody has checked the nodes that it tracks."""
+        with self._lock, contextlib.suppress(DeviceError):  # closed
+            if begun.settled is None:
+                self._running, self._follows = None, False
+                self._views.finish(begun.plans)
 
     def skip(self) -> None:
         """Note that a frame is missing here; `track` continues numbers over few missing frames
@@ -300,7 +309,7 @@ class Measurement(Closing):
             self._views.finish(begun.plans)
             if begun.tracked:
                 self._tracker.know_rest(self._plan.read())
-            self._follows = False
+            self._running, self._follows = None, False
 
     def _views_of(self, frame: GreyImage) -> tuple[GreyImage, ...]:
         """Return the views of a frame."""
@@ -317,6 +326,9 @@ class Measurement(Closing):
 
     def _follow(self, begun: "_Begun") -> None:
         """Enqueue those that track the nodes and compute the field, if the tracker can go on."""
+        if self._running is not None:  # of a stream
+            self._settled(self._running)
+        self._running = begun
         if self._tracker is None or self._plan is None or not self._follows:
             return
         (plan,) = begun.plans
@@ -326,6 +338,14 @@ class Measurement(Closing):
         begun.tracked = True
 
     def _settled(self, begun: _Begun) -> "_Settled":
+        """Return what becomes of a frame, once its kernels are done."""
+        if self._running is begun:
+            self._running = None
+        if begun.settled is None:
+            begun.settled = self._settle(begun)
+        return begun.settled
+
+    def _settle(self, begun: _Begun) -> "_Settled":
         """Wait for a frame. Number it anew where tracking does not hold, or is audited."""
         views, tally = self._views.views, self.tally
         corners, same = self._views.finish(begun.plans)
