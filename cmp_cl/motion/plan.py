@@ -44,7 +44,7 @@ class FieldPlan:
     """Buffers and bound kernels that turn the nodes of V views into a field of D coordinates.
 
     rest: the nodes at rest. geometry: how the views show them, in space or in the plane. strain:
-    whether fields in space have a strain.
+    whether fields have a strain.
     frame: what a frame starts from, see `Tracker.layout`, and what comes of it.
 
     Where the device has no double precision, points in space err by some hundredths of a
@@ -62,13 +62,12 @@ class FieldPlan:
         strain: bool = False,
     ) -> None:
         self.shape = rows, columns = rest.status.shape
-        self._queue, self._device = queue, device
-        self._strained = strain and geometry.axes == 3
+        self._queue, self._device, self._strained = queue, device, strain
         self._rest, self._geometry = rest, geometry
         self._at_rest = rest.filtered
         self._double = has_double(device)
         self._down, self._along = axis_tables(rows), axis_tables(columns)
-        files = [geometry.file, "filter", *(["strain"] if self._strained else [])]
+        files = [geometry.file, "filter", *(["strain"] if strain else [])]
         self.kernels = programs.kernels(files, self._defines())
         self._position = self._at_rest.values - rest.bend
         self._position_covariance, self._raw_covariance = (
@@ -376,7 +375,7 @@ class FieldPlan:
 class _Change:
     """What a strain asks of the filter of a displacement. The host filters it again when asked.
 
-    values: (R, C, 3), before the filter. measured: (R, C). most_noise: (R, C), as `filter_grid`
+    values: (R, C, D), before the filter. measured: (R, C). most_noise: (R, C), as `filter_grid`
     takes them.
     """
 
