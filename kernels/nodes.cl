@@ -5,8 +5,9 @@
  * one that looks for nodes in the places beside others.
  *
  * seen: the position of a node, NAN where it is missing. owner: its corner, NONE, or PLACE if no
- * corner is there. torn: the position seen is rough. at: the same position, if torn blended with
- * the one that the neighbours predict. */
+ * corner is there. torn: refinement of that position was rejected. at: the same position, if torn
+ * blended with the one that the neighbours predict; what nodes are judged by. rough: torn, or far
+ * from that prediction. result: blended if rough; a wrong neighbour may still mislead it. */
 #define PLACE (-2)
 #define MARGIN 15 /* places beside the first board: one a round, and three that are looked at */
 #define NEAR 3    /* the farthest that a node looks */
@@ -15,10 +16,10 @@
 typedef struct {
   float side_depth, side_depth_px, side_share, least_contrast;
   float depth, deep;
-  float torn_weight;
+  float rough_weight;
   float side_nats, cells_nats, firm_prior, loose_prior, firm_penalty, loose_penalty, misfit_cap;
   float stay, drop, enter, outside;
-  float reach, beside, edge;
+  float reach, near, edge;
 } Nats;
 #define FIRM 8.0f /* the least weight of a prediction between neighbours */
 
@@ -212,8 +213,8 @@ Steps steps_of(__global const float2 *at, const int place, const int width) {
   return found;
 }
 
-/* A torn corner enters the mean of the predictions as one more. Its error is of some pixels, that
- * of a prediction of some share of a cell, so its weight is that of the cell's area. */
+/* A rough position enters the mean of the predictions as one more. Its error is of some pixels,
+ * that of a prediction of some share of a cell, so its weight is that of the cell's area. */
 float2 blended(const float2 seen, const Prediction prediction, const float cell, const float by_area) {
   if (!(prediction.weight > 0)) return seen;
   const float root = inverse_root(prediction.weight + by_area * (cell * cell));
@@ -237,11 +238,12 @@ __kernel void begin_pass(const int rounds, __global int *restrict layout) {
   layout[DROPPED] = layout[ENTERED] = 0;
 }
 
-/* Blend the positions. One work-item per place. */
+/* Blend the positions with predictions. One work-item per place. */
 __kernel void blend_nodes(__global const float *restrict corners, const uint capacity,
                           __constant Nats *nats, __global const int *restrict layout,
                           __global const float2 *restrict seen, __global const uchar *restrict torn,
-                          __global float2 *restrict at, __global float4 *restrict predictions,
+                          __global float2 *restrict at, __global float2 *restrict result,
+                          __global uchar *restrict rough, __global float4 *restrict predictions,
                           __global int *restrict best_score, __global int *restrict best_place) {
   if (!layout[STATE]) return;
   const int items = get_global_size(0) * get_global_size(1);
@@ -252,13 +254,19 @@ __kernel void blend_nodes(__global const float *restrict corners, const uint cap
   }
   FOR_PLACES(0) {
     PLACE_OF_WORK_ITEM
-    at[place] = seen[place];
-    if (!IS_HERE(seen[place])) continue;
+    const float2 here = seen[place];
+    at[place] = result[place] = here;
+    rough[place] = 0;
+    if (!IS_HERE(here)) continue;
     const Prediction prediction = predicted(seen, place, width);
+    const float cell = steps_of(seen, place, width).cell;
     predictions[place] = (float4)(prediction.at, prediction.weight, 0.0f);
-    if (torn[place])
-      at[place] = blended(seen[place], prediction, steps_of(seen, place, width).cell,
-                          nats->torn_weight);
+    const float2 away = here - prediction.at;
+    const float limit = nats->near * cell;
+    if (!torn[place] && !(away.x * away.x + away.y * away.y > limit * limit)) continue;
+    result[place] = blended(here, prediction, cell, nats->rough_weight);
+    if (torn[place]) at[place] = result[place];
+    rough[place] = 1;
   }
 }
 
@@ -463,7 +471,7 @@ __kernel void find_nodes(__global const float *restrict corners, const uint capa
     const Steps steps = steps_of(at, place, width);
     if (!steps.known) continue;
     float square;
-    const float near = nats->beside * steps.cell, edge = nats->edge;
+    const float beside = nats->near * steps.cell, edge = nats->edge;
     const int nearest = nearest_corner(corners, capacity, layout, starts, binned, rows, columns, p,
                                        nats->reach * steps.cell, &square);
     int own = PLACE;
@@ -471,12 +479,13 @@ __kernel void find_nodes(__global const float *restrict corners, const uint capa
     if (nearest != NONE && !used[nearest]) {
       own = nearest;
       position = POSITIONS(corners)[nearest];
-    } else if ((nearest != NONE && square < near * near) || p.x < edge || p.y < edge ||
+    } else if ((nearest != NONE && square < beside * beside) || p.x < edge || p.y < edge ||
                p.x > (float)((int)columns - 1) - edge || p.y > (float)((int)rows - 1) - edge) {
       continue;
     }
     float2 here = position;
-    if (own != PLACE && IS_TORN(own)) here = blended(position, prediction, steps.cell, nats->torn_weight);
+    if (own != PLACE && IS_TORN(own))
+      here = blended(position, prediction, steps.cell, nats->rough_weight);
     const int parity = PARITY;
     const Cells seen = deep_cells_at(LEVELS, here, steps, parity, nats);
     const float share = usual_share(cells, place, width, nats->least_contrast);

@@ -71,9 +71,9 @@ class Votes(NamedTuple):
 class Board:
     """Nodes of one board, (R, C).
 
-    x, y: px, where they are seen, NaN where missing. owner: their corner, LOOKED or NONE. torn: the
-    position seen is a rough one. sign: +1 if the boundary of node (0, 0) towards greater columns is
-    from white to black, clockwise, else -1.
+    x, y: px, NaN where missing. owner: their corner, LOOKED or NONE. torn: the position of the
+    corner is rough, so that x, y come in part from the neighbours. sign: +1 if the boundary of node
+    (0, 0) towards greater columns is from white to black, clockwise, else -1.
     """
 
     x: Real

@@ -51,11 +51,12 @@ class LatticeConstants:
     tear_sectors: sectors, around a part, in each of which the tear has a width.
     tear_most: nodes, of each side of a tear; the cost of a placement grows with its cube.
     cell_depths: steps, from a node along both axes, at which its four cells are read.
-    torn_weight_per_px2: 1/px^2, weight of a torn corner among the predictions of its
+    rough_weight_per_px2: 1/px^2, weight of a rough corner among the predictions of its
         neighbours, per area of a cell: 14 at cells of 13 px. Least false nodes and least error
         of 6 to 30 tried there.
+    near_cells: cells, a node farther from its prediction is rough, and a corner nearer to a
+        missing place is at that place itself. .08 to .2 do the same.
     misfit_cap_cells: cells, misfits beyond it count alike.
-    repair_cells: cells, a node so near to the place of a missing one is at that place itself.
     reach_cells: cells, a corner so far from a prediction is another.
     side_nats: nats, for each whole side (this and the four below: regression).
     cells_nats: nats, for the whole contrast of the four cells.
@@ -121,9 +122,9 @@ class LatticeConstants:
     tear_most: int = 64
     # Nodes
     cell_depths: tuple[float, float] = (0.2, 0.32)
-    torn_weight_per_px2: float = 0.08
+    rough_weight_per_px2: float = 0.08
+    near_cells: float = 0.1
     misfit_cap_cells: float = 0.4
-    repair_cells: float = 0.15
     reach_cells: float = 0.3
     side_nats: float = 2.35
     cells_nats: float = 1.65

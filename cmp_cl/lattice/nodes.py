@@ -23,12 +23,13 @@ def sizes(plan: "LatticePlan") -> dict[str, int]:
     """Return the bytes of the buffers."""
     places, corners = plan.places, plan.capacity
     four = dict.fromkeys(("owner", "cell", "score", "candidate", "key"), 4 * places)
-    eight = dict.fromkeys(("seen", "at", "sides", "cells", "found"), 8 * places)
+    eight = dict.fromkeys(("seen", "at", "result", "sides", "cells", "found"), 8 * places)
     return {
         **four,
         **eight,
         "predictions": 16 * places,
         "torn": places,
+        "rough": places,
         "sides_of": places,
         "tried": places,
         "numbers": 16 * corners,
@@ -86,7 +87,17 @@ def a_pass(plan: "LatticePlan") -> list[Launch]:
             "blend_nodes",
             **corners,
             **nats,
-            **some("layout", "seen", "torn", "at", "predictions", "best_score", "best_place"),
+            **some(
+                "layout",
+                "seen",
+                "torn",
+                "at",
+                "result",
+                "rough",
+                "predictions",
+                "best_score",
+                "best_place",
+            ),
         ),
         plan.of_places(
             "measure_nodes", **image, **nats, **some("layout", "at", "cell", "sides", "cells")
@@ -135,11 +146,11 @@ def nats(plan: "LatticePlan") -> NDArray[np.float32]:
         [
             *(k.side_depth_cells, k.side_depth_px, 1 / len(k.side_points), LEAST_CONTRAST),
             *k.cell_depths,
-            k.torn_weight_per_px2,
+            k.rough_weight_per_px2,
             *(k.side_nats, k.cells_nats, k.prior_nats + k.firm_nats, k.prior_nats),
             *(firm, loose, k.misfit_cap_cells**2),
             *(k.stay_nats, k.stay_nats - 1, k.enter_nats, OUTSIDE),
-            *(k.reach_cells, k.repair_cells, k.edge_px),
+            *(k.reach_cells, k.near_cells, k.edge_px),
         ],
         np.float32,
     )

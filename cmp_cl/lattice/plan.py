@@ -29,7 +29,7 @@ from cmp_cl.stages.refine import (
 )
 
 FILES = ("bins", "links", "faces", "parts", "votes", "nodes")
-SHARED = ("image", "corners", "layout", "seen", "owner", "torn")  # that the host writes or reads
+SHARED = ("image", "corners", "layout", "result", "owner", "rough")  # that the host writes or reads
 ONE_GROUP = 256  # work-items of a kernel that is one work-group
 PLACES = 16384  # of a board with few corners
 FIRST_PASSES = 2  # that are launched with a frame; whole gels need one or two
@@ -327,23 +327,23 @@ class LatticePlan(Binder):
         def fetched(places: int) -> list[NDArray[Any]]:
             return self.fetch(
                 ("layout", np.int32, nodes.LAYOUT),
-                ("seen", np.float32, 2 * places),
+                ("result", np.float32, 2 * places),
                 ("owner", np.int32, places),
-                ("torn", np.bool_, places),
+                ("rough", np.bool_, places),
             )
 
-        layout, seen, owner, torn = fetched(self._likely)
+        layout, at, owner, rough = fetched(self._likely)
         shape = int(layout[nodes.ROWS]), int(layout[nodes.COLUMNS])
         count = shape[0] * shape[1]
         if count > self._likely:
-            layout, seen, owner, torn = fetched(count)
+            layout, at, owner, rough = fetched(count)
         self._likely = count
-        x, y = seen[: 2 * count].reshape(*shape, 2).transpose(2, 0, 1)
+        x, y = at[: 2 * count].reshape(*shape, 2).transpose(2, 0, 1)
         board = Board(
             x=x,
             y=y,
             owner=owner[:count].reshape(shape).astype(np.int64),
-            torn=torn[:count].reshape(shape),
+            torn=rough[:count].reshape(shape),
             sign=int(layout[nodes.SIGN]),
         )
         return layout, board

@@ -122,28 +122,30 @@ def steps_of(x: Real, y: Real) -> Steps:
 
 def blended(
     seen: tuple[Real, Real],
-    torn: Mask,
+    rough: Mask,
     prediction: tuple[Real, Real, Real],
     cell: Real,
     k: LatticeConstants,
 ) -> tuple[Real, Real]:
-    """Return the positions of nodes: as seen, or if torn, with the prediction of the neighbours.
+    """Return the positions of nodes: as seen, or if rough, with the prediction of the neighbours.
 
-    cell: px. A torn corner enters the mean of the predictions as one more. Its error is of some
+    cell: px. A rough position enters the mean of the predictions as one more. Its error is of some
     pixels, that of a prediction of some share of a cell, so its weight is that of the cell's area.
     """
     (x, y), (px, py, weight) = seen, prediction
-    share = weight * inverse(weight + F(k.torn_weight_per_px2) * (cell * cell))
-    far = torn & (weight > 0)
+    share = weight * inverse(weight + F(k.rough_weight_per_px2) * (cell * cell))
+    far = rough & (weight > 0)
     return np.where(far, x + share * (px - x), x), np.where(far, y + share * (py - y), y)
 
 
-def positions(
-    board: Board, prediction: tuple[Real, Real, Real], k: LatticeConstants
-) -> tuple[Real, Real]:
-    """Return the positions of the nodes of a board, (R, C) each, px."""
-    cell = steps_of(board.x, board.y).cell
-    return blended((board.x, board.y), board.torn, prediction, cell, k)
+def result(board: Board, k: LatticeConstants) -> Board:
+    """Return the board with the positions of rough nodes blended; rough are torn ones, and those
+    far from their prediction."""
+    prediction, cell = predicted(board.x, board.y), steps_of(board.x, board.y).cell
+    dx, dy, limit = board.x - prediction[0], board.y - prediction[1], F(k.near_cells) * cell
+    rough = board.there & (board.torn | (dx * dx + dy * dy > limit * limit))
+    x, y = blended((board.x, board.y), rough, prediction, cell, k)
+    return Board(x=x, y=y, owner=board.owner, torn=rough, sign=board.sign)
 
 
 def side_sums(plane: Plane, x: Real, y: Real, parity: Whole, k: LatticeConstants) -> list[Whole]:
@@ -216,7 +218,8 @@ def evidence(
     """
     there, parity = board.there, board.parity()
     first = predicted(board.x, board.y)
-    own_x, own_y = positions(board, first, k)
+    cell = steps_of(board.x, board.y).cell
+    own_x, own_y = blended((board.x, board.y), board.torn, first, cell, k)
     steps = steps_of(own_x, own_y)
     seen_x, seen_y, prediction, x, y = board.x, board.y, first, own_x, own_y
     filled = np.nan_to_num(own_x), np.nan_to_num(own_y)
@@ -322,7 +325,8 @@ def settled(
     A missing place beside a node takes the free corner near its prediction, else the prediction. It
     does so once: a place whose node is dropped after that stays empty.
 
-    xy: (N, 2), all corners. torn: (N,), those whose position is a rough one.
+    xy: (N, 2), all corners. torn: (N,), those whose refinement was rejected. `board` has positions
+    as seen, and says which are torn; the result has the blended positions, and which are rough.
     """
     height, width = plane.shape
     tried = np.zeros(board.x.shape, np.bool_)
@@ -353,7 +357,7 @@ def settled(
         r, c = row[good], column[good]
         new_x[r, c], new_y[r, c] = xy[nearest[good]].T
         new_owner[r, c], new_torn[r, c] = nearest[good], torn[nearest[good]]
-        close = F(k.repair_cells) * cell
+        close = F(k.near_cells) * cell
         ask = ~good & ~(used[nearest] & (square < close * close))
         r, c = row[ask], column[ask]
         new_x[r, c], new_y[r, c], new_owner[r, c], new_torn[r, c] = px[r, c], py[r, c], LOOKED, True
@@ -374,7 +378,7 @@ def settled(
             torn=np.where(take, new_torn, board.torn),
             sign=board.sign,
         )
-    return board
+    return result(board, k)
 
 
 def dropped(plane: Plane, board: Board, k: LatticeConstants) -> Board:
