@@ -58,6 +58,13 @@ __kernel void number_corners(__global const float *restrict corners, const uint 
   }
 }
 
+/* Squares of places, so that a pass looks only where one before changed something: what is known of
+ * a node depends on nodes up to eight places away. changed: by this pass; fresh: beside such a tile. */
+#define TILE 8
+#define TILES_ACROSS (width / TILE + 1)
+#define TILES_DOWN (height / TILE + 1)
+#define TILE_OF(row, column) ((row) / TILE * TILES_ACROSS + (column) / TILE)
+
 /* Lay the numbered corners out as a board, which is empty if the frame has more parts. One
  * work-group. */
 __kernel void lay_board(__global const float *restrict corners, const uint capacity,
@@ -65,7 +72,7 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
                         const int most_parts, __constant Nats *nats, __global int *restrict layout,
                         __global float2 *restrict seen, __global int *restrict owner,
                         __global uchar *restrict torn, __global uchar *restrict used,
-                        __global uchar *restrict tried) {
+                        __global uchar *restrict tried, __global uchar *restrict changed) {
   const int count = (int)COUNT(corners);
   __local int left, right, top, bottom, sum, nodes;
   if (get_local_id(0) == 0) {
@@ -94,6 +101,7 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   const int width = fits ? across : 0, height = fits ? down : 0, all = width * height;
   const int origin_x = left - MARGIN, origin_y = top - MARGIN;
   FOR_ALL(place, all) owner[place] = INT_MAX;
+  FOR_ALL(tile, TILES_ACROSS * TILES_DOWN) changed[tile] = 1;
   ALL_TOGETHER;
   FOR_ALL(i, all ? count : 0) {
     const int4 n = numbers[i];
@@ -133,6 +141,7 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   for (int row = (edge) + get_global_id(1); row < height - (edge); row += get_global_size(1)) \
     for (int column = (edge) + get_global_id(0); column < width - (edge);           \
          column += get_global_size(0))
+#define FOR_FRESH_PLACES(edge) FOR_PLACES(edge) if (fresh[TILE_OF(row, column)])
 #define PLACE_OF_WORK_ITEM const int place = row * width + column;
 #define PARITY ((row + column) & 1 ? -layout[SIGN] : layout[SIGN])
 #define IS_HERE(position) ((position).x == (position).x)
@@ -223,24 +232,41 @@ float2 blended(const float2 seen, const Prediction prediction, const float cell,
 }
 
 /* Begin a pass: one more after one that dropped nodes, or the first of a round after nodes entered.
- * After the last round the positions are blended once more. One work-item. */
+ * After the last round the positions are blended once more. One work-group. */
 #define RUNS 1
 #define BLENDS 2
-__kernel void begin_pass(const int rounds, __global int *restrict layout) {
-  if (layout[STATE] == RUNS && layout[DROPPED]) {
-    ++layout[PASSES];
-  } else if (layout[STATE] == RUNS && layout[ENTERED] && layout[ROUND] < rounds) {
-    ++layout[ROUND];
-    layout[PASSES] = 0;
-  } else {
-    layout[STATE] = layout[ENTERED] ? BLENDS : 0;
+__kernel void begin_pass(const int rounds, __global int *restrict layout,
+                         __global uchar *restrict changed, __global uchar *restrict fresh) {
+  if (!layout[STATE]) return;
+  ALL_TOGETHER;
+  if (get_local_id(0) == 0) {
+    if (layout[STATE] == RUNS && layout[DROPPED]) {
+      ++layout[PASSES];
+    } else if (layout[STATE] == RUNS && layout[ENTERED] && layout[ROUND] < rounds) {
+      ++layout[ROUND];
+      layout[PASSES] = 0;
+    } else {
+      layout[STATE] = layout[ENTERED] ? BLENDS : 0;
+    }
+    layout[DROPPED] = layout[ENTERED] = 0;
   }
-  layout[DROPPED] = layout[ENTERED] = 0;
+  const int width = layout[BOARD_COLUMNS], height = layout[BOARD_ROWS];
+  FOR_ALL(tile, TILES_ACROSS * TILES_DOWN) {
+    const int row = tile / TILES_ACROSS, column = tile % TILES_ACROSS;
+    bool any = false;
+    for (int r = LARGER(row - 1, 0); r <= SMALLER(row + 1, TILES_DOWN - 1); ++r)
+      for (int c = LARGER(column - 1, 0); c <= SMALLER(column + 1, TILES_ACROSS - 1); ++c)
+        any |= changed[r * TILES_ACROSS + c];
+    fresh[tile] = any;
+  }
+  ALL_TOGETHER;
+  FOR_ALL(tile, TILES_ACROSS * TILES_DOWN) changed[tile] = 0;
 }
 
 /* Blend the positions with predictions. One work-item per place. */
 __kernel void blend_nodes(__global const float *restrict corners, const uint capacity,
                           __constant Nats *nats, __global const int *restrict layout,
+                          __global const uchar *restrict fresh,
                           __global const float2 *restrict seen, __global const uchar *restrict torn,
                           __global float2 *restrict at, __global float2 *restrict result,
                           __global uchar *restrict rough, __global float4 *restrict predictions,
@@ -252,7 +278,7 @@ __kernel void blend_nodes(__global const float *restrict corners, const uint cap
     best_score[i] = INT_MIN;
     best_place[i] = INT_MAX;
   }
-  FOR_PLACES(0) {
+  FOR_FRESH_PLACES(0) {
     PLACE_OF_WORK_ITEM
     const float2 here = seen[place];
     at[place] = result[place] = here;
@@ -296,11 +322,12 @@ Cells deep_cells_at(LEVELS_OF_IMAGE, const float2 at, const Steps steps, const i
 
 /* Measure steps, sides and cells of the nodes. One work-item per place. */
 __kernel void measure_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
-                            __global const int *restrict layout, __global const float2 *restrict at,
+                            __global const int *restrict layout,
+                            __global const uchar *restrict fresh, __global const float2 *restrict at,
                             __global float *restrict cell, __global int2 *restrict sides,
                             __global int2 *restrict cells) {
   if (layout[STATE] != RUNS) return;
-  FOR_PLACES(1) {
+  FOR_FRESH_PLACES(1) {
     PLACE_OF_WORK_ITEM
     sides[place] = (int2)(0);
     cells[place] = (int2)(0, UNKNOWN);
@@ -362,14 +389,14 @@ float score_of(LEVELS_OF_IMAGE, const float sides, const int quality, const floa
     ++count;                                                                        \
   }
 __kernel void score_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
-                          __global int *restrict layout, __global const float2 *restrict seen,
-                          __global const float2 *restrict at,
+                          __global const int *restrict layout, __global const uchar *restrict fresh,
+                          __global const float2 *restrict seen, __global const float2 *restrict at,
                           __global const float4 *restrict predictions,
                           __global const float *restrict cell, __global const int2 *restrict sides,
                           __global const int2 *restrict cells, __global float *restrict score,
                           __global uchar *restrict sides_of) {
   if (layout[STATE] != RUNS) return;
-  FOR_PLACES(1) {
+  FOR_FRESH_PLACES(1) {
     PLACE_OF_WORK_ITEM
     score[place] = NO_SCORE;
     if (!IS_HERE(at[place])) continue;
@@ -393,7 +420,7 @@ __kernel void drop_nodes(const int passes, __constant Nats *nats, __global int *
                          __global const float *restrict score,
                          __global const uchar *restrict sides_of, __global float2 *restrict seen,
                          __global int *restrict owner, __global uchar *restrict torn,
-                         __global uchar *restrict used) {
+                         __global uchar *restrict used, __global uchar *restrict changed) {
   if (layout[STATE] != RUNS || layout[PASSES] >= passes) return;
   FOR_PLACES(NEAR) {
     PLACE_OF_WORK_ITEM
@@ -410,6 +437,7 @@ __kernel void drop_nodes(const int passes, __constant Nats *nats, __global int *
     owner[place] = NONE;
     seen[place] = (float2)(NAN, NAN);
     torn[place] = 0;
+    changed[TILE_OF(row, column)] = 1;
     layout[DROPPED] = 1;
     atomic_dec(layout + NODES);
   }
@@ -525,7 +553,8 @@ __kernel void enter_nodes(__global const float *restrict corners, const uint cap
                           __global const float2 *restrict found,
                           __global const int *restrict best_place, __global float2 *restrict seen,
                           __global int *restrict owner, __global uchar *restrict torn,
-                          __global uchar *restrict used, __global uchar *restrict tried) {
+                          __global uchar *restrict used, __global uchar *restrict changed,
+                          __global uchar *restrict tried) {
   if (layout[STATE] != RUNS || layout[DROPPED] || layout[NODES] < 4) return;
   FOR_PLACES(NEAR) {
     PLACE_OF_WORK_ITEM
@@ -536,6 +565,7 @@ __kernel void enter_nodes(__global const float *restrict corners, const uint cap
     tried[place] = 1;
     torn[place] = own == PLACE || IS_TORN(own);
     if (own >= 0) used[own] = 1;
+    changed[TILE_OF(row, column)] = 1;
     layout[ENTERED] = 1;
     atomic_inc(layout + NODES);
   }

@@ -16,6 +16,7 @@ ROWS, COLUMNS, SIGN, DROPPED, ENTERED, STATE, PARTS = 3, 4, 7, 11, 12, 13, 15
 LAYOUT = 16  # numbers in it
 RUNS = 1
 ANY = 2**31 - 1  # number of parts
+TILES = 16  # places for each tile, at least: a board has margins
 OUTSIDE = -9.0  # nats of a node outside the image
 
 
@@ -32,6 +33,8 @@ def sizes(plan: "LatticePlan") -> dict[str, int]:
         "rough": places,
         "sides_of": places,
         "tried": places,
+        "changed": places // TILES,
+        "fresh": places // TILES,
         "numbers": 16 * corners,
         "used": corners,
         "best_score": 4 * corners,
@@ -68,7 +71,7 @@ def lay(plan: "LatticePlan", most_parts: int) -> list[Launch]:
             most_parts=np.int32(most_parts),
             nats=plan.nats,
             layout=b["layout"],
-            **{name: b[name] for name in ("seen", "owner", "torn", "used", "tried")},
+            **{name: b[name] for name in ("seen", "owner", "torn", "used", "tried", "changed")},
         )
     ]
 
@@ -80,15 +83,18 @@ def a_pass(plan: "LatticePlan") -> list[Launch]:
     def some(*names: str) -> dict[str, object]:
         return {name: plan.buffers[name] for name in names}
 
-    nodes = some("seen", "owner", "torn", "used")
+    nodes = some("seen", "owner", "torn", "used", "changed")
     return [
-        plan.few("begin_pass", 1, 1, rounds=np.int32(k.rounds), **some("layout")),
+        plan.one_group(
+            "begin_pass", rounds=np.int32(k.rounds), **some("layout", "changed", "fresh")
+        ),
         plan.of_places(
             "blend_nodes",
             **corners,
             **nats,
             **some(
                 "layout",
+                "fresh",
                 "seen",
                 "torn",
                 "at",
@@ -100,13 +106,16 @@ def a_pass(plan: "LatticePlan") -> list[Launch]:
             ),
         ),
         plan.of_places(
-            "measure_nodes", **image, **nats, **some("layout", "at", "cell", "sides", "cells")
+            "measure_nodes",
+            **image,
+            **nats,
+            **some("layout", "fresh", "at", "cell", "sides", "cells"),
         ),
         plan.of_places(
             "score_nodes",
             **image,
             **nats,
-            **some("layout", "seen", "at", "predictions", "cell", "sides", "cells"),
+            **some("layout", "fresh", "seen", "at", "predictions", "cell", "sides", "cells"),
             **some("score", "sides_of"),
         ),
         plan.of_places(
