@@ -27,14 +27,13 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
         if np.count_nonzero(board.there) >= k.least_board:
             yield board
         return
-    found = plan.parts()
-    every = found.root, found.column, found.row, found.direction, found.contradicted
-    units, faces = units_of(*every, xy, k)
-    if not len(faces):
-        units, faces = units_of(*every, xy, dataclasses.replace(k, least_part=LEAST_FACES))
+    parts = plan.parts()
+    units = units_of(parts, xy, k)
+    if not len(units.part):
+        units = units_of(parts, xy, dataclasses.replace(k, least_part=LEAST_FACES))
     votes = plan.votes(units)
     taken = np.zeros(len(xy), np.bool_)
-    for main in range(len(faces)):
+    for main in range(int(units.part.max(initial=-1)) + 1):
         own = units.corner[units.part == main]
         if 2 * np.count_nonzero(taken[own]) > len(own):
             continue

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.lattice.arrays import Units, Votes
+from cmp_cl.lattice.arrays import Parts, Units, Votes
 from cmp_cl.lattice.constants import LatticeConstants
 
 Whole = NDArray[np.int64]
@@ -51,41 +51,27 @@ class Placement(NamedTuple):
     offset: complex
 
 
-def units_of(
-    root: Whole,
-    column: Whole,
-    row: Whole,
-    direction: Whole,
-    contradicted: Mask,
-    xy: NDArray[np.float32],
-    k: LatticeConstants,
-) -> tuple[Units, Whole]:
-    """Return the units of all parts of at least `least_part` faces, and the faces of these parts.
-
-    root, column, row, direction, contradicted: (4 N,), by half-edge.
-    """
-    h = np.flatnonzero((root >= 0) & ~contradicted)
-    roots, inverse, count = np.unique(root[h], return_inverse=True, return_counts=True)
+def units_of(parts: Parts, xy: NDArray[np.float32], k: LatticeConstants) -> Units:
+    """Return the units of all parts of at least `least_part` faces."""
+    h = np.flatnonzero((parts.root >= 0) & ~parts.contradicted)
+    roots, inverse, count = np.unique(parts.root[h], return_inverse=True, return_counts=True)
     order = np.lexsort((roots, -count))
     order = order[count[order] >= FULL * k.least_part]
     rank = np.full(len(roots), -1)
     rank[order] = np.arange(len(order))
     part = rank[inverse]
     h, part = h[part >= 0], part[part >= 0]
-    _, first, faces = np.unique(
-        part * (len(root) // 4 + 1) + (h >> 2), return_index=True, return_counts=True
-    )
+    _, first, faces = np.unique(part * len(xy) + (h >> 2), return_index=True, return_counts=True)
     h, part = h[first], part[first]
     z = xy.astype(np.float64).view(np.complex128)[:, 0]
-    units = Units(
+    return Units(
         corner=h >> 2,
         part=part,
-        number=column[h] + 1j * row[h],
-        rotation=(direction[h] - h) % 4,
+        number=parts.column[h] + 1j * parts.row[h],
+        rotation=(parts.direction[h] - h) % 4,
         rim=faces < FULL,
         at=z[h >> 2],
     )
-    return units, count[order] // FULL
 
 
 def joined(units: Units, votes: Votes, corners: int, k: LatticeConstants, main: int = 0) -> Placed:
@@ -100,8 +86,11 @@ class _Joining:
             np.flatnonzero(units.part == p) for p in range(int(units.part.max(initial=-1)) + 1)
         ]
         self.placed = Placed(
-            np.full(corners, -1), np.zeros(corners, np.complex128), np.zeros(corners, np.int64)
+            np.full(corners, -1),
+            np.zeros(corners, np.complex128),
+            np.zeros(corners, np.int64),
         )
+        self.disputed: list[complex] = []
         self.used = Occupied(units.number[each] for each in self.members)
         self.energy: dict[tuple[int, int, int], dict[complex, float]] = {}
 
@@ -121,13 +110,25 @@ class _Joining:
             assert best[2] is not None
             self.place(part, best[2])
             left.remove(part)
+        self.leave_out_disputed()
         return self.placed
+
+    def leave_out_disputed(self) -> None:
+        """Take the numbers from corners near one that two parts number otherwise. A piece of one of
+        them hangs on the wrong side of a tear there; its nodes are found again from the others."""
+        for number in self.disputed:
+            step = self.placed.number - number
+            near = np.maximum(np.abs(step.real), np.abs(step.imag)) < self.k.span + ROUNDED
+            self.placed.part[near] = -1
 
     def place(self, part: int, at: Placement) -> None:
         """Number the corners of a part that have no number, unless theirs is used."""
         some = self.members[part]
         corner = self.units.corner[some]
         number = self.units.number[some] * DIRECTIONS[at.quarter] + at.offset
+        before = self.placed.number[corner]
+        other = self.placed.there[corner] & (np.abs(number - before) > ROUNDED)
+        self.disputed += [*before[other], *number[other]]
         _, first = np.unique(np.rint(number), return_index=True)
         alone = np.zeros(len(number), np.bool_)
         alone[first] = True

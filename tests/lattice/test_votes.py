@@ -16,10 +16,7 @@ def parts_and_units(device, image):
     plan.take(image, corners.xy, corners.edges, corners.refusal)
     plan.start()
     found = plan.parts()
-    units, _ = units_of(
-        found.root, found.column, found.row, found.direction, found.contradicted, corners.xy, K
-    )
-    return plan, corners, found, units
+    return plan, corners, found, units_of(found, corners.xy, K)
 
 
 @pytest.mark.parametrize("seed", [7, 8, 9, 10])
