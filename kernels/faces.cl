@@ -3,21 +3,25 @@
 /* Faces (13.2): four steps along a link and to the right come back to where they began. */
 
 /* face[h]: the least half-edge of the closed face that h belongs to, NONE without one. steps[h]:
- * twice the mean steps of the face along h, and to its right. One work-item per half-edge. */
+ * twice the mean steps of the face along h, and to its right. cut[h]: how often the tolerance of
+ * the face is lowered, by the number of its torn corners. One work-item per half-edge. */
 __kernel void close_faces(__global const float *restrict corners, const uint capacity,
-                          __global const int *restrict twin, __global int *restrict face,
+                          __global const int *restrict twin, __constant int *cuts,
+                          __global int *restrict face, __global uchar *restrict cut,
                           __global float4 *restrict steps) {
   const int h = get_global_id(0);
   if (h >= 4 * (int)COUNT(corners)) return;
-  int way[5] = {h}, least = h;
+  int way[5] = {h}, least = h, torn = 0;
   face[h] = NONE;
   for (int k = 0; k < 4; ++k) {
     const int end = twin[way[k]];
     if (end == NONE) return;
     way[k + 1] = ALONG_FACE(end);
     least = SMALLER(least, way[k + 1]);
+    torn += IS_TORN(way[k] >> 2);
   }
   if (way[4] != h) return;
+  cut[h] = cuts[torn];
   __global const float2 *at = POSITIONS(corners);
   const float2 p0 = at[h >> 2], p1 = at[way[1] >> 2], p2 = at[way[2] >> 2], p3 = at[way[3] >> 2];
   face[h] = least;

@@ -17,7 +17,7 @@ typedef struct {
   float side_depth, side_depth_px, side_share, least_contrast;
   float depth, deep;
   float rough_weight;
-  float side_nats, cells_nats, firm_prior, loose_prior, firm_penalty, loose_penalty, misfit_cap;
+  float side_nats, cells_nats, prior, firm_penalty, loose_penalty, misfit_cap;
   float stay, drop, enter, outside;
   float reach, near, edge;
 } Nats;
@@ -374,7 +374,7 @@ float score_of(LEVELS_OF_IMAGE, const float sides, const int quality, const floa
   const float penalty =
       SMALLER(misfit, nats->misfit_cap) * (firm ? nats->firm_penalty : nats->loose_penalty);
   const float score = ((nats->side_nats * sides + nats->cells_nats * cells) +
-                       (firm ? nats->firm_prior : nats->loose_prior)) - penalty;
+                       nats->prior) - penalty;
   const bool inside =
       at.x >= 0 && at.y >= 0 && at.x <= (float)((int)columns - 1) && at.y <= (float)((int)rows - 1);
   return inside ? score : nats->outside;

@@ -26,7 +26,7 @@ void unite(__global volatile int *part, int a, int b) {
 
 /* beyond[h]: the half-edge on the other side of a link if both faces agree, else NONE. part[h]: the
  * least half-edge of the part, NONE outside of faces. size[root]: its faces, 0 of a part with two
- * numbers for a corner. One work-group. */
+ * numbers for a corner. `cut` is that of the faces before. One work-group. */
 __kernel void number_parts(__global const float *restrict corners, const uint capacity,
                            __global const int *restrict twin, __global const int *restrict face,
                            __global const float2 *restrict apart,
@@ -36,7 +36,6 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
                            __global int4 *restrict state, __global int *restrict size) {
   const int count = (int)COUNT(corners), ends = 4 * count;
   __local int listed, contradictions;
-  FOR_ALL(h, ends) cut[h] = 0;
   for (int round = 0;; ++round) {
     FOR_ALL(h, ends) {
       part[h] = face[h];

@@ -188,9 +188,9 @@ class _Joining:
             score[n] -= np.count_nonzero(self.used.at(free * DIRECTIONS[q] + complex(x, y)))
         order = np.argsort(-score, kind="stable")
         best = order[0]
-        second = max(float(score[order[1]]), 0.0) if len(order) > 1 else 0.0
-        colours = score[best] - second >= k.join_margin and second <= k.join_ratio * score[best]
+        colours = score[best] > 0
         if len(order) > 1:
+            colours &= bool(score[order[1]] <= k.join_ratio * score[best])
             colours &= bool(np.sort(raw)[-2] <= k.join_ratio * raw[best])
         turn, favourite = int(places[best, 0]), complex(places[best, 1], places[best, 2])
         at, ratio = self.flattest(part, turn, favourite)
@@ -265,7 +265,7 @@ class Occupied:
 def _inward(number: Numbers, all_numbers: Numbers, k: LatticeConstants) -> Numbers:
     """Return the unit sum of the steps from each node to the part's nodes near it."""
     steps = all_numbers[None] - number[:, None]
-    total = np.where(np.abs(steps) <= k.join_near_steps, steps, 0).sum(axis=1)
+    total = np.where(np.abs(steps) <= k.span, steps, 0).sum(axis=1)
     unit: Numbers = total / np.maximum(np.abs(total), 1e-9)
     return unit
 
@@ -289,22 +289,13 @@ class Tear(NamedTuple):
 
     @classmethod
     def between(cls, fixed: Side, moved: Side, k: LatticeConstants) -> "Tear":
-        """Choose the nodes near the tear: in each sector around the second side, those within some
-        cells of the nearest on their own side."""
+        """Choose the nodes near the tear: within some cells of the nearest on their own side."""
         cell = _cell_of(moved.at, moved.number)
         middle = moved.at.mean()
-        reach = np.abs(moved.at - middle).max() + k.tear_wide_cells * cell
-        near = np.abs(fixed.at - middle) < reach
-        fixed = Side(*(each[near] for each in fixed))
         sides = []
         for (z, _, _), other in ((fixed, moved), (moved, fixed)):
             distance = _distances(z, other.at[other.rim]).min(axis=1, initial=np.inf) / cell
-            turn = (np.angle(z - middle) / np.pi + 1) * k.tear_sectors / 2
-            sector = np.floor(turn).astype(np.int64) % k.tear_sectors
-            gap = np.full(k.tear_sectors, np.inf)
-            np.minimum.at(gap, sector, distance)
-            some = (distance < gap[sector] + k.tear_deep_cells) & (gap[sector] < k.tear_wide_cells)
-            chosen = np.flatnonzero(some)
+            chosen = np.flatnonzero(distance < distance.min(initial=np.inf) + k.tear_deep_cells)
             if len(chosen) > k.tear_most:
                 chosen = chosen[np.linspace(0, len(chosen) - 1, k.tear_most).astype(np.int64)]
             sides.append(chosen)

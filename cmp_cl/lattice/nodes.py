@@ -156,7 +156,7 @@ def nats(plan: "LatticePlan") -> NDArray[np.float32]:
             *(k.side_depth_cells, k.side_depth_px, 1 / len(k.side_points), LEAST_CONTRAST),
             *k.cell_depths,
             k.rough_weight_per_px2,
-            *(k.side_nats, k.cells_nats, k.prior_nats + k.firm_nats, k.prior_nats),
+            *(k.side_nats, k.cells_nats, k.prior_nats),
             *(firm, loose, k.misfit_cap_cells**2),
             *(k.stay_nats, k.stay_nats - 1, k.enter_nats, OUTSIDE),
             *(k.reach_cells, k.near_cells, k.edge_px),

@@ -30,7 +30,14 @@ def launches(plan: "LatticePlan") -> list[Launch]:
     faces = {**links, "face": b["face"]}
     compared = {**faces, "steps": b["steps"], "apart": b["apart"]}
     return [
-        plan.of_half_edges("close_faces", **faces, steps=b["steps"]),
+        plan.of_half_edges(
+            "close_faces",
+            **links,
+            cuts=plan.constant(np.array(k.torn_cuts, np.int32)),
+            face=b["face"],
+            cut=b["cut"],
+            steps=b["steps"],
+        ),
         plan.of_half_edges("compare_faces", **compared),
         plan.one_group(
             "number_parts",

@@ -44,15 +44,16 @@ def parts(
     plane: NDArray[np.integer],
     xy: NDArray[np.float32],
     edges: NDArray[np.float32],
+    torn: Mask,
     constants: LatticeConstants,
 ) -> Parts:
     """Return the parts of the lattice.
 
     plane: (H, W), S1 of section 11 of the specification. xy: (N, 2), px. edges: (N, 4), rad, NaN
-    where unknown.
+    where unknown. torn: (N,), corners whose refinement was rejected.
     """
     corners = directed(plane, xy, edges, constants)
-    return parts_of(corners, links(plane, corners, constants), constants)
+    return parts_of(corners, torn, links(plane, corners, constants), constants)
 
 
 # --- arithmetic ---------------------------------------------------------------------------
@@ -256,13 +257,14 @@ def around(twin: Whole) -> Whole:
     return np.where(closed, np.stack(path[:4]), -1)
 
 
-def parts_of(corners: Directed, twin: Whole, constants: LatticeConstants) -> Parts:
-    """Return the parts: closed faces that agree, cut until no part contradicts itself."""
+def parts_of(corners: Directed, torn: Mask, twin: Whole, constants: LatticeConstants) -> Parts:
+    """Return the parts: closed faces that agree, cut until no part contradicts itself. The faces of
+    torn corners must agree more closely from the beginning."""
     path = around(twin)
     closed = path[0] >= 0
     face = np.where(closed, path.min(axis=0), -1)
     gap, size = _difference(corners, twin, path)
-    cut = np.zeros(len(twin), np.int64)
+    cut = np.array(constants.torn_cuts)[np.where(closed, torn[path >> 2].sum(axis=0), 0)]
     tolerance = constants.face_tolerances()
     for repeat in range(constants.cuts + 1):
         agree = (gap >= 0) & (gap < tolerance[np.maximum(cut, cut[twin])] * size)
@@ -270,7 +272,7 @@ def parts_of(corners: Directed, twin: Whole, constants: LatticeConstants) -> Par
         bad = contradicted(root, column, row, direction)
         if not bad.any() or repeat == constants.cuts:
             break
-        cut[bad] += 1
+        cut[bad] = np.minimum(cut[bad] + 1, constants.cuts)
     return Parts(
         twin=twin,
         face=face,

@@ -253,8 +253,7 @@ def evidence(
     far = np.minimum(misfit, F(k.misfit_cap_cells**2))
     firm, loose = F(0.5 / k.firm_sd_cells**2), F(0.5 / k.loose_sd_cells**2)
     penalty = far * np.where(weight >= FIRM, firm, loose)
-    prior = np.where(weight >= FIRM, F(k.prior_nats + k.firm_nats), F(k.prior_nats))
-    score = ((F(k.side_nats) * sides + F(k.cells_nats) * cells) + prior) - penalty
+    score = ((F(k.side_nats) * sides + F(k.cells_nats) * cells) + F(k.prior_nats)) - penalty
     height, width = plane.shape
     inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
     score = np.where(inside, score, OUTSIDE)

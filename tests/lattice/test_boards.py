@@ -37,7 +37,7 @@ def test_a_gel_torn_all_around_a_ring_is_one_board_with_right_numbers(device, se
     corners, (board, *_) = found(device, shot.image)
     nodes, agreed = right(corners, board, shot.truth)
     assert agreed == nodes
-    assert nodes > 0.9 * shot.truth[..., 0].size
+    assert nodes > 0.88 * shot.truth[..., 0].size
 
 
 def test_every_board_in_view_is_found_and_no_corner_twice(device):

@@ -54,7 +54,9 @@ def assert_equal_to_the_oracle(device, image, corners, *, change=None):
     plan.take(image, corners.xy, corners.edges, corners.refusal)
     plan.start()
     plane = harmonic.smoothed(image, 255)[0]
-    numbers = numbers_of(lattice.parts(plane, corners.xy, corners.edges, K), count)
+    numbers = numbers_of(
+        lattice.parts(plane, corners.xy, corners.edges, corners.refusal != 0, K), count
+    )
     np.testing.assert_array_equal(plan.read("numbers", np.int32).reshape(-1, 4)[:count], numbers)
     if change is not None:
         numbers = change(numbers)

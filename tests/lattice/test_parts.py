@@ -9,10 +9,10 @@ from cmp_cl.reference import harmonic, lattice
 from cmp_cl.synthetic import Indenter
 
 
-def run(device, image, xy, edges, full_scale=255):
+def run(device, image, xy, edges, refusal, full_scale=255):
     """Return what the kernels say of each half-edge, by the names of the oracle."""
     plan, count = plan_for(device, image, len(xy), full_scale), 4 * len(xy)
-    plan.take(image, xy, edges, np.zeros(len(xy), np.uint8))
+    plan.take(image, xy, edges, refusal)
     plan.start()
     found = {
         name: plan.read(buffer, np.int32)[:count]
@@ -27,10 +27,11 @@ def run(device, image, xy, edges, full_scale=255):
     return found
 
 
-def assert_equal_to_the_oracle(device, image, xy, edges, full_scale=255):
+def assert_equal_to_the_oracle(device, image, xy, edges, refusal=None, full_scale=255):
+    refusal = np.zeros(len(xy), np.uint8) if refusal is None else refusal
     plane = harmonic.smoothed(image, full_scale)[0]
-    found = run(device, image, xy, edges, full_scale)
-    wanted = lattice.parts(plane, xy, edges, K)
+    found = run(device, image, xy, edges, refusal, full_scale)
+    wanted = lattice.parts(plane, xy, edges, refusal != 0, K)
     np.testing.assert_array_equal(found["plane"], plane)
     for name in ("twin", "face", "root", "cut"):
         np.testing.assert_array_equal(found[name], getattr(wanted, name), err_msg=name)
@@ -46,14 +47,14 @@ def assert_equal_to_the_oracle(device, image, xy, edges, full_scale=255):
 def test_gels(device, severity):
     image = gel(severity, indenter=Indenter.TORUS)
     corners = detect(image)
-    wanted = assert_equal_to_the_oracle(device, image, corners.xy, corners.edges)
+    wanted = assert_equal_to_the_oracle(device, image, corners.xy, corners.edges, corners.refusal)
     assert np.count_nonzero(wanted.root >= 0) > 4 * 250
 
 
 def test_a_crop_in_sixteen_bits(device):
     image = np.ascontiguousarray(gel(1.0, bits=16)[31:170, 47:250])
     corners = detect(image)
-    assert_equal_to_the_oracle(device, image, corners.xy, corners.edges, 4085)
+    assert_equal_to_the_oracle(device, image, corners.xy, corners.edges, full_scale=4085)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 9])
@@ -118,8 +119,8 @@ def test_the_order_of_the_corners_changes_no_part(device):
     image = gel(2.0, indenter=Indenter.TORUS)
     corners = detect(image)
     order = np.random.default_rng(0).permutation(len(corners))
-    first = run(device, image, corners.xy, corners.edges)
-    again = run(device, image, corners.xy[order], corners.edges[order])
+    first = run(device, image, corners.xy, corners.edges, corners.refusal)
+    again = run(device, image, *(v[order] for v in (corners.xy, corners.edges, corners.refusal)))
     h = (4 * order[:, None] + np.arange(4)).ravel()  # of the first run, by that of the second
     twin = np.where(again["twin"] >= 0, h[again["twin"]], -1)
     np.testing.assert_array_equal(twin, first["twin"][h])

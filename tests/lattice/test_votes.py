@@ -42,6 +42,6 @@ def test_the_parts_are_those_of_the_oracle(device):
     image = gel(2.0, seed=8, indenter=Indenter.TORUS)
     _, corners, found, _ = parts_and_units(device, image)
     plane = harmonic.smoothed(image, 255)[0]
-    wanted = lattice.parts(plane, corners.xy, corners.edges, K)
+    wanted = lattice.parts(plane, corners.xy, corners.edges, corners.refusal != 0, K)
     for name in ("twin", "face", "agree", "root", "contradicted"):
         np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), err_msg=name)
