@@ -53,14 +53,15 @@ HIT, SHARE = 3.0, 0.25  # px; of a cell
 FEW = 0.002  # share of wrong numbers in a frame of an open pattern that counts as right
 K = LatticeConstants()
 # Constants that leave one idea out.
-ABLATION: dict[str, dict[str, float]] = {
+ABLATION: dict[str, dict[str, Any]] = {
     "all": {},
     "links without evidence in the image": {"least_side": 1e-6},
-    "faces need not agree": {"agree": 100.0, "cuts": 0},
-    "contradicted parts are not cut": {"cuts": 0},
+    "faces need not agree": {"agree": 100.0, "cuts": 0, "torn_cuts": (0,) * 5},
+    "contradicted parts are not cut": {"cuts": 0, "torn_cuts": (0,) * 5},
+    "faces of torn corners agree as others": {"torn_cuts": (0,) * 5},
     "no joins across tears": {"join_votes": 1e9},
     "joins whatever the surface": {"join_bend": 0.0},
-    "torn corners count as whole ones": {"torn_weight_per_px2": 1e9},
+    "torn corners count as whole ones": {"rough_weight_per_px2": 1e9},
     "no test of nodes": {"stay_nats": -1e6},
     "outer lines hold what they hold": {"least_line": 0.0},
 }

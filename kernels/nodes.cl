@@ -15,7 +15,7 @@
 /* Constants of the score, in the order of cmp_cl/lattice/nodes.py. */
 typedef struct {
   float side_depth, side_depth_px, side_share, least_contrast;
-  float depth, deep;
+  float depth;
   float rough_weight;
   float side_nats, cells_nats, prior, firm_penalty, loose_penalty, misfit_cap;
   float stay, drop, enter, outside;
@@ -310,13 +310,6 @@ Cells cells_at(LEVELS_OF_IMAGE, const float2 at, const Steps steps, const int pa
   Cells found = {parity > 0 ? least : other, ((c + d) - (a + b)) * parity};
   return found;
 }
-Cells deep_cells_at(LEVELS_OF_IMAGE, const float2 at, const Steps steps, const int parity,
-                    __constant Nats *nats) {
-  Cells found = cells_at(LEVELS, at, steps, parity, nats->depth);
-  const Cells deep = cells_at(LEVELS, at, steps, parity, nats->deep);
-  found.quality = SMALLER(found.quality, deep.quality);
-  return found;
-}
 
 #define UNKNOWN INT_MIN /* the contrast where there is no node, or no step */
 
@@ -335,7 +328,7 @@ __kernel void measure_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
     if (!IS_HERE(here)) continue;
     const Steps steps = steps_of(at, place, width);
     const int parity = PARITY;
-    const Cells found = deep_cells_at(LEVELS, here, steps, parity, nats);
+    const Cells found = cells_at(LEVELS, here, steps, parity, nats->depth);
     cell[place] = steps.cell;
     cells[place] = (int2)(found.quality, steps.known ? found.contrast : UNKNOWN);
     const float depth = nats->side_depth, px = nats->side_depth_px;
@@ -515,7 +508,7 @@ __kernel void find_nodes(__global const float *restrict corners, const uint capa
     if (own != PLACE && IS_TORN(own))
       here = blended(position, prediction, steps.cell, nats->rough_weight);
     const int parity = PARITY;
-    const Cells seen = deep_cells_at(LEVELS, here, steps, parity, nats);
+    const Cells seen = cells_at(LEVELS, here, steps, parity, nats->depth);
     const float share = usual_share(cells, place, width, nats->least_contrast);
     float whole = 0;
     ADD_NEW_SIDE(place + 1, here, at[place + 1], parity)

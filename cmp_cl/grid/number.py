@@ -1,5 +1,7 @@
 """The numbers of corners that any detector found."""
 
+import dataclasses
+
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -56,7 +58,10 @@ def number(
             f"the {count} corners form no board: too few of them are linked by the sides of cells; "
             "check that they lie in this image, as (x, y), and that its cells are 4 px or wider"
         )
-    return grid_of(every, given, frame, asked, count, strict=False)
+    grid = grid_of(every, given, frame, asked, count, strict=False)
+    nodes, xy = grid.index[:, 0] >= 0, grid.xy.copy()
+    xy[tuple(grid.index[nodes].T)] = at[nodes]
+    return dataclasses.replace(grid, xy=xy)
 
 
 def _checked(xy: ArrayLike, image: GreyImage) -> NDArray[np.float32]:

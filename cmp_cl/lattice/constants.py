@@ -48,7 +48,7 @@ class LatticeConstants:
     tear_rough: cells^2, noise of positions in the bending energy.
     tear_deep_cells: cells, nodes so near to a tear show the surface.
     tear_most: nodes, of each side of a tear; the cost of a placement grows with its cube.
-    cell_depths: steps, from a node along both axes, at which its four cells are read.
+    cell_depth: steps, from a node along both axes, at which its four cells are read.
     rough_weight_per_px2: 1/px^2, weight of a rough corner among the predictions of its
         neighbours, per area of a cell: 14 at cells of 13 px. Least false nodes and least error
         of 6 to 30 tried there.
@@ -115,7 +115,7 @@ class LatticeConstants:
     tear_deep_cells: float = 4.0
     tear_most: int = 64
     # Nodes
-    cell_depths: tuple[float, float] = (0.2, 0.32)
+    cell_depth: float = 0.2
     rough_weight_per_px2: float = 0.08
     near_cells: float = 0.1
     misfit_cap_cells: float = 0.4

@@ -154,7 +154,7 @@ def nats(plan: "LatticePlan") -> NDArray[np.float32]:
     return np.array(
         [
             *(k.side_depth_cells, k.side_depth_px, 1 / len(k.side_points), LEAST_CONTRAST),
-            *k.cell_depths,
+            k.cell_depth,
             k.rough_weight_per_px2,
             *(k.side_nats, k.cells_nats, k.prior_nats),
             *(firm, loose, k.misfit_cap_cells**2),

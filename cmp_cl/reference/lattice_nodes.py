@@ -167,23 +167,15 @@ def cells_at(
 ) -> tuple[Whole, Whole]:
     """Return of the four cells at each node the least bright less the greatest dark level, and
     twice their contrast, in sixteenths of a grey level."""
-    quality = np.full(x.shape, 1 << 20)
-    contrast = np.zeros(x.shape, np.int64)
-    for depth in k.cell_depths:
-        f = F(depth)
-        sx, sy, tx, ty = (
-            f * (steps.ux + steps.vx),
-            f * (steps.uy + steps.vy),
-            f * (steps.vx - steps.ux),
-            f * (steps.vy - steps.uy),
-        )
-        dark = read(plane, x + sx, y + sy), read(plane, x - sx, y - sy)
-        bright = read(plane, x + tx, y + ty), read(plane, x - tx, y - ty)
-        least = np.minimum(bright[0], bright[1]) - np.maximum(dark[0], dark[1])
-        other = np.minimum(dark[0], dark[1]) - np.maximum(bright[0], bright[1])
-        quality = np.minimum(quality, np.where(parity > 0, least, other))
-        if depth == k.cell_depths[0]:
-            contrast = ((bright[0] + bright[1]) - (dark[0] + dark[1])) * parity
+    f = F(k.cell_depth)
+    sx, sy = f * (steps.ux + steps.vx), f * (steps.uy + steps.vy)
+    tx, ty = f * (steps.vx - steps.ux), f * (steps.vy - steps.uy)
+    dark = read(plane, x + sx, y + sy), read(plane, x - sx, y - sy)
+    bright = read(plane, x + tx, y + ty), read(plane, x - tx, y - ty)
+    least = np.minimum(bright[0], bright[1]) - np.maximum(dark[0], dark[1])
+    other = np.minimum(dark[0], dark[1]) - np.maximum(bright[0], bright[1])
+    quality = np.where(parity > 0, least, other)
+    contrast = ((bright[0] + bright[1]) - (dark[0] + dark[1])) * parity
     return quality, contrast
 
 
