@@ -23,7 +23,7 @@ class NodeStatus(enum.IntEnum):
 
     MISSING = 0  #: no position
     DETECTED = 1  #: a corner that the detector found
-    ATTACHED = 2  #: a free corner near the position that its neighbours predict
+    ATTACHED = 2  #: a corner whose rough position was averaged with where its neighbours predict it
     SECOND_LOOK = 3  #: found by a second look at the image, by other rings or along edges
     INTERPOLATED = 4  #: predicted from measured nodes around it
     VIRTUAL = 5  #: a marker on the edge between two neighbours

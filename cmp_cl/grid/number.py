@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid.build import asked_of, boards_of, grid_of
-from cmp_cl.grid.grid import Grid
+from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.grid.placing import Given
 from cmp_cl.image import Frame, GreyImage, as_frame
 from cmp_cl.opencl.device import Device
@@ -59,9 +59,11 @@ def number(
             "check that they lie in this image, as (x, y), and that its cells are 4 px or wider"
         )
     grid = grid_of(every, given, frame, asked, count, strict=False)
-    nodes, xy = grid.index[:, 0] >= 0, grid.xy.copy()
-    xy[tuple(grid.index[nodes].T)] = at[nodes]
-    return dataclasses.replace(grid, xy=xy)
+    nodes = grid.index[:, 0] >= 0
+    places = tuple(grid.index[nodes].T)
+    xy, status = grid.xy.copy(), grid.status.copy()
+    xy[places], status[places] = at[nodes], NodeStatus.DETECTED
+    return dataclasses.replace(grid, xy=xy, status=status)
 
 
 def _checked(xy: ArrayLike, image: GreyImage) -> NDArray[np.float32]:

@@ -46,11 +46,12 @@ def placed(found: Found, given: Given, asked: Asked, others: int) -> Grid:
     check_size(*shape)
     top, left = first[0] - best.row, first[1] - best.column
     owner = _window(turned.owner, top, left, shape, -1)
+    torn = _window(turned.torn, top, left, shape, 0)
     x, y = (_window(each, top, left, shape, np.nan) for each in (turned.x, turned.y))
     xy = np.stack([x, y], axis=2).astype(np.float32)
     status = np.select(
-        [owner >= 0, owner == LOOKED],
-        [np.uint8(NodeStatus.DETECTED), np.uint8(NodeStatus.INTERPOLATED)],
+        [(owner >= 0) & torn, owner >= 0, owner == LOOKED],
+        [np.uint8(s) for s in (NodeStatus.ATTACHED, NodeStatus.DETECTED, NodeStatus.INTERPOLATED)],
         np.uint8(NodeStatus.MISSING),
     ).astype(np.uint8)
     row, column = np.nonzero(owner >= 0)
