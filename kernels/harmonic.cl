@@ -341,12 +341,14 @@ __kernel void choose_reference(__global Decision *restrict found) {
 
 #endif
 
+/* Entry n of a list of frame p, its octave, and the pixel of the frame nearest to it. */
 #define ENTRY(kind)                                                                 \
-  const size_t n = get_global_id(0), p = get_global_id(1);                          \
-  if (n >= min(counts[LIST(kind)], capacity)) return;                                   \
+  if (n >= min(counts[LIST(kind)], capacity)) return;                               \
   __global int *entry = LIST_OF(kind) + n;                                          \
-  const int x = PAD + entry[0], y = entry[capacity];               \
+  const int octave = (int)(kind) > FINE ? (int)(kind) - FINE : 0;                   \
+  const int x = PAD + TO_FRAME(entry[0], octave), y = TO_FRAME(entry[capacity], octave); \
   const size_t word = (p * rows + y) * (step / 32) + x / 32;
+#define OF_FRAME const size_t n = get_global_id(0), p = get_global_id(1);
 
 /* Keep the coarse corners: their response is above the noise bound and not below a share of the
  * reference, or half of that share if it is clean. Each marks the window around it as taken. One
@@ -356,6 +358,7 @@ __kernel void keep_coarse(__global int *restrict lists, __global const uint *res
                           const uint step, const uint capacity, const int coarse_share,
                           __global uint *restrict row_counts, __global uint *restrict maxima,
                           __global uint *restrict taken) {
+  OF_FRAME
   ENTRY(0)
   const Decision decision = DECISION(p, 0);
   const int r = entry[2 * capacity];
@@ -382,6 +385,7 @@ __kernel void keep_fine(__global int *restrict lists, __global const uint *restr
                         __global const uint *restrict taken, const uint rows, const uint step,
                         const uint capacity, const int fine_share, __global uint *restrict row_counts,
                         __global uint *restrict maxima) {
+  OF_FRAME
   ENTRY(1)
   const Decision decision = DECISION(p, 0);
   const int r = entry[2 * capacity];
@@ -396,23 +400,15 @@ __kernel void keep_fine(__global int *restrict lists, __global const uint *restr
 
 #if OCTAVES
 
-/* An entry of the list of an octave, and the pixel of the frame nearest to it. */
-#define ENTRY_OF_OCTAVE                                                             \
-  const size_t n = get_global_id(0), p = get_global_id(1);                          \
-  const uint kind = KIND_OF_OCTAVE(octave);                                         \
-  if (n >= min(counts[LIST(kind)], capacity)) return;                               \
-  __global int *entry = LIST_OF(kind) + n;                                          \
-  const int x = PAD + TO_FRAME(entry[0], octave), y = TO_FRAME(entry[capacity], octave); \
-  const size_t word = (p * rows + y) * (step / 32) + x / 32;
-
 /* Keep the corners of an octave: their response is above the noise bound of the octave and at least
  * 3/8 of the reference, the wide ring responds, and no corner of the frame or of an octave before
  * is within 5 px of the octave, in x and in y. One work-item per maximum. */
 __kernel void keep_octave(__global int *restrict lists, __global const uint *restrict counts,
-                          __global const Decision *restrict found, const uint octave,
+                          __global const Decision *restrict found, const uint number,
                           __global const uint *restrict maxima, const uint rows,
                           const uint step, const uint capacity) {
-  ENTRY_OF_OCTAVE
+  OF_FRAME
+  ENTRY(KIND_OF_OCTAVE(number))
   const int r = entry[2 * capacity], reach = 5 << octave;
   if (!(entry[3 * capacity] & CLEAN) || r <= DECISION(p, octave).bound[0]) return;
   if (128 * r < 48 * DECISION(p, 0).reference) return;
@@ -430,23 +426,17 @@ __kernel void keep_octave(__global int *restrict lists, __global const uint *res
 
 /* Mark the kept corners of an octave. One work-item per maximum. */
 __kernel void mark_octave(__global int *restrict lists, __global const uint *restrict counts,
-                          const uint octave, const uint rows, const uint step,
+                          const uint number, const uint rows, const uint step,
                           const uint capacity, __global uint *restrict row_counts,
                           __global uint *restrict maxima) {
-  ENTRY_OF_OCTAVE
+  OF_FRAME
+  ENTRY(KIND_OF_OCTAVE(number))
   if (!(entry[3 * capacity] & KEPT)) return;
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);
 }
 
 #endif
-
-/* The rank of the corner at bit x of a word of the maxima, in (y, x) order. */
-#define RANK(x)                                                                     \
-  uint rank = row_starts[p * rows + y] + popcount(maxima[word] & ((1u << (x) % 32) - 1)); \
-  for (size_t before = word - (x) / 32; before < word; ++before) rank += popcount(maxima[before]); \
-  if (rank >= corner_capacity) return;
-#define CORNER(k) corners[(size_t)(k) * length + p * corner_capacity + rank]
 
 /* Count the corners in the rows before each row, and in the frame: counts[count_offset + p]. One
  * work-item per row. */
@@ -461,39 +451,24 @@ __kernel void start_rows(__global const uint *restrict row_counts, const uint ro
 }
 
 /* Put the corners in (y, x) order: each finds its rank among the bits of the maxima. One work-item per
- * maximum. */
+ * maximum; dimension 1 is a list of a frame. */
 __kernel void put_in_order(__global int *restrict lists, __global const uint *restrict counts,
                            __global const uint *restrict maxima,
                            __global const uint *restrict row_starts, const uint rows,
-                           const uint step, const uint capacity, const uint kind,
-                           const uint corner_capacity, const uint length,
-                           __global int *restrict corners) {
+                           const uint step, const uint capacity, const uint corner_capacity,
+                           const uint length, __global int *restrict corners) {
+  const size_t n = get_global_id(0), p = get_global_id(1) / KINDS;
+  const uint kind = get_global_id(1) % KINDS;
   ENTRY(kind)
   if (!(entry[3 * capacity] & KEPT)) return;
-  RANK(x)
+  uint rank = row_starts[p * rows + y] + popcount(maxima[word] & ((1u << x % 32) - 1));
+  for (size_t before = word - x / 32; before < word; ++before) rank += popcount(maxima[before]);
+  if (rank >= corner_capacity) return;
+  __global int *corner = corners + p * corner_capacity + rank;
   for (uint k = 0; k < LIST_COLUMNS; ++k)
-    CORNER(k) = k == 3 ? entry[k * capacity] & ~(CLEAN | KEPT) : entry[k * capacity];
+    corner[(size_t)k * length] =
+        k == 3 ? entry[k * capacity] & ~(CLEAN | KEPT) : entry[k * capacity];
 #if OCTAVES
-  CORNER(6) = 0;
+  corner[(size_t)LIST_COLUMNS * length] = octave;
 #endif
 }
-
-#if OCTAVES
-
-/* The same for the corners of an octave. One work-item per maximum. */
-__kernel void put_octave_in_order(__global int *restrict lists,
-                                  __global const uint *restrict counts, const uint octave,
-                                  __global const uint *restrict maxima,
-                                  __global const uint *restrict row_starts, const uint rows,
-                                  const uint step, const uint capacity,
-                                  const uint corner_capacity, const uint length,
-                                  __global int *restrict corners) {
-  ENTRY_OF_OCTAVE
-  if (!(entry[3 * capacity] & KEPT)) return;
-  RANK(x)
-  for (uint k = 0; k < LIST_COLUMNS; ++k)
-    CORNER(k) = k == 3 ? entry[k * capacity] & ~(CLEAN | KEPT) : entry[k * capacity];
-  CORNER(6) = (int)octave;
-}
-
-#endif

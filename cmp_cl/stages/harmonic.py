@@ -253,7 +253,7 @@ def _decide(plan: PlanBase) -> list[Launch]:
         stages.append(of_maxima("keep_fine", taken=taken, **limits, fine_share=share, **kept))
     items = (plan.list_capacity, plan.frames)
     for octave in range(1, plan.octaves + 1):
-        number = {"octave": np.uint32(octave)}
+        number = {"number": np.uint32(octave)}
         stages += [
             of_maxima("keep_octave", **number, maxima=maxima, **limits),
             plan.stage("mark_octave", items, (GROUP, 1), **lists, **number, **limits, **kept),
@@ -271,29 +271,12 @@ def _decide(plan: PlanBase) -> list[Launch]:
             counts=b["counts"],
         )
     )
-    for kind in range(1 + rule.fine):
-        stages.append(
-            plan.stage(
-                "put_in_order",
-                items,
-                (GROUP, 1),
-                **lists,
-                maxima=maxima,
-                row_starts=b["row_starts"],
-                **limits,
-                kind=np.uint32(kind),
-                corner_capacity=corners["capacity"],
-                length=corners["length"],
-                corners=b["corners"],
-            )
-        )
-    stages += [
+    stages.append(
         plan.stage(
-            "put_octave_in_order",
-            items,
+            "put_in_order",
+            (plan.list_capacity, plan.frames * plan.lists),
             (GROUP, 1),
             **lists,
-            octave=np.uint32(octave),
             maxima=maxima,
             row_starts=b["row_starts"],
             **limits,
@@ -301,8 +284,7 @@ def _decide(plan: PlanBase) -> list[Launch]:
             length=corners["length"],
             corners=b["corners"],
         )
-        for octave in range(1, plan.octaves + 1)
-    ]
+    )
     return stages
 
 
