@@ -93,7 +93,7 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
         (lambda: corner_overlay(IMAGE, GRID), "corners", "Corners"),
         (lambda: grid_overlay(IMAGE, None), "grid", "Grid"),
         (lambda: series.SeriesWriter("a.npz", description="mm"), "description", "Description"),
-        (lambda: build_grid(GRID), "corners", "Corners"),
+        (lambda: build_grid(GRID, IMAGE), "corners", "Corners"),
         (lambda: refine_markers(None, 1, IMAGE), "dense", "Grid"),
         (lambda: save_figure("a.png", None), "figure", "Figure"),
         (lambda: Source(0), "name", "str"),
