@@ -6,6 +6,7 @@ colours change, so the difference of two neighbours, with its sign, is the patte
 is there inside, it is gone where the pattern ends, and it comes back where cells follow.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -173,21 +174,32 @@ def _past(at: Numbers, image: GreyImage, reach: Float) -> Float:
     level = grey(image, middle[~np.isnan(middle)])
     if len(level) < 2:
         return past
-    contrast = max(float(np.subtract(*np.percentile(level, (75, 25)))), 1.0)
-    for s, way in enumerate(_ways(at)):
-        found = []
-        aside = ((2, 3) if s < 2 else (0, 1)) if np.isfinite(reach[s]) else ()
-        for other, (end, inner) in zip(aside, ((0, 1), (-1, -2)), strict=False):
-            beyond = reach[other]  # of the squares at the other side of that corner
-            out, along = way[0, end] - way[1, end], way[0, end] - way[0, inner]
-            spots = way[0, end] + (reach[s] + ACROSS) * out + (beyond + PAST) * along
-            if not np.isnan(spots).any() and in_view(spots, image).all():
-                near, far = grey(image, spots).mean(axis=1)
-                found.append((far - near) / contrast)
-        if found:
-            same = len(found) == 1 or found[0] * found[1] > 0
-            past[s] = min(found, key=abs) if same else 0.0
+    level.sort()
+    contrast = max(float(level[3 * len(level) // 4] - level[len(level) // 4]), 1.0)
+    corner, out, along, first, other = (
+        np.array(each) for each in zip(*_corners(at, reach), strict=True)
+    )
+    spots = corner[:, None, None] + (first[:, None, None] + ACROSS) * out[:, None, None]
+    spots = spots + (other[:, None, None] + PAST) * along[:, None, None]
+    shown = np.asarray(np.all(in_view(spots, image), axis=(1, 2)))  # NaN is not
+    near, far = grey(image, np.where(shown[:, None, None], spots, 0)).mean(axis=2).T
+    step = np.where(shown, (far - near) / contrast, np.nan).reshape(SIDES, 2)
+    for s in range(SIDES):
+        found = step[s, ~np.isnan(step[s])]
+        if len(found):
+            past[s] = found[np.abs(found).argmin()] if (found * found[0] > 0).all() else 0.0
     return past
+
+
+def _corners(at: Numbers, reach: Float) -> Iterator[tuple[complex, complex, complex, float, float]]:
+    """Yield the two corners of a board at the ends of each side: their node, the steps out of the
+    board and along the side, px, and the reach of that side and of the one that it meets there."""
+    for s, way in enumerate(_ways(at)):
+        aside = (2, 3) if s < 2 else (0, 1)
+        for other, (end, inner) in zip(aside, ((0, 1), (-1, -2)), strict=True):
+            node = complex(way[0, end])
+            out, along = node - way[1, end], node - way[0, inner]
+            yield node, complex(out), complex(along), float(reach[s]), float(reach[other])
 
 
 def _has_room(way: Numbers, image: GreyImage) -> bool:

@@ -45,6 +45,19 @@ class Seen:
     def prints(self) -> Prints:
         return prints_of(self.at)
 
+    @functools.cached_property
+    def steps(self) -> tuple[complex, complex]:
+        """Return the mean steps to the next column and the next row, px."""
+        return _steps(self.at)
+
+    @functools.cached_property
+    def affine(self) -> Float:
+        """Return the affine map, (3, 2), from (1, x, y), px, to about (row, column) here."""
+        known = ~np.isnan(self.at)
+        model = _affine_model(self.at[known])
+        place = np.argwhere(known).astype(np.float64)
+        return np.asarray(np.linalg.lstsq(model, place, rcond=None)[0], np.float64)
+
 
 class Reference(NamedTuple):
     """A board with numbers; origin: the number of its node (0, 0); sure: whether it has them."""
@@ -74,7 +87,8 @@ class Decision(NamedTuple):
 
 def upright(at: Numbers) -> int:
     """Return the quarter turns after which the columns of a board follow the image's x axis."""
-    return int(np.argmin([abs(np.angle(_steps(np.rot90(at, q))[0])) for q in range(4)]))
+    along, down = _steps(at)
+    return int(np.argmin(np.abs(np.angle([along, down, -along, -down]))))
 
 
 def like_rest(
@@ -100,8 +114,9 @@ def like_rest(
 def _like(
     now: Seen, rest: Reference, reference: Reference, sd_cells: float, *, k: LatticeConstants
 ) -> Decision:
-    along, _ = _steps(reference.seen.at)
-    angles = [abs(math.degrees(np.angle(_steps(np.rot90(now.at, q))[0] / along))) for q in range(4)]
+    along, down = now.steps
+    ways = np.array([along, down, -along, -down]) / reference.seen.steps[0]
+    angles = np.abs(np.degrees(np.angle(ways))).tolist()
     nats = [-min(angle**2 / (2 * k.turn_sd_degrees**2), k.turn_nats) for angle in angles]
     found: list[Numbering] = []
     for quarters in sorted(range(4), key=lambda q: angles[q]):
@@ -277,6 +292,11 @@ def _steps(at: Numbers) -> tuple[complex, complex]:
     return along or -1j * down, down or 1j * along
 
 
+def _affine_model(z: Numbers) -> Float:
+    """Return (1, x, y) of points, (N, 3)."""
+    return np.stack([np.ones(len(z)), z.real, z.imag], axis=1)
+
+
 def _unmoved(at: Numbers, reference: Reference) -> Float:
     """Return the number, (2,) real, of a board's node (0, 0) if the middle of the view had not
     moved since the reference.
@@ -285,18 +305,14 @@ def _unmoved(at: Numbers, reference: Reference) -> Float:
     function of their own, whose value in the middle of the view counts.
     """
     there = reference.seen.at
-    along, down = _steps(there)
+    along, down = reference.seen.steps
     row, column = np.nonzero(~np.isnan(at))
     z = at[row, column]
     middle = complex(np.median(z.real), np.median(z.imag))
     some = np.argsort(np.abs(z - middle), kind="stable")[: max(len(z) // 2, 9)]
     some = some[:: max(len(some) // VOTERS, 1)]
     row, column, z = row[some], column[some], z[some]
-    known = np.argwhere(~np.isnan(there))
-    at_known = there[~np.isnan(there)]
-    model = np.stack([np.ones(len(known)), at_known.real, at_known.imag], axis=1)
-    affine = np.linalg.lstsq(model, known.astype(np.float64), rcond=None)[0]
-    place = np.stack([np.ones(len(z)), z.real, z.imag], axis=1) @ affine
+    place = _affine_model(z) @ reference.seen.affine
     area = (along.conjugate() * down).imag or 1.0
     near = np.zeros(len(z), np.bool_)
     for _ in range(LOOKS):
@@ -309,8 +325,7 @@ def _unmoved(at: Numbers, reference: Reference) -> Float:
     if np.count_nonzero(near) < 4:
         near[:] = True
     number = place[near] - np.stack([row, column], axis=1)[near] + reference.origin
-    from_middle = z[near] - middle
-    model = np.stack([np.ones(len(number)), from_middle.real, from_middle.imag], axis=1)
+    model = _affine_model(z[near] - middle)
     weight = np.ones(len(number))
     for _ in range(3):
         fit = np.linalg.lstsq(model * weight[:, None], number * weight[:, None], rcond=None)[0]
