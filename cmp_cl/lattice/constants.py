@@ -30,7 +30,7 @@ class LatticeConstants:
     least_side: share, of the contrast of both corners that a side must show.
     agree: shares of a step, greatest difference between faces that share a link.
     agree_cut: factor, by which that tolerance falls for a part that contradicts itself.
-    cuts: times, that it falls at most; .3 becomes .03.
+    cuts: times, that it falls at most; .4 becomes .03.
     torn_cuts: times, that it falls at once for a face with 0 to 4 torn corners: a squeezed rim of
         them hangs on the wrong side of a tear. With 0 for all, 3 of 96 torn gels had wrong numbers.
     least_part: faces, of a part; smaller ones are loose corners.
@@ -94,9 +94,9 @@ class LatticeConstants:
     side_depth_px: float = 1.25
     least_side: float = 0.4
     # Faces and parts
-    agree: float = 0.3
+    agree: float = 0.4
     agree_cut: float = 1.3
-    cuts: int = 9
+    cuts: int = 10
     torn_cuts: tuple[int, int, int, int, int] = (0, 0, 0, 1, 3)
     least_part: int = 8
     least_board: int = 9
