@@ -17,7 +17,7 @@ typedef struct {
   float side_depth, side_depth_px, side_share, least_contrast;
   float depth;
   float rough_weight;
-  float side_nats, cells_nats, prior, firm_penalty, loose_penalty, misfit_cap;
+  float side_nats, cells_nats, prior, firm_penalty, loose_penalty;
   float stay, drop, enter, outside;
   float reach, near, edge;
 } Nats;
@@ -131,7 +131,7 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   layout[FIRST_COLUMN] = origin_x;
   layout[SIGN] = sum < 0 ? -1 : 1;
   layout[NODES] = nodes;
-  layout[ROUND] = layout[PASSES] = layout[DROPPED] = 0;
+  layout[ROUND] = layout[DROPPED] = 0;
   layout[ENTERED] = layout[STATE] = nodes > 0;
 }
 
@@ -240,12 +240,10 @@ __kernel void begin_pass(const int rounds, __global int *restrict layout,
   if (!layout[STATE]) return;
   ALL_TOGETHER;
   if (get_local_id(0) == 0) {
-    if (layout[STATE] == RUNS && layout[DROPPED]) {
-      ++layout[PASSES];
-    } else if (layout[STATE] == RUNS && layout[ENTERED] && layout[ROUND] < rounds) {
+    const bool more = layout[ENTERED] && layout[ROUND] < rounds;
+    if (layout[STATE] == RUNS && more) {
       ++layout[ROUND];
-      layout[PASSES] = 0;
-    } else {
+    } else if (layout[STATE] != RUNS || !layout[DROPPED]) {
       layout[STATE] = layout[ENTERED] ? BLENDS : 0;
     }
     layout[DROPPED] = layout[ENTERED] = 0;
@@ -364,8 +362,7 @@ float score_of(LEVELS_OF_IMAGE, const float sides, const int quality, const floa
   const float root = inverse_root(LARGER(cell * cell, 1e-6f));
   const float misfit = prediction.weight > 0 ? (d.x * d.x + d.y * d.y) * (root * root) : 0.0f;
   const bool firm = prediction.weight >= FIRM;
-  const float penalty =
-      SMALLER(misfit, nats->misfit_cap) * (firm ? nats->firm_penalty : nats->loose_penalty);
+  const float penalty = misfit * (firm ? nats->firm_penalty : nats->loose_penalty);
   const float score = ((nats->side_nats * sides + nats->cells_nats * cells) +
                        nats->prior) - penalty;
   const bool inside =
@@ -409,12 +406,12 @@ __kernel void score_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
 }
 
 /* Drop nodes that score too little, the worst of each 3 x 3 first. One work-item per place. */
-__kernel void drop_nodes(const int passes, __constant Nats *nats, __global int *restrict layout,
+__kernel void drop_nodes(__constant Nats *nats, __global int *restrict layout,
                          __global const float *restrict score,
                          __global const uchar *restrict sides_of, __global float2 *restrict seen,
                          __global int *restrict owner, __global uchar *restrict torn,
                          __global uchar *restrict used, __global uchar *restrict changed) {
-  if (layout[STATE] != RUNS || layout[PASSES] >= passes) return;
+  if (layout[STATE] != RUNS) return;
   FOR_PLACES(NEAR) {
     PLACE_OF_WORK_ITEM
     const float own = score[place];

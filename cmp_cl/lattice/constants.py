@@ -54,7 +54,6 @@ class LatticeConstants:
         of 6 to 30 tried there.
     near_cells: cells, a node farther from its prediction is rough, and a corner nearer to a
         missing place is at that place itself. .08 to .2 do the same.
-    misfit_cap_cells: cells, misfits beyond it count alike.
     reach_cells: cells, a corner so far from a prediction is another.
     side_nats: nats, for each whole side (this and the four below: regression).
     cells_nats: nats, for the whole contrast of the four cells.
@@ -64,7 +63,6 @@ class LatticeConstants:
     stay_nats: nats, that a node needs.
     enter_nats: nats, that a new node needs.
     rounds: times, that nodes are looked for.
-    drop_passes: times, that nodes are dropped in each round.
     edge_px: px, nearer to the edge of the image no node is predicted.
     end_share: share, of the contrast of the last squares that is no sign of further ones.
     follow_share: share of it, by which levels two cells apart differ where cells follow.
@@ -118,7 +116,6 @@ class LatticeConstants:
     cell_depth: float = 0.2
     rough_weight_per_px2: float = 0.08
     near_cells: float = 0.1
-    misfit_cap_cells: float = 0.4
     reach_cells: float = 0.3
     side_nats: float = 2.35
     cells_nats: float = 1.65
@@ -128,7 +125,6 @@ class LatticeConstants:
     stay_nats: float = 1.0
     enter_nats: float = 2.0
     rounds: int = 12
-    drop_passes: int = 6
     edge_px: float = 3.0
     # Borders, numberings, boards
     end_share: float = 0.3

@@ -120,7 +120,6 @@ def a_pass(plan: "LatticePlan") -> list[Launch]:
         ),
         plan.of_places(
             "drop_nodes",
-            passes=np.int32(k.drop_passes),
             **nats,
             **some("layout", "score", "sides_of"),
             **nodes,
@@ -157,7 +156,7 @@ def nats(plan: "LatticePlan") -> NDArray[np.float32]:
             k.cell_depth,
             k.rough_weight_per_px2,
             *(k.side_nats, k.cells_nats, k.prior_nats),
-            *(firm, loose, k.misfit_cap_cells**2),
+            *(firm, loose),
             *(k.stay_nats, k.stay_nats - 1, k.enter_nats, OUTSIDE),
             *(k.reach_cells, k.near_cells, k.edge_px),
         ],

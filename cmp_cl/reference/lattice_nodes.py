@@ -242,9 +242,8 @@ def evidence(
     with np.errstate(over="ignore", invalid="ignore"):
         misfit = (dx * dx + dy * dy) * inverse(np.maximum(steps.cell * steps.cell, F(1e-6)))
     misfit = np.where(weight > 0, misfit, F(0))
-    far = np.minimum(misfit, F(k.misfit_cap_cells**2))
     firm, loose = F(0.5 / k.firm_sd_cells**2), F(0.5 / k.loose_sd_cells**2)
-    penalty = far * np.where(weight >= FIRM, firm, loose)
+    penalty = misfit * np.where(weight >= FIRM, firm, loose)
     score = ((F(k.side_nats) * sides + F(k.cells_nats) * cells) + F(k.prior_nats)) - penalty
     height, width = plane.shape
     inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
@@ -374,7 +373,7 @@ def settled(
 
 def dropped(plane: Plane, board: Board, k: LatticeConstants) -> Board:
     """Return the board without nodes that score too little, the worst of each 3 x 3 first."""
-    for _ in range(k.drop_passes):
+    while True:
         now = evidence(plane, board, k)
         score, there = now.score, board.there
         worst = np.full(score.shape, F(99))
@@ -384,7 +383,7 @@ def dropped(plane: Plane, board: Board, k: LatticeConstants) -> Board:
         low = score < F(k.stay_nats)
         bad = there & ((now.count == 0) | (low & ((score <= worst) | (score < F(k.stay_nats - 1)))))
         if not bad.any():
-            break
+            return board
         board = Board(
             x=np.where(bad, F(np.nan), board.x),
             y=np.where(bad, F(np.nan), board.y),
@@ -392,7 +391,6 @@ def dropped(plane: Plane, board: Board, k: LatticeConstants) -> Board:
             torn=board.torn & ~bad,
             sign=board.sign,
         )
-    return board
 
 
 def _nearest(xy: NDArray[np.float32], x: Real, y: Real) -> tuple[Whole, Real]:
