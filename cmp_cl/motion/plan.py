@@ -75,6 +75,7 @@ class FieldPlan:
             for sigma in (self._at_rest.sigma, self._at_rest.noise)
         )
         self._constants = Memory.of(queue, **self._constant_arrays())
+        self._bound_rest = self._constants.arrays["bound_rest"].copy()
         self._work = Memory(queue, self._work_layout())
         self.frame = Memory(queue, self._frame_layout())
         self._parts = {
@@ -343,8 +344,10 @@ class FieldPlan:
         raw_displacement = _nodes(results["raw_displacement"])
         change = _Change(
             values=raw_displacement,
-            measured=valid & np.isin(source, MEASURED),
-            most_noise=np.sqrt(self._constants.arrays["bound_rest"] + results["own"][0]),
+            valid=valid,
+            source=source,
+            bound_rest=self._bound_rest,
+            own=results["own"][0],
         )
         both: dict[str, Any] = {
             "status": status,
@@ -375,18 +378,23 @@ class FieldPlan:
 class _Change:
     """What a strain asks of the filter of a displacement. The host filters it again when asked.
 
-    values: (R, C, D), before the filter. measured: (R, C). most_noise: (R, C), as `filter_grid`
-    takes them.
+    values: (R, C, D), before the filter. valid, source: as in a field. bound_rest: (R, C), the part
+    at rest of the largest variance of the noise. own: the variance now, from the images.
     """
 
     values: Array
-    measured: NDArray[np.bool_]
-    most_noise: Array
+    valid: NDArray[np.bool_]
+    source: NDArray[np.uint8]
+    bound_rest: NDArray[np.float32]
+    own: NDArray[np.float32]
 
     @functools.cached_property
     def _filtered(self) -> Filtered:
         return filter_grid(
-            self.values, measured=self.measured, bends=True, most_noise=self.most_noise
+            self.values,
+            measured=self.valid & np.isin(self.source, MEASURED),
+            bends=True,
+            most_noise=np.sqrt(self.bound_rest + self.own),
         )
 
     def slope_variance(self, *, smoothed: bool) -> Array:
