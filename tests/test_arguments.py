@@ -28,7 +28,6 @@ from cmp_cl import (
 from cmp_cl.field import green_lagrange, surface_normals
 from cmp_cl.filter import filter_grid
 from cmp_cl.grid import align, refine_markers
-from cmp_cl.marks import drop_marks
 from cmp_cl.measure import (
     OneView,
     TwoViews,
@@ -73,7 +72,6 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
         (lambda: filter_positions(None), "now", "Grid"),
         (lambda: displacement(None, GRID), "rest", "Points3D"),
         (lambda: displacement(GRID, GRID, scale=0.1), "scale", "PlaneScale"),
-        (lambda: drop_marks(GRID, IMAGE), "corners", "Corners"),
         (lambda: TwoViews(IMAGE, None, None), "rig", "StereoRig"),
         (lambda: toed_in_rig().triangulate(GRID, IMAGE), "right", "Grid"),
         (lambda: BinocularSplit.halves(width="a", height=2), "width", "Integral"),

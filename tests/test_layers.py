@@ -18,7 +18,7 @@ LAYERS = [
     {"corners", "points"},
     {"opencl"},
     {"stages"},
-    {"lattice", "marks"},
+    {"lattice"},
     {"reference", "synthetic"},
     {"grid"},
     {"detector", "field"},

@@ -25,7 +25,6 @@ from cmp_cl.errors import ConfigError, GridError, ImageError
 from cmp_cl.files import csv_bytes, whole_file
 from cmp_cl.grid import Grid, NodeStatus, build_grid
 from cmp_cl.image import GreyImage
-from cmp_cl.marks import drop_marks
 from cmp_cl.measure.patterns import is_of_few_bits, of_few_bits
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.viz import corner_overlay, grid_overlay
@@ -71,11 +70,6 @@ def add_parser(commands: Any) -> None:
         type=grid_shape,
         help="number the corners of a pattern of this size, and search again for those that are "
         "missing; table and picture then show the nodes, and how each was found",
-    )
-    parser.add_argument(
-        "--drop-marks",
-        action="store_true",
-        help="leave out corners inside the cells, for boards with dots, rings or codes there",
     )
     add_full_scale(parser)
     add_device(parser)
@@ -300,8 +294,6 @@ class _Search(Closing):
         self, found: _Found, number: int, image: GreyImage, corners: Corners
     ) -> Callable[[], NDArray[np.uint8]]:
         """Write the rows of a frame; return a function that draws it."""
-        if self._arguments.drop_marks:
-            corners = drop_marks(corners, image)
         rows, drawn = _corner_rows(corners), lambda: corner_overlay(image, corners)
         if self._arguments.grid is not None:
             try:

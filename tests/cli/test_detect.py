@@ -95,13 +95,13 @@ def test_a_pattern_of_known_size_is_numbered_and_looked_at_twice(run):
     assert yellow.sum() >= 10 * found["SECOND_LOOK"]
 
 
-def test_marks_in_the_cells_are_left_out_if_requested(run):
+def test_corners_inside_the_cells_are_no_nodes(run):
     cells = np.kron(np.indices((9, 12)).sum(axis=0) % 2, np.ones((20, 20)))
     y, x = np.indices(cells.shape) % 20 - 9.5
     board = np.where((cells > 0) ^ (np.hypot(x, y) < 5.6), 40, 200).astype(np.uint8)
     cv2.imwrite("dots.png", cv2.GaussianBlur(board, (0, 0), 0.9))
     run("detect", "dots.png", "--out", "all.csv")
-    run("detect", "dots.png", "--drop-marks", "--out", "board.csv")
+    run("detect", "dots.png", "--grid", "8x11", "--out", "board.csv")
     there = set(map(tuple, np.rint(xy_of(rows_of("board.csv")) / 20).astype(int).tolist()))
     assert len(rows_of("all.csv")) > 2 * len(rows_of("board.csv"))
     assert {(i, j) for i in range(1, 12) for j in range(1, 9)} <= there
