@@ -57,7 +57,7 @@ def build_grid(
     nats. `Grid.confidence` is by how many nats the best beats the second; below five the grid is
     ambiguous, and `Grid.rival` is the second. A pattern without a border in view that moved by a
     whole period looks as if it had not moved; a pattern that looks the same after a quarter turn is
-    expected to rotate by less than 35 degrees from rest.
+    expected to rotate by less than 33 degrees from rest.
 
     If several boards are seen, the grid is of the one that fits the known size or the print of
     `like`; without either of the only one that is seen whole, a full rectangle with its borders. If

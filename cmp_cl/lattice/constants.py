@@ -139,7 +139,7 @@ class LatticeConstants:
     step_sd_cells: float = 0.2
     motion_nats: float = 8.5
     turn_sd_degrees: float = 8.0
-    turn_nats: float = 15.0
+    turn_nats: float = 14.0
     camera_px: float = 0.1
 
     def face_tolerances(self) -> NDArray[np.float32]:
