@@ -28,7 +28,7 @@ LAYERS = [
     {"cluster", "measure"},
     {"cli"},
 ]
-FOLDERS_TO_SHRINK = {"grid", "reference", "space", "stages"}  # over twelve modules
+FOLDERS_TO_SHRINK = {"reference", "space", "stages"}  # over twelve modules
 ASIDE = {"__main__", "__init__"}  # the entries, which import everything
 
 
