@@ -72,6 +72,11 @@ class View:
         if whole is None or not whole.valid.any():
             self.lost()
             return empty_grid(len(corners), self.rest.shape, self.rest)
+        # A field takes the corners as they were seen, torn ones too; its filter knows their sigma.
+        known = whole.index[:, 0] >= 0
+        xy = whole.xy.copy()
+        xy[tuple(whole.index[known].T)] = corners.xy[known]
+        whole = dataclasses.replace(whole, xy=xy)
         self.go_on(lambda: whole)
         return whole.cut_to(self.rest)
 
