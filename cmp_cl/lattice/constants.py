@@ -95,7 +95,7 @@ class LatticeConstants:
     agree: float = 0.4
     agree_cut: float = 1.3
     cuts: int = 10
-    torn_cuts: tuple[int, int, int, int, int] = (0, 0, 0, 1, 3)
+    torn_cuts: tuple[int, int, int, int, int] = (0, 0, 0, 2, 4)
     least_part: int = 8
     least_board: int = 9
     least_line: float = 0.7
