@@ -178,10 +178,19 @@ def write_csv(
 
 
 def csv_bytes(rows: Iterable[Iterable[object]]) -> bytes:
-    """Return rows as CSV in UTF-8."""
+    """Return rows as CSV in UTF-8.
+
+    A text that a spreadsheet would take for a formula begins with an apostrophe (OWASP, CSV
+    injection).
+    """
     text = StringIO(newline="")
-    csv.writer(text, lineterminator="\n").writerows(rows)
+    csv.writer(text, lineterminator="\n").writerows([map(_harmless, row) for row in rows])
     return text.getvalue().encode("utf-8", "backslashreplace")
+
+
+def _harmless(cell: object) -> object:
+    formula = isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r"))
+    return f"'{cell}" if formula else cell
 
 
 def read_toml(path: str | PathLike[str]) -> dict[str, Any]:

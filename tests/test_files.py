@@ -128,3 +128,7 @@ def test_arrays_of_another_file_are_refused(tmp_path):
         read_npz(tmp_path / "a.npz", None, FieldError)
     with pytest.raises(FileNotFoundError):
         read_npz(tmp_path / "b.npz", None, FieldError)
+
+
+def test_a_text_that_a_spreadsheet_would_run_begins_with_an_apostrophe():
+    assert csv_bytes([["=1+1", "a", -3.0, "@x"]]) == b"'=1+1,a,-3.0,'@x\n"

@@ -220,3 +220,22 @@ def test_a_file_pattern_that_the_shell_did_not_expand_stands_for_its_files(tmp_p
     assert media.find_inputs([tmp_path / "b[1].png"]) == [tmp_path / "b[1].png"]
     with pytest.raises(FileNotFoundError, match=r"d\*\.png"):
         media.find_inputs([tmp_path / "d*.png"])
+
+
+def test_what_is_transparent_is_white(tmp_path):
+    drawn = np.zeros((20, 30, 4), np.uint8)
+    drawn[5:10, 5:10] = 50, 50, 50, 255
+    drawn[12:15, :, 3] = 128
+    cv2.imwrite(str(tmp_path / "logo.png"), drawn)
+    grey = media.read_image(tmp_path / "logo.png")
+    assert (grey[0, 0], grey[6, 6], grey[13, 0]) == (255, 50, 127)
+    cv2.imwrite(str(tmp_path / "black.png"), np.zeros((5, 5), np.uint8))
+    assert not media.read_image(tmp_path / "black.png").any()
+
+
+def test_a_video_that_lists_other_files_is_none(tmp_path):
+    pytest.importorskip("av")
+    cv2.imwrite(str(tmp_path / "secret.png"), np.zeros((16, 16), np.uint8))
+    (tmp_path / "list.mp4").write_text("ffconcat version 1.0\nfile secret.png\n")
+    with pytest.raises(ImageError, match="a list of other files is none"):
+        list(media.read_frames(tmp_path / "list.mp4"))

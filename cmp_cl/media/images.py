@@ -54,7 +54,8 @@ def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np
 def read_image(path: str | PathLike[str]) -> GreyImage:
     """Read an image file as (H, W) uint8 or uint16; colour becomes grey as cv2.imread does it.
 
-    It reads the first of several pages, and rotates the image as its EXIF tag says. Raises
+    It reads the first of several pages, rotates the image as its EXIF tag says, and puts what is
+    transparent on white. Raises
     ImageError if the file cannot be read, is damaged, has more pixels than OpenCV's limit (2**28,
     unless the variable OPENCV_IO_MAX_IMAGE_PIXELS is set before cmp_cl is imported), or is not an
     image of 8 or 16 bits.
@@ -106,7 +107,20 @@ def decoded(
                 f"{str(path)!r} holds {page.dtype} pixels, expected 8 or 16 bits without sign; "
                 "scale it and save it as PNG"
             )
-    return list(pages)
+    return [_over_white(page, data, first + k) for k, page in enumerate(pages)]
+
+
+def _over_white(grey: GreyImage, data: NDArray[np.uint8], page: int) -> GreyImage:
+    """Return a page over a white ground, if its file is a PNG, a WebP or a TIFF with alpha."""
+    if data[:2].tobytes() in (b"\xff\xd8", b"BM") or data[:1].tobytes() == b"P" or grey.all():
+        return grey  # a JPEG, a BMP, a PNM; nothing that is transparent is grey 0
+    full = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED, range=(page, page + 1))[1]
+    if not full or full[0].ndim != 3 or full[0].shape != (*grey.shape, 4):
+        return grey
+    white = np.iinfo(grey.dtype).max
+    alpha = full[0][..., 3] / np.float32(white)
+    over: GreyImage = np.rint(grey * alpha + white * (1 - alpha)).astype(grey.dtype)
+    return over
 
 
 def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:

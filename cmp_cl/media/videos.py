@@ -16,6 +16,10 @@ from cmp_cl.image import GreyImage
 from cmp_cl.media.images import VIDEO_SUFFIXES, read_pages
 
 LONGEST_GAP = 250  # frames in a row that cannot be read, after which a video or a camera has ended
+_DEMUXERS = (  # real containers: others, such as ffconcat, are lists of files that are followed
+    "asf,avi,flv,gif,h264,hevc,jpeg_pipe,m4v,matroska,mjpeg,mov,mpeg,mpegts,mpegvideo,mxf,ogg,"
+    "yuv4mpegpipe"
+)
 _PLANAR = ("gray", "yuv")  # pixel formats of PyAV whose first plane is the grey levels
 
 
@@ -104,10 +108,13 @@ def _container(path: str | PathLike[str]) -> Iterator[tuple[Any, Any]]:
         raise ImageError(f"cannot read {str(path)!r}: {error.strerror}") from error
     with extra("video", "reading a video"):
         import av
+    options = {"format_whitelist": _DEMUXERS, "protocol_whitelist": "file"}
     try:  # an absolute path is not taken for an address
-        container = av.open(os.path.abspath(path), options={"protocol_whitelist": "file"})
+        container = av.open(os.path.abspath(path), options=options)
     except (av.FFmpegError, OSError, ValueError) as error:
-        raise ImageError(f"{str(path)!r} is not a video that PyAV can read") from error
+        raise ImageError(
+            f"{str(path)!r} is not a video that PyAV can read; a list of other files is none"
+        ) from error
     with container:
         if not container.streams.video:
             raise ImageError(f"{str(path)!r} has no video")
