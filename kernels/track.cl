@@ -7,7 +7,8 @@
  *
  * `result` has the corners of all views as kernels/result.clh lays them out: `stride` numbers for a
  * view, with room for `room` corners. */
-#pragma OPENCL FP_CONTRACT OFF /* the sigma of a corner is that of cmp_cl/stages/refine.py */
+/* The sigma of a corner is that of cmp_cl/stages/refine.py. */
+#pragma OPENCL FP_CONTRACT OFF
 
 #ifndef LOOKS
 #error "LOOKS must be the number of nodes of a view that can be looked at again"

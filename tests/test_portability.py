@@ -123,8 +123,8 @@ def test_kernels_use_nothing_optional():
     """No local memory, barriers, doubles, halves, images, printf, sub-groups or extensions.
 
     `#pragma unroll` is allowed: a compiler that does not know it ignores it (C99, 6.10.6). The
-    lattice and tracking may use barriers and a few local counters, in kernels of one work-group. Points in space
-    may be doubles, where the device has them.
+    lattice and tracking may use barriers and a few local counters, in kernels of one work-group.
+    Points in space may be doubles, where the device has them.
     """
     words = r"\b(image\dd\w*|printf|sub_group\w*|half)\b"
     words += r"|#\s*pragma(?! unroll$| OPENCL FP_CONTRACT OFF$)"
