@@ -103,8 +103,8 @@ def test_sigma_holds_for_raw_positions_of_wide_blurred_bent_cells():
         refinement=EdgeStep(cell=cell),
         scale=max(0.24, 24 / cell),
     )
-    corners = detect(image.clip(0, 255).astype(np.uint8), config)
-    grid = build_grid(corners)
+    image = image.clip(0, 255).astype(np.uint8)
+    grid = build_grid(detect(image, config), image)
     inside = np.abs(grid.xy - (199.5, 149.5)) < np.array([199.5, 149.5]) - grid.edge_radius
     inside = inside.all(axis=2)
     r, a = (np.rint(each) for each in polar(*grid.xy[inside].T))
