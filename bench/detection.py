@@ -67,14 +67,16 @@ def timed(method: methods.Method, frame: Frame) -> tuple[Score, float]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    arguments = parser_of(__doc__, quick="30 scenes, no slow peers").parse_args(argv)
+    parser = parser_of(__doc__, quick="30 scenes, no slow peers")
+    parser.add_argument("--repeats", type=int, default=3, help="scenes of each object and severity")
+    arguments = parser.parse_args(argv)
     names, reasons = available()
     for name, reason in reasons.items():
         print(f"left out: {PEERS[name].label}: {reason}")
     names = [name for name in names if not (arguments.quick and PEERS[name].slow)]
     severities = (0.5, 1.0) if arguments.quick else SEVERITIES
     densities = DENSITIES[:3] if arguments.quick else DENSITIES
-    repeats = 1 if arguments.quick else 3
+    repeats = 1 if arguments.quick else arguments.repeats
     keep_freed_memory()
     rows = []
     with tqdm(total=len(densities) * len(severities) * len(INDENTERS)) as progress:

@@ -1,7 +1,7 @@
 """Wall time of ours and the peers in one run, the timed answers scored.
 
     python bench/speed.py --quick       the peers that matter, a minute
-    python bench/speed.py               everything, about five minutes
+    python bench/speed.py               everything, about three minutes
 
 Methods take turns: in each round each one does a few frames in a row, of which the first is not
 counted. The time is from an image in host memory to positions in host memory. A row of
@@ -69,7 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name, reason in reasons.items():
         print(f"left out: {PEERS[name].label}: {reason}")
     names = [name for name in names if not arguments.quick or name in QUICK]
-    count, rounds = (2, 8) if arguments.quick else (4, 30)
+    count, rounds = (2, 8) if arguments.quick else (4, 12)
     keep_freed_memory()
     print(f"cores at other work: {environment()['others']}")
     table = []
