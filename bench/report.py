@@ -21,7 +21,7 @@ OURS = (LINES, DEFAULT, PAPER, GRIDDED)
 IN_README = (
     *OURS,
     "goodFeaturesToTrack + cornerSubPix",
-    "chess-corners, lean, saddle",
+    "chess-corners, lean, centre of mass",
     "findChessboardCornersSB",
     "libcbdetect",
 )
@@ -381,18 +381,33 @@ def figures(folder: Path) -> str:
                     "frames right, %": percent(whole["right"], whole["frames"]),
                 }
             )
+    text = (
+        f"{conditions(timed).strip()} Medians of one run, from an image in host memory to "
+        f"positions in host memory, for {small['corners'].iloc[0]} and {large['corners'].iloc[0]} "
+        f"corners. The last column is over {errors['frames'].iloc[0]} rendered frames, slightly to "
+        "severely deformed.\n\n"
+    )
+    return text + markdown(pd.DataFrame(rows)) + fields(folder)
+
+
+def fields(folder: Path) -> str:
+    """Return a sentence on the time of a field."""
+    table = read(folder, "field")
+    value = table.set_index(["what", "case", "unit"])["value"]
+    busy = (table.attrs["environment"].get("others") or 0) > BUSY
+    rate = table.loc[table["what"].str.startswith("cmp-cl run"), "value"].iloc[0]
     return (
-        f"{conditions(timed)}\nMedians of one run, from an image in host memory to positions in "
-        f"host memory, for {small['corners'].iloc[0]} and {large['corners'].iloc[0]} corners. The "
-        f"last column is over {errors['frames'].iloc[0]} rendered frames, slightly to severely "
-        "deformed.\n\n" + markdown(pd.DataFrame(rows))
+        f"\nFrom a frame of two views with 40 x 40 corners each to its field: "
+        f"{value['frame to field, two views', 'severity to 0.5', 'ms']:.3g} ms; `cmp-cl run` from "
+        f"MJPG to .h5: {rate:.3g} frames a second"
+        + (", while others used the machine.\n" if busy else ".\n")
     )
 
 
 def insert(page: Path, text: str) -> None:
     """Replace the text between the marks on a page."""
     before, rest = page.read_text("utf-8").split(BEGIN)
-    page.write_text(f"{before}{BEGIN}\n{text}{END}{rest.split(END)[1]}", "utf-8")
+    page.write_text(f"{before}{BEGIN}{text}{END}{rest.split(END)[1]}", "utf-8")
 
 
 SECTIONS: dict[str, Callable[[Path], str]] = {
