@@ -111,7 +111,7 @@ def test_most_maxima_in_texture_are_refused_for_the_oracles_reasons(detector_in_
 
 @refinements
 @rules
-@pytest.mark.parametrize("scale", some([0.3, 0.63, 2.0], (0.63,)))
+@pytest.mark.parametrize("scale", some([0.5, 0.63, 2.0], (0.63,)))
 def test_positions_of_a_scaled_image_are_the_oracles(detector_in_form, name, rule, scale):
     image = board(100, 130, 24 if scale < 1 else 9)[0]
     config = rule.replace(refinement=REFINEMENTS[name], scale=scale)
@@ -122,7 +122,7 @@ def test_positions_of_a_scaled_image_are_the_oracles(detector_in_form, name, rul
 @refinements
 @pytest.mark.parametrize("depth", [8, 16])
 def test_every_image_gives_the_oracles_corners(detector_in_form, name, depth):
-    for settings in ({}, DENSE):
+    for settings in ({},) if "midlines" in name else ({}, DENSE):
         config = rings(refinement=REFINEMENTS[name], **settings)
         config = config.replace(full_scale=None if depth == 8 else 4095)
         for image in (EIGHT if depth == 8 else DEEP).values():
