@@ -3,7 +3,9 @@
 import os
 import re
 import struct
+import subprocess
 import sys
+import zlib
 
 import av
 import cv2
@@ -86,6 +88,82 @@ def test_every_page_of_a_stack_is_a_frame(tmp_path):
         np.testing.assert_array_equal(frame.image, page)
 
 
+def big_tiff(width, height):
+    """Return a BigTIFF of 16 bits whose strips are all the same few compressed bytes."""
+    rows = 100
+    strip = zlib.compress(bytes(width * rows * 2), 9)
+    count = height // rows
+    entries = [(256, 4, 1, width), (257, 4, 1, height), (258, 3, 1, 16), (259, 3, 1, 8)]
+    entries += [(262, 3, 1, 1), (273, 16, count, 0), (277, 3, 1, 1), (278, 4, 1, rows)]
+    entries += [(279, 16, count, 0)]
+    places = 16 + 8 + 20 * len(entries) + 8
+    where = {273: places, 279: places + 8 * count}
+    data = struct.pack("<2sHHHQQ", b"II", 43, 8, 0, 16, len(entries))
+    for tag, kind, number, value in entries:
+        data += struct.pack("<HHQQ", tag, kind, number, where.get(tag, value))
+    data += struct.pack("<Q", 0)
+    data += struct.pack(f"<{count}Q", *[places + 16 * count] * count)
+    return data + struct.pack(f"<{count}Q", *[len(strip)] * count) + strip
+
+
+def looping_tiff(extra):
+    """Return a TIFF whose directory is followed by itself; extra: entries that mean nothing."""
+    entries = [(256, 64), (257, 48), (258, 8), (259, 1), (262, 1), (273, 0), (277, 1), (278, 48)]
+    entries += [(279, 64 * 48), *((60_000, 0) for _ in range(extra))]
+    start = 8 + 2 + 12 * len(entries) + 4
+    data = struct.pack("<2sHIH", b"II", 42, 8, len(entries))
+    for tag, value in entries:
+        data += struct.pack("<HHII", tag, 4, 1, start if tag == 273 else value)
+    return data + struct.pack("<I", 8) + bytes(64 * 48)
+
+
+READ = """
+import resource, sys, time
+from cmp_cl import ImageError, media
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+start = time.perf_counter()
+try:
+    print(len(list(media.read_frames(sys.argv[1]))))
+except ImageError as error:
+    print(error)
+print(time.perf_counter() - start)
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="memory is not measured on Windows")
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (lambda: big_tiff(30_000, 30_000), "more pixels than OpenCV's limit"),
+        (lambda: looping_tiff(0), "1"),
+        (lambda: looping_tiff(60_000), "is not an image"),
+    ],
+    ids=["30 000 x 30 000", "a loop", "a loop of long directories"],
+)
+def test_a_hostile_tiff_takes_under_a_second_and_200_mb(tmp_path, data, says):
+    (tmp_path / "a.tif").write_bytes(data())
+    command = [sys.executable, "-c", READ, str(tmp_path / "a.tif")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    said, seconds, megabytes = done.stdout.splitlines()
+    assert says in said
+    assert float(seconds) < 1
+    assert float(megabytes) < 200
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.99])
+def test_a_stack_that_is_cut_off_gives_its_pages_and_says_so(tmp_path, share):
+    pages = [np.roll(NOISE, k) for k in range(5)]
+    cv2.imwritemulti(str(tmp_path / "a.tif"), pages)
+    whole = (tmp_path / "a.tif").read_bytes()
+    (tmp_path / "a.tif").write_bytes(whole[: int(len(whole) * share)])
+    read = []
+    with pytest.raises(ImageError, match="is damaged or cut off: it has no page"):
+        read.extend(media.read_pages(tmp_path / "a.tif"))
+    for page, expected in zip(read, pages, strict=False):
+        np.testing.assert_array_equal(page, expected)
+
+
 def brighter(count):
     """Return images that grow brighter by 6 grey levels each."""
     return [np.full((48, 64), 6 * index, np.uint8) for index in range(count)]
@@ -127,6 +205,18 @@ def test_a_video_comes_upright(tmp_path, quarters):
     path.write_bytes(data)
     upright = next(media.read_frames(path)).image
     np.testing.assert_array_equal(upright, np.rot90(flat, -quarters))
+
+
+def test_a_matroska_file_that_is_cut_off_says_so(tmp_path):
+    write_video(tmp_path / "press.mkv", [np.roll(NOISE, k) for k in range(40)])
+    whole = (tmp_path / "press.mkv").read_bytes()
+    assert [frame.why for frame in media.read_frames(tmp_path / "press.mkv")] == [""] * 40
+    (tmp_path / "cut.mkv").write_bytes(whole[: len(whole) // 2])
+    frames = list(media.read_frames(tmp_path / "cut.mkv"))
+    assert len(frames) == 40
+    assert [frame.why for frame in frames if frame.image is None][-15:] == [
+        "the file is cut off"
+    ] * 15
 
 
 def test_a_raw_stream_of_h264_is_read(tmp_path):

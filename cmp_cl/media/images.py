@@ -1,8 +1,10 @@
 """Images, read and written by OpenCV, and the files that a name stands for."""
 
+import contextlib
 import glob
 import os
 import re
+import struct
 from collections.abc import Iterable, Iterator, Sequence
 from os import PathLike
 from pathlib import Path
@@ -25,7 +27,7 @@ VIDEO_SUFFIXES = frozenset(  # a GIF is read as a video: it may have several fra
     | {".webm", ".wmv", ".y4m"}
 )
 _OF_16_BITS = frozenset({".jp2", ".pgm", ".png", ".pnm", ".tif", ".tiff"})
-_OF_PAGES = frozenset({".tif", ".tiff"})
+_MOST_PAGES = 1 << 20  # those of libtiff
 _BLOCK = 1 << 26  # px of the pages that are decoded at once: OpenCV repeats all earlier ones
 
 
@@ -55,16 +57,18 @@ def read_image(path: str | PathLike[str]) -> GreyImage:
     """Read an image file as (H, W) uint8 or uint16; colour becomes grey as cv2.imread does it.
 
     It reads the first of several pages, rotates the image as its EXIF tag says, and puts what is
-    transparent on white. Raises
-    ImageError if the file cannot be read, is damaged, has more pixels than OpenCV's limit (2**28,
-    unless the variable OPENCV_IO_MAX_IMAGE_PIXELS is set before cmp_cl is imported), or is not an
-    image of 8 or 16 bits.
+    transparent on white. Raises ImageError if the file cannot be read, is damaged, has more pixels
+    than OpenCV's limit (2**28, unless the variable OPENCV_IO_MAX_IMAGE_PIXELS is set before cmp_cl
+    is imported), or is not an image of 8 or 16 bits.
     """
     return next(read_pages(path))
 
 
 def read_pages(path: str | PathLike[str]) -> Iterator[GreyImage]:
-    """Read the pages of an image file one by one, as `read_image` does; only a TIFF has several."""
+    """Read the pages of an image file one by one, as `read_image` does; only a TIFF has several.
+
+    Raises ImageError also after the last page if the file promises more.
+    """
     check_path(path, ImageError)
     if os.path.exists(path) and not os.path.isfile(path):
         raise ImageError(f"{str(path)!r} is not a file")
@@ -72,13 +76,37 @@ def read_pages(path: str | PathLike[str]) -> Iterator[GreyImage]:
         data = np.fromfile(path, np.uint8)
     except OSError as error:
         raise ImageError(f"cannot read {str(path)!r}: {error.strerror}") from error
-    first, pages = 0, decoded(data, path, 0, 1)
+    first, pages, promised = 0, decoded(data, path, 0, 1), _promised_pages(data)
     count = max(1, _BLOCK // max(pages[0].size, 1))
     while pages:
         yield from pages
         first += len(pages)
-        several = suffix_of(path, ImageError) in _OF_PAGES
-        pages = decoded(data, path, first, count) if several else []
+        pages = decoded(data, path, first, count) if first < promised else []
+    if first < promised:
+        raise ImageError(f"{str(path)!r} is damaged or cut off: it has no page {first}, from 0")
+
+
+def _promised_pages(data: NDArray[np.uint8]) -> int:
+    """Return how many pages the directories of a TIFF lead to, 1 for another image.
+
+    OpenCV does not report a page that is missing. A directory is its number of entries, the
+    entries, and the place of the next one.
+    """
+    head = data[:4].tobytes()
+    order = {b"II": "<", b"MM": ">"}.get(head[:2])
+    if order is None or head[2:] not in (b"*\0", b"\0*", b"+\0", b"\0+"):
+        return 1
+    big = b"+" in head
+    place, entries, size = ("Q", "Q", 20) if big else ("I", "H", 12)
+    seen: set[int] = set()
+    with contextlib.suppress(struct.error, OverflowError):  # it ends within a directory
+        (next_one,) = struct.unpack_from(order + place, data.data, 8 if big else 4)
+        while next_one and next_one not in seen and len(seen) < _MOST_PAGES:
+            seen.add(next_one)
+            (count,) = struct.unpack_from(order + entries, data.data, next_one)
+            after = next_one + struct.calcsize(f"={entries}") + size * count
+            (next_one,) = struct.unpack_from(order + place, data.data, after)
+    return len(seen)
 
 
 def decoded(

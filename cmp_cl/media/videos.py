@@ -70,16 +70,34 @@ def read_frames(path: str | PathLike[str]) -> Iterator[Frame]:
             yield Frame(index, page)
         return
     index = gap = 0
+    end_ms = math.nan
     with _container(path) as (container, stream):
         for image, time_ms in _timed_frames(container, stream):
             gap = 0 if image is not None else gap + 1
+            end_ms = time_ms
             yield Frame(index, image, time_ms)
             index += 1
             if gap == LONGEST_GAP:
                 return
-        missing = min(int(stream.frames) - index, LONGEST_GAP - gap)
-    for number in range(missing):
+        missing = _missing(container, stream, index, end_ms)
+    for number in range(min(missing, LONGEST_GAP - gap)):
         yield Frame(index + number, None, why="the file is cut off")
+
+
+def _missing(container: Any, stream: Any, count: int, end_ms: float) -> int:
+    """Return how many frames a file promises beyond the `count` that were read.
+
+    end_ms: the time of the last one. A Matroska promises no number of frames, but a duration.
+    """
+    if stream.frames:
+        return max(0, int(stream.frames) - count)
+    rate = float(stream.average_rate or 0)
+    known = container.format.name.startswith("matroska") and container.duration is not None
+    if not known or math.isnan(end_ms):  # other durations are estimates
+        return 0
+    if len(container.streams) > 1:
+        end_ms += 1e3  # sound may go on
+    return max(0, int((container.duration / 1e3 - end_ms) * rate / 1e3 - 0.5))
 
 
 def video_info(path: str | PathLike[str]) -> VideoInfo:
