@@ -38,7 +38,9 @@ def check_files(inputs: Iterable[str | Path | None], outputs: Iterable[str | Pat
         real = os.path.realpath(path)
         if os.path.isfile(path) or not os.path.exists(path):
             if real in read:
-                raise ConfigError(f"{shown(path)} is an input and would be overwritten")
+                raise ConfigError(
+                    f"{shown(path)} is an input and would be overwritten; give another name"
+                )
             if real in written:
                 raise ConfigError(f"{shown(path)} is given for two outputs")
             written.add(real)

@@ -68,8 +68,8 @@ def add_parser(commands: Any) -> None:
         "--grid",
         metavar="ROWSxCOLUMNS",
         type=grid_shape,
-        help="number the corners of a pattern of this size, and search again for those that are "
-        "missing; table and picture then show the nodes, and how each was found",
+        help="number the corners of a pattern of this size; table and picture then show the nodes, "
+        "and how each was found",
     )
     add_full_scale(parser)
     add_device(parser)
@@ -203,7 +203,7 @@ class _Found:
         if self.ambiguous:
             line += f"; ambiguous numbers in {counted(len(self.ambiguous), 'frame')}: "
             line += f"{_some(self.ambiguous)}, in which too little of the board's border is "
-            line += "visible, or a reflection of it"
+            line += "visible: rows and columns may be shifted or turned"
         if self.overlays:
             last = f" to {shown(self.overlays[-1])}" if len(self.overlays) > 1 else ""
             line += f"; wrote {shown(self.overlays[0])}{last}"

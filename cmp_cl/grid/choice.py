@@ -194,7 +194,7 @@ def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | Non
     if not sure and chosen.size < least:
         raise GridError(
             f"the largest board has {chosen.size} of {count} corners, expected at least "
-            f"{math.ceil(least)}; check the detector's configuration, or give a region or the shape"
+            f"{math.ceil(least)}; give the shape, a region, or a cut-out of the image"
         )
     return chosen, others
 
@@ -242,5 +242,5 @@ def _two(one: Found, other: Found) -> GridError:
     boxes = [f"({', '.join(f'{value:.0f}' for value in each.box)})" for each in (one, other)]
     return GridError(
         f"two patterns are seen, of {one.size} and {other.size} corners, within {boxes[0]} and "
-        f"{boxes[1]}; give a region with one of them"
+        f"{boxes[1]}; give a region, or a cut-out of the image, with one of them"
     )

@@ -23,8 +23,10 @@ class NodeStatus(enum.IntEnum):
 
     MISSING = 0  #: no position
     DETECTED = 1  #: a corner that the detector found
-    ATTACHED = 2  #: a corner whose rough position was averaged with where its neighbours predict it
-    SECOND_LOOK = 3  #: found by a second look at the image, by other rings or along edges
+    #: a rough corner, which a grid averages with where its neighbours predict it; or one that
+    #: tracking took after a second look
+    ATTACHED = 2
+    SECOND_LOOK = 3  #: no corner; tracking refined from where its neighbours predict it
     INTERPOLATED = 4  #: predicted from measured nodes around it
     VIRTUAL = 5  #: a marker on the edge between two neighbours
 

@@ -41,7 +41,6 @@ def placed(found: Found, given: Given, asked: Asked, others: int) -> Grid:
     best = decision.best
     turned, seen = board.turned(best.quarters), seen.turned(best.quarters)
     size = turned.owner.shape[0], turned.owner.shape[1]
-    size = turned.owner.shape[0], turned.owner.shape[1]
     first, shape = _extent(best, full_lines(seen.at), size, asked)
     check_size(*shape)
     top, left = first[0] - best.row, first[1] - best.column
