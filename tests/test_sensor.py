@@ -108,6 +108,24 @@ def test_a_new_rest_is_taken_while_running(video):
     np.testing.assert_allclose(got[2], fields(video, rest=1)[2], atol=1e-4)
 
 
+def test_a_series_that_begins_after_calibrate_has_the_new_rest(video, tmp_path, monkeypatch):
+    path, measured = tmp_path / "press.npz", TwoViews.__call__
+    frames = [frame.image for frame in read_frames(video)]
+
+    def asked_meanwhile(measure, frame):
+        if np.array_equal(frame, frames[0]):
+            sensor.calibrate()
+            sensor.record(path)
+        return measured(measure, frame)
+
+    monkeypatch.setattr(TwoViews, "__call__", asked_meanwhile)
+    with Sensor(video, RIG, shape=(12, 12)) as sensor:
+        all_frames(sensor)
+    series = read_series(path)
+    assert list(series["index"]) == [1, 2]
+    np.testing.assert_allclose(series["displacement"][0], 0, atol=1e-4)
+
+
 def test_of_frames_that_nobody_takes_the_newest_stay(video):
     with Sensor(video, RIG, shape=(12, 12), maxQSize=1) as sensor:
         sensor._thread.join(60)

@@ -154,7 +154,8 @@ class Sensor(_Loop):
             self._new_rest = True
 
     def record(self, path: str | PathLike[str] | None) -> None:
-        """Write the frames from the next one on to a series, in the format of the suffix.
+        """Write the frames from the next one on to a series, in the format of the suffix; after
+        `calibrate`, from the frame at rest on.
 
         None ends it and completes the file. Raises ConfigError if one is being written already.
         """
@@ -212,7 +213,7 @@ class Sensor(_Loop):
 
     def _keep(self, measure: TwoViews, measured: Measured, index: int, time_ms: float) -> None:
         with self._lock:
-            if self._path is not None:
+            if self._path is not None and not self._new_rest:  # else measure has the old one
                 self._series = SeriesWriter(self._path, description=None, **measure.constants)
                 self._path = None
             if self._series is not None:
