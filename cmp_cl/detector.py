@@ -19,6 +19,7 @@ from cmp_cl.image import Frame, GreyImage, as_frame, check_dtype
 from cmp_cl.lattice.arrays import Board
 from cmp_cl.lattice.plan import LatticePlan
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
+from cmp_cl.opencl.launches import sum_times
 from cmp_cl.opencl.program import Programs, programs_of
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.plan import Overflow, Plan, Plans
@@ -124,10 +125,7 @@ class Detector(Closing):
         """Return the milliseconds of each stage of the last frame; empty without profile=True."""
         spent: dict[str, float] = {}
         for plan in self._plans:
-            for stage, event in plan.events:
-                event.wait()
-                ms = (event.profile.end - event.profile.start) * 1e-6
-                spent[stage] = spent.get(stage, 0.0) + ms
+            spent = sum_times(plan.events, spent)
         return spent
 
     def __call__(self, frame: Frame) -> Corners:

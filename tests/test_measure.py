@@ -1,8 +1,11 @@
 """Measuring from Python: fields from a video of two views, a pattern in one view, aligned views."""
 
+import concurrent.futures
 import dataclasses
 import re
 import textwrap
+import threading
+import time
 from pathlib import Path
 
 import cv2
@@ -14,7 +17,7 @@ from videos import write_video
 
 import cmp_cl
 from cmp_cl import GridError, StereoRig, measure
-from cmp_cl.measure.views import View
+from cmp_cl.measure.views import View, Views
 from cmp_cl.media import read_frames
 from cmp_cl.synthetic import Indenter, Mode, Scene, binocular_frame, default_rig, render_stereo
 
@@ -153,6 +156,8 @@ def test_a_tracked_frame_says_what_its_kernels_took(film):
         assert {"match", "enter", "space", "blend"} < set(following.times)
         assert len(following.times) <= following.launches
         assert all(ms >= 0 for ms in following.times.values())
+        for _ in following.stream(film):  # while the next one runs
+            assert all(ms >= 0 for ms in following.times.values())
 
 
 def test_a_frame_that_is_missing_in_a_stream_has_no_result(film):
@@ -160,6 +165,37 @@ def test_a_frame_that_is_missing_in_a_stream_has_no_result(film):
     with measure.TwoViews(film[0], rig, split, shape=(12, 12)) as following:
         found = list(following.stream([film[0], None, film[1], film[2], None]))
     assert [each is None for each in found] == [False, True, False, False, True]
+
+
+def test_a_frame_that_does_not_fit_is_refused_and_the_next_one_is_measured(film):
+    split, rig = cmp_cl.BinocularSplit.halves(*film[0].shape[::-1]), StereoRig(*RIG)
+    wider = np.pad(film[1], ((0, 40), (0, 60)))
+    with measure.TwoViews(film[0], rig, split, shape=(12, 12)) as following:
+        expected = following(film[2]).field.displacement
+        for other in (wider, film[1][:-5], film[1].astype(np.uint16), film[1].astype(float)):
+            with pytest.raises(cmp_cl.ImageError):
+                list(following.stream([film[1], other, film[1]]))
+        np.testing.assert_array_equal(following(film[2]).field.displacement, expected)
+
+
+def test_closing_waits_for_the_call_of_another_thread(film, monkeypatch):
+    split, rig = cmp_cl.BinocularSplit.halves(*film[0].shape[::-1]), StereoRig(*RIG)
+    finish, running = Views.finish, threading.Event()
+
+    def finish_late(views, plans):
+        running.set()
+        time.sleep(0.3)
+        return finish(views, plans)
+
+    following = measure.TwoViews(film[0], rig, split, shape=(12, 12))
+    monkeypatch.setattr(Views, "finish", finish_late)
+    with concurrent.futures.ThreadPoolExecutor(1) as pool:
+        other = pool.submit(following, film[1])
+        running.wait(60)
+        following.close()
+        assert other.result(60).nodes
+    with pytest.raises(cmp_cl.DeviceError, match="closed"):
+        following(film[1])
 
 
 def test_a_view_is_measured_against_the_view_at_rest(rest_and_now):

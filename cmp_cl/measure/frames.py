@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
-from cmp_cl.errors import ConfigError, DeviceError, GridError, check_kind
+from cmp_cl.errors import ConfigError, DeviceError, GridError, ImageError, check_kind
 from cmp_cl.field import DisplacementField
 from cmp_cl.grid import Grid
 from cmp_cl.grid.grid import NO_SIDES
@@ -29,6 +29,7 @@ from cmp_cl.motion.nodes import grid_of
 from cmp_cl.motion.plan import FieldPlan
 from cmp_cl.motion.track import Tracker, can_track, differing
 from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.opencl.launches import sum_times
 from cmp_cl.opencl.program import programs_of
 from cmp_cl.space import Bias, BinocularSplit, Points3D, PointStatus, StereoRig
 from cmp_cl.stages.plan import Plan
@@ -175,15 +176,17 @@ class Measurement(Closing):
     def __init__(self, *, raw: bool, strain: bool, profile: bool) -> None:
         self.tally = Tally()
         self._raw, self._strain, self._profile = raw, strain, profile
-        self._lock = threading.Lock()  # one frame at a time
+        # One frame at a time; a stream may be collected, and so end, within a call.
+        self._lock = threading.RLock()
         self._stack = contextlib.ExitStack()
         self._events: list[tuple[str, cl.Event]] = []  # of the last frame, but of the detector
         self._running: _Begun | None = None  # whose results have not been read
         self._follows = False  # whether the tracker has the nodes of the frame before
 
     def close(self) -> None:
-        """Release the device's memory."""
-        self._stack.close()
+        """Release the device's memory, once a call of another thread has ended."""
+        with self._lock:
+            self._stack.close()
 
     @property
     def times(self) -> dict[str, float]:
@@ -193,11 +196,8 @@ class Measurement(Closing):
         detector = self._views.detector
         if not self._profile or detector is None:
             return {}
-        spent = detector.times
-        for stage, event in self._events:
-            ms = (event.profile.end - event.profile.start) * 1e-6
-            spent[stage] = spent.get(stage, 0.0) + ms
-        return spent
+        with self._lock:
+            return sum_times(self._events, detector.times)
 
     @property
     def launches(self) -> int:
@@ -342,7 +342,11 @@ class Measurement(Closing):
         if self._running is begun:
             self._running = None
         if begun.settled is None:
-            begun.settled = self._settle(begun)
+            try:
+                begun.settled = self._settle(begun)
+            except BaseException:
+                self._follows = False  # nobody has checked the nodes that it tracks
+                raise
         return begun.settled
 
     def _settle(self, begun: _Begun) -> "_Settled":
@@ -559,6 +563,7 @@ class TwoViews(Measurement):
         )
         with self._closed_on_error():
             self._views = self._stack.enter_context(Views(split(rest), search, regions))
+            self._size = rest.shape
             left, right = self._views.views
             right.rest = align_views(left.rest, right.rest)
             self.rest = self._placed(left.rest, right.rest)
@@ -650,7 +655,13 @@ class TwoViews(Measurement):
             )
 
     def _views_of(self, frame: GreyImage) -> tuple[GreyImage, ...]:
-        return self._split(frame)
+        views = self._split(frame)
+        if frame.shape != self._size:
+            raise ImageError(
+                f"the frame at rest is {self._size}, this one {frame.shape}; measure a recording "
+                "of another size against its own frame at rest"
+            )
+        return views
 
     def _between(self, grids: Sequence[Grid]) -> DisplacementField:
         return displacement(self.rest, self._rig.triangulate(*grids), raw=self._raw)

@@ -1,5 +1,6 @@
 """Kernels bound to their arguments by name, ready to be launched over their work-items."""
 
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,6 +55,18 @@ class Binder:
         """
         group = (1, 1) if self.device.kind is DeviceKind.CPU else None
         return self.stage(name, (items, planes), group, **arguments)
+
+
+def sum_times(
+    events: Iterable[tuple[str, cl.Event]], before: Mapping[str, float]
+) -> dict[str, float]:
+    """Wait for the launches; return the milliseconds of each stage, added to those before."""
+    spent = dict(before)
+    for stage, event in events:
+        event.wait()
+        ms = (event.profile.end - event.profile.start) * 1e-6
+        spent[stage] = spent.get(stage, 0.0) + ms
+    return spent
 
 
 def multiple(value: int, of: int) -> int:
