@@ -343,7 +343,8 @@ class Detector(Closing):
 
         for corners in self.stream(kept()):
             image = images.popleft()
-            yield corners, build_grid(corners, image, shape=shape, like=like, region=region)
+            grid = build_grid(corners, image, shape, like, region, device=self.device)
+            yield corners, grid
 
     def boards(self, frame: Frame) -> tuple[Corners, list[Board]]:
         """Find the corners of a frame, and the boards that they form.

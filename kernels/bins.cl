@@ -74,8 +74,8 @@ __kernel void direct_corners(__global const float *restrict corners, const uint 
   contrast[i] = LARGER(sum, least_contrast);
 }
 
-/* Sort the corners that have a position into bins: `binned` lists them bin after bin, bin k from starts[k] on. One
- * work-group. */
+/* Sort the corners that have a position into bins: `binned` lists them bin after bin, bin k from
+ * starts[k] on. One work-group. */
 #define IS_PLACED(i) (at[i].x == at[i].x && at[i].y == at[i].y)
 
 __kernel void fill_bins(__global const float *restrict corners, const uint capacity,

@@ -46,7 +46,6 @@ __kernel void number_corners(__global const float *restrict corners, const uint 
     if (part[h] == h && size[h] && size[h] == most) atomic_min(&main, h);
   ALL_TOGETHER;
   if (get_local_id(0) == 0) {
-    layout[MAIN_PART] = main;
     layout[PARTS] = parts;
   }
   FOR_ALL(i, count) {
@@ -127,8 +126,6 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   if (get_local_id(0)) return;
   layout[BOARD_ROWS] = height;
   layout[BOARD_COLUMNS] = width;
-  layout[FIRST_ROW] = origin_y;
-  layout[FIRST_COLUMN] = origin_x;
   layout[SIGN] = sum < 0 ? -1 : 1;
   layout[NODES] = nodes;
   layout[ROUND] = layout[DROPPED] = 0;
@@ -182,8 +179,8 @@ Prediction predicted(__global const float2 *at, const int place, const int width
 }
 
 /* Steps of the lattice at a place, to the next column and to the next row, and the mean of their
- * lengths, the cell. Where a place has no step of its own it is the mean
- * of those within 5 x 5 places. */
+ * lengths, the cell. Where a place has no step of its own it is the mean of those within 5 x 5
+ * places. */
 typedef struct {
   float2 u, v;
   float cell;

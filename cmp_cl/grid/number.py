@@ -14,9 +14,7 @@ from cmp_cl.image import Frame, GreyImage, as_frame
 from cmp_cl.opencl.device import Device
 
 LEAST = 4  # corners of the smallest lattice, one cell
-NARROW = (
-    6  # px: side of bins; cells are narrow where another corner is in the 3 x 3 around one's own
-)
+NARROW = 6  # px, side of bins; cells are narrow where bins 3 x 3 around a corner hold another
 WIDE_RING, NARROW_RING = (3, 5, 4), (1, 3, 2)  # smoothings; ring, px along the axes and diagonals
 
 

@@ -23,7 +23,6 @@ def sizes(plan: "LatticePlan") -> dict[str, int]:
         "levels": 2 * rows * plan.step,
         "lines": 16 * corners,
         "contrast": 4 * corners,
-        "layout": 64,
         "starts": 4 * bins,
         "binned": 4 * corners,
         "first": 16 * corners,
@@ -45,8 +44,8 @@ def launches(plan: "LatticePlan") -> list[Launch]:
     side = {
         "depth": np.float32(k.side_depth_cells),
         "depth_px": np.float32(k.side_depth_px),
-        # The square of five differences, against that of twice the contrast.
-        "least_side": np.float32(0.25 * 25 * k.least_side**2),
+        # The square of a sum of differences, against that of twice the contrast.
+        "least_side": np.float32((len(k.side_points) * k.least_side / 2) ** 2),
     }
     return [
         plan.stage(

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from cmp_cl.lattice.plan import LatticePlan
 
 # In the layout, see kernels/lattice.clh.
-ROWS, COLUMNS, SIGN, DROPPED, ENTERED, STATE, PARTS = 3, 4, 7, 11, 12, 13, 15
-LAYOUT = 16  # numbers in it
+ROWS, COLUMNS, SIGN, DROPPED, ENTERED, STATE, PARTS = 3, 4, 5, 8, 9, 10, 11
+LAYOUT = 12  # numbers in it
 RUNS = 1
 ANY = 2**31 - 1  # number of parts
 TILES = 16  # places for each tile, at least: a board has margins
@@ -28,6 +28,7 @@ def sizes(plan: "LatticePlan") -> dict[str, int]:
     return {
         **four,
         **eight,
+        "layout": 4 * LAYOUT,
         "predictions": 16 * places,
         "torn": places,
         "rough": places,
