@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-import pyopencl as cl
 from environment import parser_of, write_table
 from patterns import (
     DATA,
@@ -46,7 +45,6 @@ from cmp_cl.errors import GridError
 from cmp_cl.lattice.boards import boards
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.plan import LatticePlan
-from cmp_cl.opencl.program import programs_of
 
 SEED = 5_000_000  # of the report; constants were tuned on other frames
 HIT, SHARE = 3.0, 0.25  # px; of a cell
@@ -106,20 +104,10 @@ def of_grid_sized(view: View, corners: Corners) -> Answer | None:
 def of_lattice(constants: LatticeConstants) -> Method:
     """Return the largest board of the lattice with these constants; positions are as seen."""
     device = select_device()
-    programs = programs_of(device.handle)
-    queue = cl.CommandQueue(programs.context)
 
     def find(view: View, corners: Corners) -> Answer:
-        plan = LatticePlan(
-            queue=queue,
-            programs=programs,
-            device=device,
-            shape=view.image.shape,
-            dtype=view.image.dtype,
-            full_scale=255,
-            capacity=max(len(corners), 1),
-            constants=constants,
-        )
+        kind = view.image.shape, view.image.dtype, 255
+        plan = LatticePlan.from_host(device, *kind, max(len(corners), 1), constants)
         plan.take(view.image, corners.xy, corners.edges, corners.refusal)
         plan.start()
         found = next(boards(plan, corners.xy), None)

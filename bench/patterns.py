@@ -241,7 +241,7 @@ def before_ground(seed: int) -> View:
 def marked(seed: int, count: int) -> Views:
     """Yield boards that fill most of the image, seen at an angle, with a mark in most cells."""
     for n in range(count):
-        yield with_marks(MARKS[n % 5], CELLS[n // 5 % 3], seed + 50_000 + n)
+        yield with_marks(MARKS[n % 5], CELLS[n // 5 % 3], seed + 900_000 + n)
 
 
 def inked(mark: str, texels: int, draw: np.random.Generator) -> np.ndarray:

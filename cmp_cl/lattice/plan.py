@@ -119,6 +119,29 @@ class LatticePlan(Binder):
             ),
         )
 
+    @classmethod
+    def from_host(
+        cls,
+        device: Device,
+        shape: tuple[int, int],
+        dtype: np.dtype[Any],
+        full_scale: int,
+        capacity: int,
+        constants: LatticeConstants | None = None,
+    ) -> "LatticePlan":
+        """Return a plan with a queue of its own for corners that come from the host."""
+        programs = programs_of(device.handle)
+        return cls(
+            queue=cl.CommandQueue(programs.context),
+            programs=programs,
+            device=device,
+            shape=shape,
+            dtype=dtype,
+            full_scale=full_scale,
+            capacity=capacity,
+            constants=constants,
+        )
+
     @property
     def corners_of(self) -> cl.Buffer:
         """Return the buffer of the corners."""
@@ -376,17 +399,4 @@ def lattice_plan(
     return _kept(device, shape, np.dtype(dtype), full_scale, capacity)
 
 
-@functools.lru_cache(maxsize=MOST_PLANS)
-def _kept(
-    device: Device, shape: tuple[int, int], dtype: np.dtype[Any], full_scale: int, capacity: int
-) -> LatticePlan:
-    programs = programs_of(device.handle)
-    return LatticePlan(
-        queue=cl.CommandQueue(programs.context),
-        programs=programs,
-        device=device,
-        shape=shape,
-        dtype=dtype,
-        full_scale=full_scale,
-        capacity=capacity,
-    )
+_kept = functools.lru_cache(maxsize=MOST_PLANS)(LatticePlan.from_host)

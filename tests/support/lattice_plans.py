@@ -1,13 +1,11 @@
 """Plans of the lattice, and gels for them."""
 
 import numpy as np
-import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl import Device
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.plan import LatticePlan
-from cmp_cl.opencl.program import programs_of
 from cmp_cl.synthetic import Indenter, random_scene, render
 
 K = LatticeConstants()
@@ -17,16 +15,7 @@ def plan_for(
     device: Device, image: NDArray[np.integer], count: int, full_scale: int = 255
 ) -> LatticePlan:
     """Return a plan for images like this one, with so many corners."""
-    programs = programs_of(device.handle)
-    return LatticePlan(
-        queue=cl.CommandQueue(programs.context),
-        programs=programs,
-        device=device,
-        shape=image.shape,
-        dtype=image.dtype,
-        full_scale=full_scale,
-        capacity=count,
-    )
+    return LatticePlan.from_host(device, image.shape, image.dtype, full_scale, count)
 
 
 def gel(
