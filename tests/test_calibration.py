@@ -5,34 +5,14 @@ import math
 import cv2
 import numpy as np
 import pytest
+from cameras import SIZE, camera
 from stereo_data import gel, grid_of, photographs, project, toed_in_rig, truth_grid
 
 from cmp_cl import CalibrationError, calibrate
 from cmp_cl.measure import find_board, square_sides, trusted
 from cmp_cl.points import largest_deviation, sides
-from cmp_cl.space import Camera, Lens, MisfitError
+from cmp_cl.space import Lens, MisfitError
 from cmp_cl.space.advice import advice
-
-SIZE = (640, 480)
-MATRIX = np.array([[420.0, 0, 325], [0, 418.0, 236], [0, 0, 1]])
-DISTORTIONS = {
-    Lens.PINHOLE: np.array([-0.1, 0.03, 0.001, -0.0005, 0]),
-    Lens.RATIONAL: np.array([0.3, 0.05, 0.0005, -0.0005, 0.01, 0.42, 0.08, 0.02]),
-    Lens.FISHEYE: np.array([0.05, -0.01, 0.004, -0.001]),
-}
-
-
-def camera(lens, rotation=(0.0, 0.0, 0.0), translation=(0.0, 0.0, 0.0)):
-    return Camera(
-        lens=lens,
-        size=SIZE,
-        matrix=MATRIX,
-        distortion=DISTORTIONS[lens],
-        R=cv2.Rodrigues(np.array(rotation))[0],
-        T=np.array(translation),
-        unit="mm",
-    )
-
 
 THREE = {
     "a": camera(Lens.PINHOLE),

@@ -8,31 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from cameras import DISTORTIONS, MATRIX, SIZE, camera
 from stereo_data import grid_of, photographs, truth_grid
 
 from cmp_cl.errors import CalibrationError, ConfigError
-from cmp_cl.space import Camera, Lens, StereoRig, calibrate
+from cmp_cl.space import Lens, StereoRig, calibrate
 from cmp_cl.space.exports import save_cameras, save_corners
-
-SIZE = (640, 480)
-MATRIX = np.array([[420.0, 0, 325], [0, 418.0, 236], [0, 0, 1]])
-DISTORTIONS = {
-    Lens.PINHOLE: np.array([-0.1, 0.03, 0.001, -0.0005, 0]),
-    Lens.RATIONAL: np.array([0.3, 0.05, 0.0005, -0.0005, 0.01, 0.42, 0.08, 0.02]),
-    Lens.FISHEYE: np.array([0.05, -0.01, 0.004, -0.001]),
-}
-
-
-def camera(lens, rotation=(0.0, 0.0, 0.0), translation=(0.0, 0.0, 0.0)):
-    return Camera(
-        lens=lens,
-        size=SIZE,
-        matrix=MATRIX,
-        distortion=DISTORTIONS[lens],
-        R=cv2.Rodrigues(np.array(rotation))[0],
-        T=np.array(translation),
-        unit="mm",
-    )
 
 
 def test_a_grid_gives_opencv_its_points():
