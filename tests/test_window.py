@@ -142,11 +142,13 @@ def test_points_in_front_of_the_last_face_and_rays_that_miss_the_window_are_nan(
     ("changes", "words"),
     [
         ({"normal": (0, 0, 0)}, "normal has length 0"),
+        ({"normal": (0, 0, -1)}, "normal points behind the left camera"),
         ({"normal": (0, 1)}, "normal must have shape"),
         ({"distance": -3}, "behind the left camera"),
         ({"distance": math.nan}, "distance must be finite"),
         ({"layers": ((5, 1.49), (-1, 1.4))}, "layer 2 of the window has thickness -1"),
         ({"layers": ((5, 0.9),)}, "layer 1 of the window has index 0.9"),
+        ({"layers": ((1.49, 5),)}, "layer 1 of the window has index 5"),
         ({"layers": (5, 1.49)}, "layers must have shape"),
         ({"index": 0.5}, "the medium behind the window has index 0.5"),
     ],

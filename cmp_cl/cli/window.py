@@ -161,8 +161,9 @@ def _report(rig: StereoRig, rest: tuple[Grid, Grid], arguments: argparse.Namespa
         + (f", index behind it {window.index:.4f} (+- {index:.2g})" if index > 0 else "")
     )
     print(
-        f"the pattern at rest lies {behind.mean():.3f} {rig.unit} behind its last face; its "
-        f"squares measure {sides.mean():.4f} with a standard deviation of {sides.std():.4f}"
+        f"the pattern at rest lies {behind.mean():.3f} {rig.unit} deep in the last layer, of index "
+        f"{window.index:.4g}; its squares measure {sides.mean():.4f} with a standard deviation "
+        f"of {sides.std():.4f}"
     )
     thickness = arguments.window[-1][0]
     if abs(behind.mean() - thickness) > _THICKNESS * thickness:

@@ -22,7 +22,7 @@ WINDOW = 4
 _MOST_STEPS = 50
 _NEAR = 1e-8  # share of the depth; a step of Newton's method squares such an error
 _TINY = 1e-300
-_LARGEST_INDEX = 10.0
+_LARGEST_INDEX = 4.1  # germanium's in the infrared; a larger one is no index
 
 
 class Apparent(NamedTuple):
@@ -109,8 +109,8 @@ class Window:
     layers: (thickness, index) of each layer from the first face on, in that unit. Air has index 1.
     index: of the medium behind the last face, such as the gel.
 
-    Raises CalibrationError if a number is not finite, the normal has no length, the distance is not
-    above 0, a thickness is below 0, or an index is not from 1 to 10.
+    Raises CalibrationError if a number is not finite, the normal does not point ahead of the left
+    camera, the distance is not above 0, a thickness is below 0, or an index is not from 1 to 4.1.
     """
 
     normal: Array
@@ -125,6 +125,11 @@ class Window:
             raise CalibrationError(
                 "the window's normal has length 0; give its direction, from the camera to the "
                 "pattern, such as (0, 0, 1)"
+            )
+        if not normal[2] > 0:
+            raise CalibrationError(
+                "the window's normal points behind the left camera; give its direction from the "
+                f"camera to the pattern, such as (0, 0, 1), not {normal.tolist()}"
             )
         distance = float(checked_array("the window's distance", self.distance, ()))
         if not distance > 0:
