@@ -82,7 +82,7 @@ def detect_with_margin(
     if factor != 1:
         pixel = scale.nearest(scale.to_full(pixel.astype(np.float64), factor), image.shape)
         centroid = scale.to_full(centroid, factor)
-        rounded = scale.nearest(centroid, image.shape)
+        rounded = scale.nearest(centroid + scale.BORDER, image.shape)
     refined = refine.refine(image, rounded, centroid, config.refinement, factor)
     corners = Corners(
         xy=refined.xy.astype(np.float32),

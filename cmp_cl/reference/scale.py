@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from cmp_cl.image import GreyImage
 
 ONE = 2048
+# px: a centroid so little before the border of a pixel starts beyond it. Symmetric corners lie on
+# such borders exactly, and the rounding of the division would decide.
+BORDER = 2.0**-10
 
 
 def working_length(length: int, scale: float) -> int:

@@ -111,7 +111,7 @@ def test_most_maxima_in_texture_are_refused_for_the_oracles_reasons(detector_in_
 
 @refinements
 @rules
-@pytest.mark.parametrize("scale", some([0.5, 0.63, 2.0], (0.63,)))
+@pytest.mark.parametrize("scale", some([0.3, 0.5, 0.63, 2.0], (0.63,)))
 def test_positions_of_a_scaled_image_are_the_oracles(detector_in_form, name, rule, scale):
     image = board(100, 130, 24 if scale < 1 else 9)[0]
     config = rule.replace(refinement=REFINEMENTS[name], scale=scale)
