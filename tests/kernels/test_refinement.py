@@ -122,11 +122,12 @@ def test_positions_of_a_scaled_image_are_the_oracles(detector_in_form, name, rul
 @refinements
 @pytest.mark.parametrize("depth", [8, 16])
 def test_every_image_gives_the_oracles_corners(detector_in_form, name, depth):
-    for settings in ({},) if "midlines" in name else ({}, DENSE):
+    for settings in ({}, DENSE):
         config = rings(refinement=REFINEMENTS[name], **settings)
         config = config.replace(full_scale=None if depth == 8 else 4095)
-        for image in (EIGHT if depth == 8 else DEEP).values():
-            assert_corners_equal(detector_in_form(image, config), image)
+        for kind, image in (EIGHT if depth == 8 else DEEP).items():
+            if not (settings and "midlines" in name and "stripes" in kind):  # parallel midlines
+                assert_corners_equal(detector_in_form(image, config), image)
 
 
 @pytest.mark.parametrize("name", ["edge lines", "midlines"])
