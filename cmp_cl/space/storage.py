@@ -14,6 +14,7 @@ from cmp_cl.files import check_path
 from cmp_cl.space.window import Window
 
 _MAX_FILE = 1 << 20  # bytes
+_MAX_LISTS = 4000  # maps, lists and tags: OpenCV's reader has no bound on how deep they lie
 _MAX_NUMBERS = 676  # entries of the largest matrix, a covariance of 26 parameters
 
 
@@ -33,6 +34,8 @@ def open_storage(path: str | PathLike[str], keys: Iterable[str] = ()) -> cv2.Fil
         for key in keys:
             if len(re.findall(rf'^{key}\s*:|"{key}"\s*:|<{key}[\s>]', text, re.MULTILINE)) > 1:
                 raise CalibrationError(f"{path}: {key} is given twice; remove one of them")
+        if len(re.findall(r"[\[{<:]|-\s", text)) > _MAX_LISTS:
+            raise CalibrationError(f"{path}: over {_MAX_LISTS} lists, no calibration file")
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         storage.getNode("K1")  # it raises if the file is no map of names
         return storage
@@ -68,16 +71,21 @@ def read_matrix(
     node = storage.getNode(key)
     if node.empty():
         return None
-    try:
-        size = node.getNode("rows").real() * node.getNode("cols").real() if node.isMap() else np.inf
-        if size <= _MAX_NUMBERS:
-            kind = node.getNode("dt").string()
-            if kind not in ("d", "f"):
-                raise CalibrationError(f"{path}: {key} must have dt: d or f, not {kind!r}")
-            return np.array(node.mat(), np.float64)
-    except (cv2.error, ValueError) as error:
-        raise CalibrationError(f"{path}: {key} is a damaged matrix: {error}") from error
-    raise CalibrationError(f"{path}: {key} must be a small matrix (!!opencv-matrix)")
+    if not node.isMap() or not all(node.getNode(name).isInt() for name in ("rows", "cols")):
+        raise CalibrationError(f"{path}: {key} must be a small matrix (!!opencv-matrix)")
+    kind = node.getNode("dt").string() if node.getNode("dt").isString() else ""
+    if kind not in ("d", "f"):
+        raise CalibrationError(f"{path}: {key} must have dt: d or f, not {kind!r}")
+    # node.mat() of OpenCV 5.0 writes past its memory where an entry of the map is damaged.
+    rows, cols = (int(node.getNode(name).real()) for name in ("rows", "cols"))
+    data = node.getNode("data")
+    if not 0 < rows * cols <= _MAX_NUMBERS or not data.isSeq() or data.size() != rows * cols:
+        what = f"{rows} x {cols}, with {data.size()} numbers"
+        raise CalibrationError(f"{path}: {key} must be a small matrix, not {what}")
+    entries = [data.at(i) for i in range(rows * cols)]
+    if not all(entry.isReal() or entry.isInt() for entry in entries):
+        raise CalibrationError(f"{path}: {key} has an entry that is no number")
+    return np.array([entry.real() for entry in entries]).reshape(rows, cols)
 
 
 def write_window(storage: cv2.FileStorage, window: Window) -> None:
