@@ -1,7 +1,7 @@
 #include "moment.clh"
 
-/* From the nodes of two views to their displacement in space. In float32 points
- * a few centimetres away err by some hundredths of a micrometre. */
+/* From the nodes of two views to their displacement in space. In float32, points a few centimetres
+ * away err by some hundredths of a micrometre. */
 
 #define MOST_STEPS 30
 #define ROUND_TRIP ((REAL)1e-2) /* px, from a pixel through the lens and back */

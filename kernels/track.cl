@@ -6,8 +6,7 @@
  * view has at most CAPACITY corners, and NODES nodes; dimension 1 of a launch is the view.
  *
  * `result` has the corners of all views as kernels/result.clh lays them out: `stride` numbers for a
- * view, with room for `room` corners. */
-/* The sigma of a corner is that of cmp_cl/stages/refine.py. */
+ * view, with room for `room` corners. The sigma of a corner is that of cmp_cl/stages/refine.py. */
 #pragma OPENCL FP_CONTRACT OFF
 
 #ifndef LOOKS
@@ -164,8 +163,8 @@ __kernel void quantiles(__global const float *result, const uint stride, const u
 
 /* Chain the corners of each bin, and predict the nodes: they move on as they moved last. The
  * variance of a corner that does not look like its model grows by its excess over the median, and
- * that of all corners by the range of the least. Corners outside the region of a view, (x0, y0, x1, y1), take no part. One work-item a corner or a
- * node. */
+ * that of all corners by the range of the least. Corners outside the region of a view, (x0, y0, x1,
+ * y1), take no part. One work-item a corner or a node. */
 __kernel void place(__global const float *result, const uint stride, const uint room,
                     __global const float4 *quantile, __global const float4 *regions, const float bin,
                     const int bin_rows, const int bin_columns, __global const float2 *nodes,

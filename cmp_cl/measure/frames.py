@@ -525,6 +525,9 @@ class TwoViews(Measurement):
     split: the rectangles of the two views in a frame. regions: regions of the left and of the right
     view, see `OneView`. The other arguments are those of `OneView`.
 
+    A device without double precision computes in float32: displacements 46 mm away then differ by
+    at most .015 um, behind a window by .05 um (measured).
+
     Raises GridError if a view of the frame at rest shows no such pattern, or the rig does not fit
     three quarters of its nodes to 1 px, or it fits other pairs of nodes as well and the two views
     do not show the pattern's border on the same side; ImageError if a view extends past the frame;

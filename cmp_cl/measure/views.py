@@ -51,6 +51,7 @@ class View:
         track: bool,
     ) -> None:
         self.corners, self.rest = detector.grid(view, shape=shape, region=region)
+        self._device = detector.device
         if not self.rest.valid.any():
             raise GridError("no pattern is seen")
         check_size(self.rest)
@@ -66,7 +67,14 @@ class View:
         """
         before = self._before() if self.track else None
         try:
-            whole = build_grid(corners, view, like=self.rest, region=self.region, previous=before)
+            whole = build_grid(
+                corners,
+                view,
+                like=self.rest,
+                region=self.region,
+                previous=before,
+                device=self._device,
+            )
         except GridError:
             whole = None
         if whole is None or not whole.valid.any():

@@ -43,7 +43,6 @@ class Memory:
             here = self._memory[starts[name] : starts[name] + own]
             self.arrays[name] = here.view(dtype).reshape(shape)
             self.parts[name] = self._buffer.get_sub_region(starts[name], max(own, 1))
-        self.size = size
 
     @classmethod
     def of(cls, queue: cl.CommandQueue, **constants: NDArray[Any]) -> "Memory":

@@ -47,8 +47,8 @@ class FieldPlan:
     whether fields have a strain.
     frame: what a frame starts from, see `Tracker.layout`, and what comes of it.
 
-    Where the device has no double precision, points in space err by some hundredths of a
-    micrometre.
+    Where the device has no double precision, displacements in space err by some hundredths of a
+    micrometre, see `cmp_cl.measure.TwoViews`.
     """
 
     def __init__(

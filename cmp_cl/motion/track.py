@@ -88,8 +88,9 @@ def can_track(rest: Grid, *, slow: bool) -> bool:
 class Tracker:
     """Follows the nodes of some views from frame to frame.
 
-    views: the grids at rest, and their corners. frame: the memory of a plan that has the arrays of
-    `layout`; a frame writes them on the device. config: of the detector.
+    views: the grids at rest, and their corners. sizes: (H, W) of each view. regions: as in
+    `OneView`. frame: the memory of a plan that has the arrays of `layout`; a frame writes them on
+    the device. octaves, lists: of the detector's plan.
     """
 
     def __init__(
@@ -174,7 +175,7 @@ class Tracker:
         nodes: (V, R, C, 2) float32, px of the view, complete: a node without a position has a
             prediction. seen_status: (V, R, C) uint8 of `NodeStatus`. seen_sigma: (V, R, C) float32,
             px, not positive if unknown. owner: (V, R, C) int32, the corner of each node, -1 without
-            one. tracked: (V, 11) int32, what was counted.
+            one. tracked: (V, 12) int32, what was counted.
         """
         nodes = (views, *shape)
         return {
