@@ -298,12 +298,8 @@ def test_a_file_that_is_no_series_of_nodes_is_refused():
     for name, why in {"xy": "no displacement or xy", "rest": "no rest"}.items():
         with pytest.raises(FieldError, match=why):
             Recorded.of({key: value for key, value in good.items() if key != name})
-    for change, why in (
-        ({"index": np.arange(0)}, "no frame"),
-        ({"rest": np.zeros(3)}, "rest of the series"),
-    ):
-        with pytest.raises(FieldError, match=why):
-            Recorded.of(good | change)
+    with pytest.raises(FieldError, match="no frame"):
+        Recorded.of(good | {"index": np.arange(0)})
 
 
 # the command

@@ -17,8 +17,8 @@ class Hdf5Format(Format):
     """HDF5 with the datasets index (F,), time_ms (F,), every array (F, ...) and the constants.
 
     The attributes of the file are the version, the time and the settings; the attribute `unit` of a
-    dataset is its unit. Every frame is a chunk of its own, with a checksum, and is flushed.
-    h5py.File(NAME.part, swmr=True) reads the part, even if its writer was killed.
+    dataset is its unit. All values have checksums. Every frame is a chunk of its own and is
+    flushed. h5py.File(NAME.part, swmr=True) reads the part, even if its writer was killed.
 
     HDF5 crashes if it cannot complete a file. So a frame is refused while there is still room for
     that.
@@ -35,9 +35,12 @@ class Hdf5Format(Format):
         self._datasets: dict[str, Any] = {}
         for name, value in description.entries().items():
             self._file.attrs[name] = value
+        compact = h5py.h5p.create(h5py.h5p.DATASET_CREATE)  # in the header, which has a checksum
+        compact.set_layout(h5py.h5d.COMPACT)
         for name, array in constants.items():
             data = np.asarray(np.char.encode(array, "utf-8")) if array.dtype.kind == "U" else array
-            self._set_unit(name, self._file.create_dataset(name, data=data))
+            how = {"fletcher32": True} if array.ndim and array.size else {"dcpl": compact}
+            self._set_unit(name, self._file.create_dataset(name, data=data, **how))
 
     def _set_unit(self, name: str, dataset: Any) -> None:
         if name in self.description.units:

@@ -170,7 +170,10 @@ class Recorded:
 
     @classmethod
     def of(cls, series: Mapping[str, NDArray[Any]]) -> "Recorded":
-        """Take the arrays of a series; raises FieldError without frames, rest or positions."""
+        """Take the arrays of a series, as `read_series` has checked them.
+
+        Raises FieldError without frames, rest or positions.
+        """
         missing = [name for name in ("index", "time_ms", "rest") if name not in series]
         if missing or not ("displacement" in series or "xy" in series):
             what = missing or ["displacement or xy"]
@@ -178,22 +181,11 @@ class Recorded:
         if not len(series["index"]):
             raise FieldError("the series has no frame")
         rest = np.asarray(series["rest"], np.float64)
-        if rest.ndim != 3 or rest.shape[2] not in (2, 3):
-            raise FieldError(f"rest of the series must be (R, C, 2) or (R, C, 3), not {rest.shape}")
         moved = series["displacement"] if "displacement" in series else series["xy"]
-        sigma = series.get("sigma", np.broadcast_to(np.nan, moved.shape[:3]))
-        frames = len(series["index"])
-        for name, shape, expected in (
-            ("the displacement", moved.shape, (frames, *rest.shape)),
-            ("sigma", sigma.shape, (frames, *rest.shape[:2])),
-            ("time_ms", series["time_ms"].shape, (frames,)),
-        ):
-            if shape != expected:
-                raise FieldError(f"{name} of the series must be {expected}, not {shape}")
         return cls(
             rest=rest,
             shift=moved if "displacement" in series else moved - rest,
-            sigma=sigma,
+            sigma=series.get("sigma", np.broadcast_to(np.nan, moved.shape[:3])),
             index=np.asarray(series["index"], np.int64),
             time_ms=np.asarray(series["time_ms"], np.float64),
             unit=str(series.get("unit", "px")),
