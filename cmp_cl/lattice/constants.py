@@ -19,8 +19,7 @@ class LatticeConstants:
     link_neighbours: corners, bins around a corner are added until they hold so many; 24 are the
         places within 2.8 cells, and its own bin is not in their middle.
     link_rings: bins, most rings of bins around a corner, which bounds the work.
-    turn_price: lengths, price of a bend between a way and a boundary, as in section 8 of the
-        specification.
+    turn_price: lengths, price of a bend between a way and a boundary.
     least_cosine: least cosine of that bend.
     side_points: shares of a side, points at which both sides of a way are read; with three of
         them the votes across tears lost parts.

@@ -49,7 +49,7 @@ def parts(
 ) -> Parts:
     """Return the parts of the lattice.
 
-    plane: (H, W), S1 of section 11 of the specification. xy: (N, 2), px. edges: (N, 4), rad, NaN
+    plane: (H, W), S1 of docs/algorithm.md. xy: (N, 2), px. edges: (N, 4), rad, NaN
     where unknown. torn: (N,), corners whose refinement was rejected.
     """
     corners = directed(plane, xy, edges, constants)
