@@ -312,9 +312,9 @@ class Detector(Closing):
                 device=self.device,
             )
         asked = asked_of(shape, like, previous)
-        corners, boards = self.boards(image)
+        corners, found = self._boards(image)
         given, count = Given.of(corners), len(corners)
-        return corners, grid_of(boards, given, image, asked, count, strict=strict)
+        return corners, grid_of(found, given, image, asked, count, strict=strict)
 
     def grids(
         self,
@@ -346,18 +346,11 @@ class Detector(Closing):
             grid = build_grid(corners, image, shape, like, region, device=self.device)
             yield corners, grid
 
-    def boards(self, frame: Frame) -> tuple[Corners, list[Board]]:
-        """Find the corners of a frame, and the boards that they form.
-
-        frame: (H, W). Returns the corners, and the boards, that of the largest part of the lattice
-        first; a board is an array of nodes and may have holes. The corners are numbered on the
-        device, where they are; if they form one part the host waits once.
-
-        Raises the errors of a call.
-        """
+    def _boards(self, image: GreyImage) -> tuple[Corners, list[Board]]:
+        """Return the corners of an image, and the boards that they form, numbered on the device,
+        where the corners are; if they form one part the host waits once."""
         from cmp_cl.lattice.boards import boards
 
-        image = self._checked(frame)
         if not image.size:
             return no_corners(str(self.device)), []
         with self._lock:

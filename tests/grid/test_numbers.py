@@ -508,8 +508,9 @@ def test_a_grid_with_doubts_is_refused_on_demand():
         grid_of(view, shape=BOARD, strict=True)
 
 
-def test_a_detector_gives_the_grid_of_its_own_corners():
-    view, _ = seen("gel, severity 0.5")
+@pytest.mark.parametrize("name", ["gel, severity 0.5", "torn gel 61"])
+def test_a_detector_gives_the_grid_of_its_own_corners(name):
+    view, _ = seen(name)
     with Detector(shape=view.image.shape) as detector:
         corners, grid = detector.grid(view.image)
         again = build_grid(corners, view.image)
