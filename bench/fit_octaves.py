@@ -139,7 +139,8 @@ def main() -> None:
             if count:
                 for kind in each.kinds:
                     judged[kind].append((missed / count, min(false / count, 1)))
-        shares = [100 * np.mean(judged[kind], axis=0) for kind in KINDS]
+        none = [(np.nan, np.nan)]
+        shares = [100 * np.mean(judged[kind] or none, axis=0) for kind in KINDS]
         name = ", ".join(f"{name} {value}" for name, value in row.items()) or "as it is"
         print(f"{name:36}" + "".join(f"{a:12.2f} / {b:5.2f}" for a, b in shares), flush=True)
 

@@ -50,6 +50,13 @@ def test_corners_of_all_octaves_equal_the_oracle(detector_in_form, seed, config)
     assert_corners_equal(detector_in_form(deep, config), deep)
 
 
+def test_strict_bounds_of_noise_and_of_the_wide_ring_are_the_oracles(detector_in_form):
+    """The noise bound of a halved frame decides here, and so does the frame's wide ring."""
+    image = drawn(7)
+    config = DetectorConfig(detection=RingHarmonic(noise=20, relative=0.5), refinement=None)
+    assert len(assert_corners_equal(detector_in_form(image, config), image)) > 0
+
+
 @pytest.mark.parametrize("cell", [40, 50])
 def test_squares_that_ink_joins_have_their_corners_in_a_halved_frame(detector_in_form, cell):
     image, truth = ink(cell, 0.08)
