@@ -1,6 +1,6 @@
 #include "field.clh"
 
-/* The adaptive filter of a lattice: cmp_cl/reference/lattice_filter.py has its equations.
+/* The adaptive filter of a lattice: cmp_cl/reference/field/filter.py has its equations.
  *
  * K coordinates are filtered alike. A filter along an axis is a table of n x TAPS weights: row i
  * has those of the nodes of the window of node i. There are FILTERS_DOWN filters along the columns

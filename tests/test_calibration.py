@@ -12,7 +12,7 @@ from cmp_cl import CalibrationError, calibrate
 from cmp_cl.measure import find_board, square_sides, trusted
 from cmp_cl.points import largest_deviation, sides
 from cmp_cl.space import Lens, MisfitError
-from cmp_cl.space.advice import advice
+from cmp_cl.space.calibration.advice import advice
 
 THREE = {
     "a": camera(Lens.PINHOLE),

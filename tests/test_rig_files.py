@@ -20,7 +20,7 @@ def rig_text(tmp_path):
         ("unit: mm", "unit: mm\nK1: 3", "K1 is given twice"),
         ("cols: 5\n   dt: d", "cols: 5\n   dt: i", "D1 must have dt: d or f, not 'i'"),
         ("cols: 3", "cmls: 3", "K1 must be a small matrix"),
-        ("cols: 3", "cols: 4", "K1 must be a small matrix, not 3 x 4, with 9 numbers"),
+        ("cols: 3", "cols: 4", "K1 must be a small matrix, not 3 x 4, with 9 entries"),
         ("1260.", "x", "K1 has an entry that is no number"),
         ("1260.", ".nan", "K1 must be finite"),
         ("1260.", "1e308", "K1 must be finite and at most"),

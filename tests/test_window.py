@@ -12,7 +12,7 @@ from stereo_data import gel, grid_of, toed_in_rig
 
 from cmp_cl import CalibrationError, StereoRig, Window, build_grid, detect
 from cmp_cl.motion import displacement
-from cmp_cl.reference import space as oracle
+from cmp_cl.reference.field import space as oracle
 from cmp_cl.space import Bias, PointStatus, undistort
 from cmp_cl.synthetic import Scene, default_rig, render_stereo
 

@@ -34,7 +34,7 @@ from cmp_cl.image import GreyImage
 from cmp_cl.measure import Region, find_board, square_sides, trusted
 from cmp_cl.opencl.device import select_device
 from cmp_cl.space import Calibration, Lens, MisfitError, calibrate
-from cmp_cl.space.advice import advice
+from cmp_cl.space.calibration.advice import advice
 from cmp_cl.space.exports import check_cameras, check_corners, save_cameras, save_corners
 from cmp_cl.viz import save_figure
 from cmp_cl.viz.calibration import calibration_figure

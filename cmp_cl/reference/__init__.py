@@ -15,17 +15,8 @@ from cmp_cl.config import BinaryRings, DetectorConfig, RapidCriteria
 from cmp_cl.corners import Corners, HarmonicMaps, Maps
 from cmp_cl.errors import ConfigError, ImageError, check_kind
 from cmp_cl.image import GreyImage, check_image
-from cmp_cl.reference import (
-    binarize,
-    criteria,
-    gate,
-    harmonic,
-    nms,
-    refine,
-    ring,
-    scale,
-    spectral,
-)
+from cmp_cl.reference import harmonic, refine, scale
+from cmp_cl.reference.paper import binarize, criteria, gate, nms, ring, spectral
 
 __all__ = ["detect", "detect_with_margin", "maps"]
 

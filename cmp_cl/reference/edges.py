@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.image import GreyImage
-from cmp_cl.reference.ring import ring_greys
+from cmp_cl.reference.paper.ring import ring_greys
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

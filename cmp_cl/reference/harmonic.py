@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cmp_cl.config import RingHarmonic
 from cmp_cl.corners import HarmonicMaps
 from cmp_cl.image import GreyImage
-from cmp_cl.reference import gate, nms
+from cmp_cl.reference.paper import gate, nms
 
 Whole = NDArray[np.int64]
 Ring = tuple[int, int]

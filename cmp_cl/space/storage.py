@@ -80,7 +80,7 @@ def read_matrix(
     rows, cols = (int(node.getNode(name).real()) for name in ("rows", "cols"))
     data = node.getNode("data")
     if not 0 < rows * cols <= _MAX_NUMBERS or not data.isSeq() or data.size() != rows * cols:
-        what = f"{rows} x {cols}, with {data.size()} numbers"
+        what = f"{rows} x {cols}, with {data.size()} entries"
         raise CalibrationError(f"{path}: {key} must be a small matrix, not {what}")
     entries = [data.at(i) for i in range(rows * cols)]
     if not all(entry.isReal() or entry.isInt() for entry in entries):

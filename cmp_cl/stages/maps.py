@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.config import BinaryRings, DetectorConfig, RapidCriteria, RingHarmonic
 from cmp_cl.corners import HarmonicMaps, Maps
-from cmp_cl.stages import spectral
+from cmp_cl.stages.paper import spectral
 from cmp_cl.stages.plan import Plan
 
 _RAPID_MAPS = (

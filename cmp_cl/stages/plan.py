@@ -21,9 +21,10 @@ from cmp_cl.opencl.device import Device, is_forked, is_pocl
 from cmp_cl.opencl.launches import GROUP, Launch, multiple
 from cmp_cl.opencl.program import Kernels, Programs
 from cmp_cl.opencl.shared import shared_buffer, shares_memory
-from cmp_cl.stages import harmonic, noise, refine, rings, scale
+from cmp_cl.stages import harmonic, noise, refine, scale
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import CORNER_COLUMNS, LANES, PlanBase
+from cmp_cl.stages.paper import rings
 from cmp_cl.stages.refine import RESULT_FIELDS, RESULT_HEAD
 from cmp_cl.stages.types import defines_of
 

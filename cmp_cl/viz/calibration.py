@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cmp_cl.space.advice import covered, tilts
 from cmp_cl.space.calibration import Calibration
+from cmp_cl.space.calibration.advice import covered, tilts
 from cmp_cl.viz.plots import new_figure
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from cmp_cl.grid import Grid, NodeStatus
 from cmp_cl.grid.grid import Rival
 from cmp_cl.grid.markers import profiles, refine_markers
 from cmp_cl.opencl.device import select_device
-from cmp_cl.reference import markers as oracle
+from cmp_cl.reference.field import markers as oracle
 
 
 def grid_at(xy: np.ndarray, parity: int = 0) -> Grid:

@@ -6,7 +6,7 @@ import pytest
 from configs import rings
 
 from cmp_cl import DetectorConfig
-from cmp_cl.reference import gate
+from cmp_cl.reference.paper import gate
 
 COLUMNS = [1, 2, 3, 4, 5, 6, 7, 8, 9, 31, 33, 64]
 

@@ -22,8 +22,8 @@ from cmp_cl import (
     SpectralCriteria,
     reference,
 )
-from cmp_cl.reference import gate, ring
 from cmp_cl.reference import scale as oracle_scale
+from cmp_cl.reference.paper import gate, ring
 from cmp_cl.stages.resampling import resampling_weights
 
 EIGHT, DEEP = images.eight_bits(), images.sixteen_bits()

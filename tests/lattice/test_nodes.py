@@ -7,7 +7,9 @@ from lattices import keep
 
 from cmp_cl import detect
 from cmp_cl.lattice.arrays import LOOKED, NONE, Board
-from cmp_cl.reference import harmonic, lattice, lattice_nodes
+from cmp_cl.reference import harmonic
+from cmp_cl.reference.lattice import nodes as lattice_nodes
+from cmp_cl.reference.lattice import parts as lattice
 from cmp_cl.synthetic import Indenter
 
 

@@ -5,7 +5,8 @@ import pytest
 from lattice_plans import K, gel, plan_for
 
 from cmp_cl import detect
-from cmp_cl.reference import harmonic, lattice
+from cmp_cl.reference import harmonic
+from cmp_cl.reference.lattice import parts as lattice
 from cmp_cl.synthetic import Indenter
 
 

@@ -6,7 +6,9 @@ from lattice_plans import K, gel, plan_for
 
 from cmp_cl import detect
 from cmp_cl.lattice.joins import units_of
-from cmp_cl.reference import harmonic, lattice, lattice_votes
+from cmp_cl.reference import harmonic
+from cmp_cl.reference.lattice import parts as lattice
+from cmp_cl.reference.lattice import votes as lattice_votes
 from cmp_cl.synthetic import Indenter
 
 

@@ -12,7 +12,8 @@ from cmp_cl import Detector, DetectorConfig, EdgeLines, EdgeStep, RingHarmonic
 from cmp_cl.filter import bend_shift, bent_sigma
 from cmp_cl.grid import build_grid
 from cmp_cl.motion import PlaneScale, displacement, filter_positions
-from cmp_cl.reference import detect, lattice_filter
+from cmp_cl.reference import detect
+from cmp_cl.reference.field import filter as lattice_filter
 from cmp_cl.synthetic import Indenter, Mode, random_scene, render
 
 RADIUS = 8.0  # px

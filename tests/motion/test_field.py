@@ -14,8 +14,9 @@ from cmp_cl.motion.geometry import InPlane, InSpace, camera_numbers
 from cmp_cl.motion.moments import Moment
 from cmp_cl.motion.plan import FieldPlan
 from cmp_cl.opencl.program import programs_of
-from cmp_cl.reference import lattice_filter, space
-from cmp_cl.reference import strain as strains
+from cmp_cl.reference.field import filter as lattice_filter
+from cmp_cl.reference.field import space
+from cmp_cl.reference.field import strain as strains
 from cmp_cl.space import PointStatus
 from cmp_cl.synthetic import default_rig
 

@@ -10,7 +10,7 @@ from cmp_cl.errors import GridError
 from cmp_cl.filter import filter_at_rest, filter_grid, noise_of_change
 from cmp_cl.grid import NodeStatus
 from cmp_cl.motion import displacement, filter_positions
-from cmp_cl.reference import lattice_filter
+from cmp_cl.reference.field import filter as lattice_filter
 
 
 def surface(rows, columns, bend=2.0):

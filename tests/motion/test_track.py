@@ -13,7 +13,7 @@ from cmp_cl.motion.memory import Memory
 from cmp_cl.motion.nodes import put
 from cmp_cl.motion.track import Tracker, can_track, colour_of
 from cmp_cl.opencl.program import programs_of
-from cmp_cl.reference import track as oracle
+from cmp_cl.reference.field import track as oracle
 from cmp_cl.stages.refine import (
     CORRELATION,
     EDGES,

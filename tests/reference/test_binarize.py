@@ -5,7 +5,7 @@ import pytest
 from corner_images import noise
 
 from cmp_cl.config import AdaptiveMean
-from cmp_cl.reference.binarize import binarize
+from cmp_cl.reference.paper.binarize import binarize
 
 
 def window(image: np.ndarray, row: int, column: int, size: int) -> list[int]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cmp_cl.config import RapidCriteria
-from cmp_cl.reference import criteria, ring
+from cmp_cl.reference.paper import criteria, ring
 
 Y, X = np.mgrid[-10:11, -10:11]
 

@@ -7,7 +7,7 @@ from corner_images import board, corner, noise
 
 from cmp_cl import reference
 from cmp_cl.config import BinaryRings, DetectorConfig, SectorContrast
-from cmp_cl.reference import gate, ring
+from cmp_cl.reference.paper import gate, ring
 
 X = np.array([10])
 Y = np.array([10])

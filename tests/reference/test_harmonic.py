@@ -10,7 +10,8 @@ from corner_images import board, corner, noise
 
 from cmp_cl import reference
 from cmp_cl.config import DetectorConfig, RingHarmonic
-from cmp_cl.reference import harmonic, nms
+from cmp_cl.reference import harmonic
+from cmp_cl.reference.paper import nms
 
 FOLDER = Path(__file__).resolve().parents[1] / "data"
 NAMES = [

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from cmp_cl.reference import nms
+from cmp_cl.reference.paper import nms
 
 
 def tent(response: np.ndarray, row: int, column: int) -> int:

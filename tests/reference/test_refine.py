@@ -10,7 +10,8 @@ from corner_images import board, corner, noise
 from cmp_cl import reference
 from cmp_cl.config import DetectorConfig, EdgeLines, EdgeStep, Fit, Midlines, RingHarmonic
 from cmp_cl.corners import Corners, Method, Refusal
-from cmp_cl.reference import edge_lines, edge_step, edges, midlines, refine, ring
+from cmp_cl.reference import edge_lines, edge_step, edges, midlines, refine
+from cmp_cl.reference.paper import ring
 
 RNG = np.random.default_rng(11)
 PLACES = [

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from cmp_cl.reference import criteria, ring, spectral
+from cmp_cl.reference.paper import criteria, ring, spectral
 
 RINGS = {"inner": (ring.INNER, 3), "outer 5": (ring.OUTER_5, 5), "outer 4": (ring.OUTER_4, 4)}
 

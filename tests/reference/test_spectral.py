@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cmp_cl.config import SpectralCriteria
-from cmp_cl.reference import ring, spectral
+from cmp_cl.reference.paper import ring, spectral
 
 MASKS = np.random.default_rng(5).integers(0, 1 << 16, 300).astype(np.uint16)
 OTHERS = np.random.default_rng(6).integers(0, 1 << 16, 300).astype(np.uint16)

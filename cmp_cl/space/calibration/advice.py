@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.space.calibration import Calibration
+from cmp_cl.space.calibration.calibrate import Calibration
 
 _PARTS = [
     ["top left", "top", "top right"],

@@ -1,8 +1,8 @@
 """Non-maximum suppression of the candidates' responses."""
 
 from cmp_cl.opencl.launches import Launch
-from cmp_cl.stages.criteria import listed, of_candidates
 from cmp_cl.stages.layout import PlanBase
+from cmp_cl.stages.paper.criteria import listed, of_candidates
 
 
 def launches(plan: PlanBase) -> list[Launch]:

@@ -7,8 +7,8 @@ import numpy as np
 from cmp_cl.config import SectorContrast
 from cmp_cl.opencl.launches import GROUP, Launch
 from cmp_cl.stages import noise
-from cmp_cl.stages.criteria import listed, of_candidates
 from cmp_cl.stages.layout import PlanBase
+from cmp_cl.stages.paper.criteria import listed, of_candidates
 
 BINS = 256  # bins of the histograms of contrasts
 CONTRASTS = ("inner_contrast", "contrast", "mean_difference")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError
-from cmp_cl.space.adjustment import Look, State, covariance
+from cmp_cl.space.calibration.adjustment import Look, State, covariance
 from cmp_cl.space.lens import Lens, camera_of, unknowns
 
 # Share of the focal length; a larger sigma means that the views do not determine it.

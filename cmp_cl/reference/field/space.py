@@ -27,7 +27,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.reference.lattice_filter import bend_shift
+from cmp_cl.reference.field.filter import bend_shift
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -8,8 +8,8 @@ from typing import cast
 
 from cmp_cl.config import BinaryRings, RapidCriteria
 from cmp_cl.opencl.launches import Launch
-from cmp_cl.stages import binarize, criteria, gate, nms
 from cmp_cl.stages.layout import PlanBase
+from cmp_cl.stages.paper import binarize, criteria, gate, nms
 
 
 def files(plan: PlanBase) -> list[str]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.config import SectorContrast
 from cmp_cl.image import GreyImage
-from cmp_cl.reference import ring
+from cmp_cl.reference.paper import ring
 
 
 def gate(

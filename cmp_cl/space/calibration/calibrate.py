@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import CalibrationError, as_size, check_kind, check_positive, listed
 from cmp_cl.grid.grid import Grid
 from cmp_cl.points import sides
-from cmp_cl.space.adjustment import (
+from cmp_cl.space.calibration.adjustment import (
     Look,
     State,
     adjust,
@@ -17,7 +17,9 @@ from cmp_cl.space.adjustment import (
     residuals,
     root_mean_square,
 )
-from cmp_cl.space.alone import Alone, calibrate_alone
+from cmp_cl.space.calibration.alone import Alone, calibrate_alone
+from cmp_cl.space.calibration.pair import adjust_pair
+from cmp_cl.space.calibration.placing import place, pose_of, vector_of
 from cmp_cl.space.lens import (
     POSE,
     Lens,
@@ -28,8 +30,6 @@ from cmp_cl.space.lens import (
     rotation_of,
     unknowns,
 )
-from cmp_cl.space.pair import adjust_pair
-from cmp_cl.space.placing import place, pose_of, vector_of
 from cmp_cl.space.rig import StereoRig, spread
 
 MIN_VIEWS = 3

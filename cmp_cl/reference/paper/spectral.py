@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.config import SpectralCriteria
-from cmp_cl.reference import ring
-from cmp_cl.reference.criteria import corrosion
+from cmp_cl.reference.paper import ring
+from cmp_cl.reference.paper.criteria import corrosion
 
 TIE = 1e-9
 

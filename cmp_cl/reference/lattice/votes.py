@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.lattice.arrays import Units, Votes
 from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.reference.lattice import (
+from cmp_cl.reference.lattice.parts import (
     Directed,
     F,
     Real,

@@ -6,8 +6,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from cmp_cl.space.adjustment import Look, State
-from cmp_cl.space.alone import STOP, lens_flags, one_thread
+from cmp_cl.space.calibration.adjustment import Look, State
+from cmp_cl.space.calibration.alone import STOP, lens_flags, one_thread
 from cmp_cl.space.lens import Lens, camera_of, distortion_of, matrix_of, rotation_of
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.config import RapidCriteria
-from cmp_cl.reference import ring
+from cmp_cl.reference.paper import ring
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError
 from cmp_cl.grid.grid import Grid
-from cmp_cl.space.alone import Alone
+from cmp_cl.space.calibration.alone import Alone
 
 Array = NDArray[np.float64]
 

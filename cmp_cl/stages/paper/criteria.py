@@ -6,8 +6,8 @@ import numpy as np
 
 from cmp_cl.config import BinaryRings, RapidCriteria, SpectralCriteria
 from cmp_cl.opencl.launches import GROUP, Launch
-from cmp_cl.stages import spectral
 from cmp_cl.stages.layout import PlanBase
+from cmp_cl.stages.paper import spectral
 
 
 def launches(plan: PlanBase, rule: BinaryRings) -> list[Launch]:
