@@ -39,14 +39,6 @@ class Cuda:
         return (2, 0)
 
 
-def test_memory_of_the_host_is_shared():
-    image = IMAGE.copy()
-    frame = as_frame(Host(image))
-    image[2, 3] = 200
-    assert frame[2, 3] == 200
-    assert as_frame(image) is image
-
-
 @pytest.mark.parametrize("method", ["get", "cpu", "copy_to_host"])
 @pytest.mark.parametrize("result", [IMAGE, Host(IMAGE)])
 def test_memory_of_a_device_is_copied_by_its_library(method, result):
@@ -101,13 +93,3 @@ def test_positions_stay_on_the_device_if_requested(device, name, config):
                 cl.enqueue_copy(queue, here, positions)
             assert_same_bytes(corners, expected)
             np.testing.assert_array_equal(here, expected.xy)
-
-
-def test_positions_of_several_frames_do_not_stay(device):
-    context = cl.Context([device.handle])
-    two = cl.Buffer(context, cl.mem_flags.READ_ONLY, 2 * BOARD.nbytes)
-    with (
-        Detector(shape=BOARD.shape, queue=cl.CommandQueue(context)) as detector,
-        pytest.raises(ImageError, match="holds 2 frames"),
-    ):
-        detector.on_device(two)

@@ -48,17 +48,6 @@ def test_no_frame_is_lost_between_two_recordings_with_jitter():
         assert (pairs + left, pairs + right) == (len(sides[0]), len(sides[1]))
 
 
-def test_folders_have_no_times_and_broken_images_are_frames(tmp_path):
-    for number in range(3):
-        cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((8, 8), number, np.uint8))
-    (tmp_path / "1.png").write_bytes(b"broken")
-    source = Source(str(tmp_path))
-    frames = list(source.frames())
-    assert [frame.image is None for frame in frames] == [False, True, False]
-    assert math.isnan(frames[0].time_ms)
-    assert not source.live
-
-
 def test_several_videos_have_no_clock_in_common(tmp_path):
     for number in range(2):
         write_video(tmp_path / f"{number}.avi", [np.zeros((48, 64), np.uint8)] * 2)

@@ -2,11 +2,8 @@
 
 import contextlib
 import doctest
-import enum
 import glob
 import importlib.util
-import inspect
-import pkgutil
 import re
 import shlex
 import shutil
@@ -27,7 +24,6 @@ API = [path for path in PAGES if path.parent.name == "api"]
 EXECUTED = {"tutorials", "notebooks"}  # by the site, which fails if one of their cells does
 EXTRAS = {"dask": "distributed", "hdf5": "h5py", "mcap": "mcap_ros2"}
 EXTRAS |= {"plot": "matplotlib", "view": "rerun"}
-SELF_EXPLANATORY = {"self", "path", "paths", "changes"}
 FOUND = re.compile(r"\.\. auto\w+:: (?:cmp_cl\.)([\w.]+)")
 
 
@@ -119,46 +115,9 @@ def test_every_block_of_a_page_runs_in_order(page, folder):
                 command(line.removeprefix("$ "))
 
 
-def described():
-    """Return everything the reference describes: name, arguments, and the text that names them."""
-    found = []
-    for name in sorted({name for page in API for name in FOUND.findall(page.read_text())}):
-        thing = pkgutil.resolve_name(f"cmp_cl.{name}")
-        if not (inspect.isclass(thing) or inspect.isfunction(thing)) or name == "synthetic.Rig":
-            continue  # a constant, or a protocol
-        if not inspect.isclass(thing):
-            found.append((name, thing, inspect.getdoc(thing)))
-        elif not issubclass(thing, (enum.Enum, Exception)):
-            text = " ".join(kind.__doc__ or "" for kind in thing.__mro__)
-            found.append((name, thing, text))
-            for member, value in vars(thing).items():
-                if not member.startswith("_") and callable(value := getattr(thing, member)):
-                    found.append((f"{name}.{member}", value, f"{inspect.getdoc(value)} {text}"))
-    return found
-
-
-def test_a_docstring_names_every_argument_or_says_where_it_is_described():
-    unnamed = [
-        f"{name}: {argument}"
-        for name, thing, text in described()
-        for argument in set(inspect.signature(thing).parameters) - SELF_EXPLANATORY
-        if argument[0] != "_"
-        and not re.search(rf"\b{argument}\b", text)
-        and not re.search(r"arguments are\s+those\s+of\s+`", text)
-    ]
-    assert unnamed == []
-
-
 def test_links_between_pages_lead_somewhere():
     for page in PAGES:
         text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
         for target in re.findall(r"\]\(([^)#:\s]+)(?:#[\w-]+)?\)", text):
             if not target.startswith("_generated/"):  # made when the site is built
                 assert (page.parent / target).exists(), f"{page}: {target}"
-
-
-def test_the_glossary_is_in_order():
-    text = (DOCS / "glossary.md").read_text(encoding="utf-8")
-    words = [line.lower() for line in re.findall(r"^(.+)\n: ", text, flags=re.MULTILINE)]
-    assert words == sorted(words)
-    assert len(words) > 40

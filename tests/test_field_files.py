@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from stereo_data import field_of, gel, grid_of
 
-from cmp_cl.errors import ConfigError
 from cmp_cl.motion import displacement
 from cmp_cl.space import PointStatus
 
@@ -106,11 +105,3 @@ def test_a_field_without_a_valid_node_is_a_file_too(tmp_path, suffix):
     else:
         with np.load(path) as data:
             np.testing.assert_array_equal(data["displacement"], nothing)
-
-
-def test_an_unknown_suffix_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match=r"\.npz, \.csv, \.vtp"):
-        field(space=True).save(tmp_path / "press.stl")
-    with pytest.raises(OSError, match="no folder"):
-        field(space=True).save(tmp_path / "none" / "press.vtp")
-    assert list(tmp_path.iterdir()) == []

@@ -1,12 +1,8 @@
 """Measuring from Python: fields from a video of two views, a pattern in one view, aligned views."""
 
-import concurrent.futures
 import dataclasses
 import re
 import textwrap
-import threading
-import time
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -17,7 +13,7 @@ from videos import write_video
 
 import cmp_cl
 from cmp_cl import GridError, StereoRig, measure
-from cmp_cl.measure.views import View, Views
+from cmp_cl.measure.views import View
 from cmp_cl.media import read_frames
 from cmp_cl.synthetic import Indenter, Mode, Scene, binocular_frame, default_rig, render_stereo
 
@@ -40,11 +36,6 @@ def example():
     """Return the code in the module's docstring."""
     _, code, _ = re.split(r"\n\n(?=    import)|\n\n(?=`)", measure.__doc__, maxsplit=2)
     return textwrap.dedent(code)
-
-
-def test_the_readme_shows_the_same_lines():
-    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
-    assert f"```python\n{example()}\n```" in readme
 
 
 def test_the_ten_lines_of_the_docstring_turn_a_video_into_fields(
@@ -178,26 +169,6 @@ def test_a_frame_that_does_not_fit_is_refused_and_the_next_one_is_measured(film)
         np.testing.assert_array_equal(following(film[2]).field.displacement, expected)
 
 
-def test_closing_waits_for_the_call_of_another_thread(film, monkeypatch):
-    split, rig = cmp_cl.BinocularSplit.halves(*film[0].shape[::-1]), StereoRig(*RIG)
-    finish, running = Views.finish, threading.Event()
-
-    def finish_late(views, plans):
-        running.set()
-        time.sleep(0.3)
-        return finish(views, plans)
-
-    following = measure.TwoViews(film[0], rig, split, shape=(12, 12))
-    monkeypatch.setattr(Views, "finish", finish_late)
-    with concurrent.futures.ThreadPoolExecutor(1) as pool:
-        other = pool.submit(following, film[1])
-        running.wait(60)
-        following.close()
-        assert other.result(60).nodes
-    with pytest.raises(cmp_cl.DeviceError, match="closed"):
-        following(film[1])
-
-
 def test_a_view_is_measured_against_the_view_at_rest(rest_and_now):
     half = rest_and_now[0][0].shape[1] // 2
     rest, now = (frame[:, :half] for frame, _ in rest_and_now)
@@ -298,20 +269,6 @@ def test_a_pattern_is_found_without_its_cell(rest_and_now):
     assert cell == pytest.approx(measure.cell_of(grid))
     with pytest.raises(GridError, match="of 12 x 12 corners"):
         measure.find_pattern(np.zeros_like(view), shape=(12, 12))
-
-
-def test_a_rotated_grid_is_the_same_grid():
-    row, column = np.indices((3, 4))
-    grid = grid_of(np.stack([column * 10.0, row * 10.0], axis=-1))
-    corners = grid.xy.reshape(-1, 2)
-    for quarters in range(4):
-        other = grid.turned(quarters)
-        assert other.shape == ((3, 4) if quarters % 2 == 0 else (4, 3))
-        np.testing.assert_array_equal(other.xy[tuple(other.index.T)], corners)
-    half = grid.turned(2)
-    np.testing.assert_array_equal(half.xy, grid.xy[::-1, ::-1])
-    assert half.parity == 1  # 3 + 4 is odd: the other colour comes first
-    assert grid.turned(1).turned(3).parity == grid.parity
 
 
 def test_two_views_are_numbered_alike():

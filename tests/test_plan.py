@@ -18,11 +18,9 @@ from cmp_cl import (
     EdgeStep,
     Fit,
     Midlines,
-    RapidCriteria,
     RingHarmonic,
     SpectralCriteria,
 )
-from cmp_cl.opencl.device import DeviceKind
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.plan import Plan
 from cmp_cl.stages.refine import RESULT_HEAD
@@ -71,11 +69,8 @@ LEFT_OUT = {  # a configuration, one that has more, and its kernels and buffers
     ),
     "the working scale": (FULL.replace(scale=None), SCALED, ("resample",), ("working",)),
     "a refinement": (FULL.replace(refinement=None), FULL, (STEP,), ()),
-    "a refinement of the grey rule": (HARMONIC.replace(refinement=None), HARMONIC, (STEP,), ()),
     "the other refinement": (DetectorConfig(refinement=EdgeLines()), HARMONIC, (STEP,), ()),
-    "both for midlines": (DetectorConfig(refinement=Midlines()), HARMONIC, (STEP,), ()),
     "lines for the step": (HARMONIC, DetectorConfig(refinement=EdgeLines()), (LINES,), ()),
-    "the spectral criteria": (rings(), SPECTRAL, ("spectral_criteria",), ()),
     "the rapid criteria": (SPECTRAL, rings(), ("rapid_criteria",), ()),
     "the binary rule": (HARMONIC, FULL, ("binarize", *GATE), ("binary", "candidates", "bins")),
     "the grey rule": (FULL, HARMONIC, (), ("lists",)),
@@ -92,34 +87,6 @@ def test_what_a_configuration_does_not_need_is_left_out(detector_for, form, name
     assert set(buffers) <= set(full.arrays)
     assert not launches & (launched | kernels)
     assert not set(buffers) & set(plan.arrays)
-
-
-def test_without_the_response_of_squeezed_cells_its_kernels_are_left_out(detector_for, form):
-    """There is then one list, and one response."""
-    wide = HARMONIC.replace(detection=RingHarmonic(fine=False))
-    plan, launched, kernels = plan_of(detector_for, wide)
-    full, full_launched, _ = plan_of(detector_for, HARMONIC)
-    assert plan.sizes["lists"] < full.sizes["lists"]
-    fine = {"fine_response", "fine_maxima", "keep_fine"}
-    assert not fine & (launched | kernels)
-    assert form is Form.CPU or fine <= full_launched
-
-
-@pytest.mark.parametrize("criteria", [RapidCriteria, SpectralCriteria])
-def test_without_its_criterion_corrosion_is_not_computed(detector_for, criteria):
-    """The macro that reads its region of 21 pixels is not compiled."""
-    options = []
-    for threshold in (6, None):
-        config = DetectorConfig(
-            detection=BinaryRings(criteria=criteria(corrosion_threshold=threshold))
-        )
-        name = "rapid_criteria" if criteria is RapidCriteria else "spectral_criteria"
-        program = plan_of(detector_for, config)[0].kernels._programs[name]
-        device = program.devices[0]
-        build = program.get_build_info(device, cl.program_build_info.OPTIONS)
-        options.append(build)
-    assert "-DCORROSION=1" in options[0]
-    assert "-DCORROSION=0" in options[1]
 
 
 @pytest.mark.parametrize("refinement", [None, EdgeLines(), EdgeStep(), Midlines()])
@@ -231,17 +198,6 @@ def test_buffers_need_at_most_eight_bytes_a_pixel_besides_the_image(device_in_fo
         assert besides <= most * shape[0] * shape[1], (name, dtype, sizes)
 
 
-@pytest.mark.parametrize("shape", [(480, 640), (1200, 1600)], ids=str)
-def test_on_cpus_eight_bytes_a_pixel_hold_the_image_too(device, shape):
-    """The columns that a window of 255 px needs beside a narrow image are left out."""
-    if device.kind is not DeviceKind.CPU:
-        pytest.skip("this device is no CPU")
-    for name, config in CONFIGS.items():
-        if (name, shape) != ("wide window", (480, 640)):
-            sizes = sizes_of(device, config, np.uint8, shape)
-            assert sum(sizes.values()) <= 8 * shape[0] * shape[1], (name, sizes)
-
-
 def sizes_of(device: Device, config: DetectorConfig, dtype: type, shape: tuple[int, int]):
     """Return the size of every buffer of a detector, bytes, without allocating any."""
     plan = Unbuilt(
@@ -255,10 +211,3 @@ def sizes_of(device: Device, config: DetectorConfig, dtype: type, shape: tuple[i
         frames=1,
     )
     return plan.sizes
-
-
-def test_the_sizes_are_those_of_the_buffers(device_in_form):
-    sizes = sizes_of(device_in_form, HARMONIC, np.uint8, IMAGE.shape)
-    with Detector(shape=IMAGE.shape, config=HARMONIC, device=device_in_form) as detector:
-        assert detector._plans.lend().sizes == sizes
-        assert detector.memory == sum(sizes.values())

@@ -4,10 +4,12 @@ The tests are few enough for a simulator that checks each memory access.
 """
 
 import re
+from pathlib import Path
 
 import images
 import numpy as np
 import pytest
+from cases import some
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
 from configs import rings
 from forms import in_form
@@ -25,9 +27,10 @@ from cmp_cl import (
 )
 from cmp_cl.opencl.launches import GROUP
 from cmp_cl.opencl.program import kernel_folder
-from cmp_cl.stages.form import Form, form_for
-from cmp_cl.stages.plan import Plan
+from cmp_cl.stages.form import form_for
 
+VECTORS = sorted((Path(__file__).resolve().parent / "data").glob("*.npz"))
+QUICK = [path for path in VECTORS if path.stem in ("deep-paper", "harmonic-puzzle")]
 FRAME = images.scene().image[20:53, 30:61].copy()  # 33 x 31
 FEW = np.where(np.arange(31) < 16, FRAME, 128).astype(np.uint8)
 DEEP = FRAME.astype(np.uint16) * 16 + 7
@@ -98,6 +101,15 @@ def test_every_kernel_for_sixteen_bits_equals_the_oracle_in_every_form(other_for
     assert check(other_form, SIXTEEN_BITS[name], [DEEP, DEEP[::-1].copy()])[0] > 0
 
 
+@pytest.mark.parametrize("path", some(VECTORS, QUICK), ids=lambda path: path.stem)
+def test_stored_images_give_the_oracles_whole_numbers_on_every_device(device, path):
+    """The oracle equals the maps and corners that are stored with them, see tests/reference."""
+    with np.load(path) as file:
+        image, full_scale = file["image"], int(file["full_scale"])
+    for config in (DetectorConfig(), rings(), DetectorConfig.paper(30)):
+        check(device, config.replace(full_scale=full_scale), [image])
+
+
 def test_few_corners_after_many_are_not_mixed_with_them(device):
     """Work-items without a corner must not see the results of an earlier frame."""
     many = images.texture((97, 61))
@@ -111,12 +123,6 @@ def test_few_corners_after_many_are_not_mixed_with_them(device):
         assert len(detector(many)) > GROUP
         assert_same_bytes(detector(few), first)
         assert 0 < len(first) < GROUP
-
-
-def test_groups_of_64_are_enough(device, monkeypatch):
-    monkeypatch.setattr(Plan, "width", GROUP)
-    assert GROUP <= 64
-    check(in_form(device, Form.PORTABLE), DetectorConfig(), [FRAME, FEW])
 
 
 def test_kernels_use_nothing_optional():

@@ -43,17 +43,6 @@ def altered(monkeypatch, tmp_path):
     return make
 
 
-def test_the_source_is_a_stage_with_its_headers_and_their_lines():
-    text = program.source("criteria", {"ROW(y)": "y", "WINDOW_SUM(T, F)": "0"})
-    assert text.startswith("#define ROW(y) y\n")
-    assert "WINDOW_SUM" not in text  # which the stage does not name
-    names = re.findall(r'^#line 1 "(.*)"$', text, re.MULTILINE)
-    assert names == ["criteria.cl", "plane.clh", "ring.clh"]
-    whole = (program.kernel_folder() / "criteria.cl").read_text(encoding="utf-8")
-    assert whole.split("\n\n", 1)[1].rstrip() in text
-    assert "#include" not in text
-
-
 def test_a_kernel_that_does_not_compile_gives_the_compilers_log(altered, device):
     altered("nms.cl", "__kernel void score_map(", "__kernel void score_map(nonsense ")
     with pytest.raises(KernelBuildError) as error:
@@ -153,12 +142,6 @@ def test_compilers_give_no_warnings(
     assert "warning" not in ("".join(logs) + capfd.readouterr().err).lower()
 
 
-def test_missing_kernels_ask_to_install_again(monkeypatch, tmp_path):
-    monkeypatch.setattr(program, "__file__", str(tmp_path / "package" / "opencl" / "program.py"))
-    with pytest.raises(KernelBuildError, match="install cmp-cl again"):
-        program.kernel_folder()
-
-
 def test_one_changed_offset_of_a_ring_changes_its_bits(altered, device, detector_for):
     expected = detector_for(IMAGE, rings()).maps(IMAGE)
     altered("ring.clh", "F(1, 1, -3)", "F(1, 2, -3)")
@@ -167,15 +150,6 @@ def test_one_changed_offset_of_a_ring_changes_its_bits(altered, device, detector
     np.testing.assert_array_equal(found.binary, expected.binary)
     changed = np.bitwise_or.reduce((found.inner ^ expected.inner).ravel())
     assert changed == 1 << 1
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 9, 10, 21, 255])
-def test_a_sum_has_every_term_once(count):
-    terms = [f"F({k})" for k in range(count)]
-    text = program.sum_of_terms(terms, "uint")
-    assert re.findall(r"F\(\d+\)", text) == terms
-    value = eval(text.replace("uint, ", ""), {"F": lambda k: 2**k, "SUM3": lambda *each: sum(each)})
-    assert value == 2**count - 1
 
 
 # --- the index -----------------------------------------------------------------------------
@@ -203,9 +177,3 @@ def test_the_index_names_every_kernel_and_no_other():
         for name, path in files_of_kernels().items()
     }
     assert named == kernels
-
-
-def test_the_index_names_the_headers():
-    index = (program.kernel_folder() / "README.md").read_text(encoding="utf-8")
-    headers = {path.name for path in program.kernel_folder().rglob("*.clh")}
-    assert {name for name in re.findall(r"`(?:cpu/)?(\w+\.clh)`", index)} == headers

@@ -157,12 +157,3 @@ def test_the_fuzzing_fails_if_a_wrong_argument_is_not_refused(monkeypatch):
     monkeypatch.setattr(fuzz, "invalid_case", lambda _, number, __: number != 7)
     assert fuzz.main(["--configs", "1"]) == 1
     assert fuzz.main(["--configs", "1", "--first", "1"]) == 0
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("shape", [(1, 1), (1, 13), (17, 1), (2, 3), (11, 11)])
-def test_shapes_smaller_than_a_ring_equal_the_oracle(detector_for, shape):
-    for seed in range(8):
-        image = random_image(np.random.default_rng(seed), shape, np.uint8)
-        for config in CONFIGS:
-            assert_corners_equal(detector_for(image, config), image)

@@ -327,15 +327,6 @@ def test_a_kill_at_any_moment_loses_no_frame_that_was_told_as_written(tmp_path, 
     assert len(shown_in(part)) == len(found)
 
 
-def test_ctrl_c_keeps_the_frames(tmp_path):
-    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(globals(), "WRITING", code + WRITING)  # which a background job ignores
-        told = stopped(tmp_path / "press.npz", signal.SIGINT, 0.05)
-    assert len(shown_in(tmp_path / "press.npz")) >= told
-    assert os.listdir(tmp_path) == ["press.npz"]
-
-
 SIZES = some(range(1000, 4600, 360), [1360])
 
 
@@ -423,17 +414,6 @@ def test_an_array_unlike_what_is_expected_is_named(tmp_path, suffix, name, value
                 file[key] = str(array) if array.dtype.kind == "U" else array
     with pytest.raises(FieldError, match=r"series: (index|time_ms|xy|sigma|rest|unit|Object) "):
         read_series(path)
-
-
-def test_an_array_that_is_not_needed_is_not_read(tmp_path):
-    path = tmp_path / "big.npz"
-    np.savez_compressed(path, **GOOD, extra=np.zeros(10**8, np.uint8))
-    tracemalloc.start()
-    try:
-        assert read_series(path, GOOD)["xy"].shape == (3, 4, 5, 2)
-        assert tracemalloc.get_traced_memory()[1] < 10**7
-    finally:
-        tracemalloc.stop()
 
 
 def test_what_exceeds_the_memory_is_not_read(tmp_path):

@@ -1,7 +1,6 @@
 """Memory that the host and a device share."""
 
 import gc
-import sys
 
 import images
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 from comparison import assert_same_bytes
 
 from cmp_cl import Detector
-from cmp_cl.opencl.shared import shared_buffer, shares_memory
+from cmp_cl.opencl.shared import shares_memory
 from cmp_cl.stages import plan as plans
 from cmp_cl.stages.refine import read_corners
 
@@ -23,20 +22,6 @@ def handle(device):
     if not shares_memory(device.handle):
         pytest.skip(f"{device} does not share memory")
     return device.handle
-
-
-@pytest.mark.filterwarnings("ignore::pyopencl.CompilerWarning")
-def test_what_the_host_writes_a_kernel_reads_and_the_other_way_round(handle):
-    context = cl.Context([handle])
-    source = "__kernel void next(__global uchar *bytes) { ++bytes[get_global_id(0)]; }"
-    kernel = cl.Kernel(cl.Program(context, source).build(cache_dir=False), "next")
-    with cl.CommandQueue(context) as queue:
-        buffer, here = shared_buffer(context, 1000)
-        kernel.set_args(buffer)
-        for value in (3, 250):
-            here[:] = value
-            cl.enqueue_nd_range_kernel(queue, kernel, (1000,), None).wait()
-            np.testing.assert_array_equal(here, value + 1)
 
 
 def test_a_detector_gives_the_same_corners_with_and_without_shared_memory(
@@ -68,27 +53,6 @@ def test_a_frame_is_not_written_while_kernels_read_the_one_before(large):
         plan.launch(plan.upload(transfers, [board]))
         plan.upload(transfers, [moved])
         assert_same_bytes(read_corners(plan.read(plan.queue), plan)[0], expected)
-
-
-def test_a_frame_is_kept_while_kernels_read_it_and_no_longer(large):
-    detector, board, _ = large
-    detector(board)
-    plan, references = detector._plans.lend(), sys.getrefcount(board)
-    plan.launch(plan.upload(plan.queue, [board]))
-    if plan._in_place:
-        assert sys.getrefcount(board) == references + 1
-    plan.read(plan.queue)
-    assert sys.getrefcount(board) == references
-
-
-def test_a_frame_takes_the_place_of_another_only_when_the_kernels_have_read_that(large):
-    detector, board, moved = large
-    detector(board)
-    plan = detector._plans.lend()
-    plan.launch(plan.upload(plan.queue, [board]))
-    kernels = plan._last
-    plan.upload(plan.queue, [moved])
-    assert kernels.command_execution_status == cl.command_execution_status.COMPLETE
 
 
 def test_memory_is_kept_until_the_kernels_of_a_deleted_detector_are_done(large, device):

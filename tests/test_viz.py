@@ -84,19 +84,6 @@ def test_colours_and_legend_tell_methods_and_statuses_apart():
         assert marked[-36:].any(), f"{method.name} in the legend"
 
 
-@pytest.mark.parametrize("shape", [(0, 0), (0, 5), (1, 1), (3, 2000), (2500, 10)])
-def test_an_image_of_any_size_can_be_drawn(shape):
-    picture = corner_overlay(np.zeros(shape, np.uint8), corners_at([], Method.KEPT))
-    assert picture.dtype == np.uint8
-    assert picture.shape[0] >= shape[0] + 36
-    assert picture.shape[1] >= shape[1]
-
-
-def test_an_empty_grid_can_be_drawn():
-    picture = grid_overlay(np.zeros((40, 40), np.uint16), grid_of(np.full((2, 2, 2), np.nan)))
-    assert not picture[: picture.shape[1]].any()
-
-
 def test_an_image_of_any_depth_is_stretched_to_be_seen_and_left_as_it_was():
     deep = np.full((600, 1200), 1000, np.uint16)
     deep[:, :600] = 4000
@@ -104,13 +91,6 @@ def test_an_image_of_any_depth_is_stretched_to_be_seen_and_left_as_it_was():
     picture = corner_overlay(deep, corners_at([], Method.KEPT))
     assert set(np.unique(picture[:1200])) == {64, 255}
     np.testing.assert_array_equal(deep, before)
-
-
-def test_small_cells_are_enlarged_until_they_can_be_judged():
-    x, y = np.meshgrid(np.arange(5, 595, 8), np.arange(5, 395, 8))
-    corners = corners_at(np.column_stack([x.ravel(), y.ravel()]), Method.EDGE_LINES)
-    picture = corner_overlay(np.zeros((400, 600), np.uint8), corners)
-    assert picture.shape[:2] == (400 * 4 + 36, 600 * 4)
 
 
 def lattice(rows=4, columns=5, step=20.0):
@@ -141,22 +121,6 @@ def test_nodes_have_the_colour_of_their_status_and_lines_join_neighbours():
     blue, _, red = np.transpose([pixel(*place) for place in lines.values()]).astype(int)
     assert (red > blue).tolist() == [True, False, False]
     assert blue[2] > blue[1]
-
-
-def test_corners_off_the_grid_are_faint_rings():
-    grid = grid_of(lattice())
-    grid = dataclasses.replace(grid, index=np.vstack([grid.index, [[-1, -1]]]).astype(np.int32))
-    found = corners_at(np.vstack([lattice().reshape(-1, 2), [[180, 60]]]), Method.CENTROID)
-    image = np.full((125, 250), 128, np.uint8)
-    picture = grid_overlay(image, grid, corners=found)
-    plain = grid_overlay(image, grid)
-    changed = (picture[:500] != plain[:500]).any(axis=2)
-    y, x = np.nonzero(changed)
-    assert np.hypot(x / 4 - 180, y / 4 - 60).max() < 8
-    assert np.abs(picture[:500].astype(int) - 128)[changed].max() < 80
-    assert (picture[500:] != plain[500:]).any()  # the legend
-    with pytest.raises(FieldError, match="20 corners, not 21"):
-        grid_overlay(image, grid_of(lattice()), corners=found)
 
 
 # figures
@@ -264,44 +228,6 @@ def test_arrows_on_the_image_go_from_rest_to_now():
     assert figure.axes[0].child_axes[0].get_ylabel() == "displacement / px"
 
 
-@needs_matplotlib
-def test_the_surface_shows_every_whole_cell_and_its_height(tmp_path):
-    now = gel(9, 8)
-    now[3, 3] = np.nan
-    moment = Moment.of(field_of(gel(9, 8, depth=0), now))
-    figure = sheet_figure(moment)
-    save_figure(tmp_path / "surface.png", figure)
-    (axes,) = (each for each in figure.axes if each.get_title() == "surface")
-    surface, arrows = axes.collections
-    assert len(surface.get_facecolor()) == 8 * 7 - 4
-    assert 0 < len(arrows.get_segments()) <= 3 * 9 * 8
-    assert axes.get_zlim()[1] == pytest.approx(np.nanmax(46 - now[..., 2]), rel=0.01)
-
-
-@needs_matplotlib
-@pytest.mark.parametrize(
-    ("now", "why"), [(np.full((3, 4, 3), np.nan), "0 nodes"), (gel(1, 5), "line")]
-)
-def test_a_field_that_makes_no_map_is_refused(now, why):
-    rest = now - [0, 0, 1]
-    with pytest.raises(FieldError, match=why):
-        map_figure(Moment.of(field_of(rest, now)), Quantity.HEIGHT)
-
-
-def test_a_file_that_is_no_series_of_nodes_is_refused():
-    good = {
-        "index": np.arange(2),
-        "time_ms": np.arange(2.0),
-        "rest": np.zeros((3, 3, 2)),
-        "xy": np.zeros((2, 3, 3, 2)),
-    }
-    for name, why in {"xy": "no displacement or xy", "rest": "no rest"}.items():
-        with pytest.raises(FieldError, match=why):
-            Recorded.of({key: value for key, value in good.items() if key != name})
-    with pytest.raises(FieldError, match="no frame"):
-        Recorded.of(good | {"index": np.arange(0)})
-
-
 # the command
 
 
@@ -348,15 +274,6 @@ def test_without_matplotlib_the_extra_is_named(recorded, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(ConfigError, match=r"cmp-cl\[plot\]"):
         map_figure(recorded.moment(0), Quantity.DISPLACEMENT)
-
-
-def test_importing_the_modules_imports_no_extra():
-    code = (
-        "import sys, cmp_cl.viz, cmp_cl.space, cmp_cl.field, cmp_cl.cli.main; "
-        "print([name for name in ('matplotlib', 'rerun', 'av', 'h5py') if name in sys.modules])"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
-    assert result.stdout.strip() == b"[]"
 
 
 # videos and the live view

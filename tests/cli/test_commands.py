@@ -2,26 +2,19 @@
 
 import dataclasses
 import shutil
-import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from messages import fails_in_one_line
-from stereo_data import bumblebee_rig, grid_of, photographs
+from stereo_data import photographs
 
 from cmp_cl import (
-    BinocularSplit,
-    ConfigError,
-    NodeStatus,
     StereoRig,
     select_device,
 )
 from cmp_cl.cli import demo
-from cmp_cl.cli.arguments import split_of
-from cmp_cl.grid.align import align
-from cmp_cl.measure import find_board, square_sides, trusted
 from cmp_cl.synthetic import (
     Indenter,
     Mode,
@@ -62,18 +55,6 @@ def test_demo_measures_what_it_rendered(run, small_demo, tmp_path):
     np.testing.assert_allclose(
         np.load("press.npz")["displacement"][1], field["displacement"], atol=1e-12
     )
-
-
-def test_without_matplotlib_demo_says_what_to_install(run, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    fails_in_one_line(run("demo"), "pip install 'cmp-cl[plot]'")
-
-
-def test_demo_does_not_write_into_a_file(run):
-    with open("taken", "w") as file:
-        file.write("mine")
-    fails_in_one_line(run("demo", "--out", "taken"), "taken")
-    fails_in_one_line(run("demo", "--device", "abacus"), "abacus")
 
 
 # calibrate
@@ -142,40 +123,17 @@ def test_a_rectangle_in_each_view_selects_one_of_two_boards(run, boards):
     np.testing.assert_allclose(StereoRig.load("rig.yaml").K1, of_frames.K1, atol=1e-9)
 
 
-def test_two_cameras_with_files_of_their_own_are_calibrated(run, boards):
-    for number, (left, right) in enumerate(boards):
-        cv2.imwrite(f"l{number}.png", left)
-        cv2.imwrite(f"r{number}.png", right)
-    left = [f"l{number}.png" for number in range(4)]
-    right = [f"r{number}.png" for number in range(4)]
-    assert run("calibrate", "--left", *left, "--right", *right, *BOARD, "--unit", "cm")[0] == 0
-    assert StereoRig.load("rig.yaml").unit == "cm"
-    fails_in_one_line(
-        run("calibrate", "--left", *left, "--right", *right[:3], *BOARD), "4 of left and 3"
-    )
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ([], ["--left IMAGE... --right IMAGE..."]),
-        (["0.png", "--left", "0.png", "--right", "1.png"], ["--left IMAGE... --right IMAGE..."]),
         (["--stereo", "0.png", "1.png"], ["3 different views", "not 2"]),
         (["--stereo", "0.png", "--board", "9x6"], ["looks like", "--board counts the inner"]),
         (["plain.png"], ["no view shows a board of 7 x 7 corners", "--stereo"]),
-        (["--left", "0.png"], ["--left and --right need each other"]),
         (["--stereo", "--left", "0.png", "--right", "1.png"], ["--stereo is for IMAGE"]),
         (["none.png"], ["none.png"]),
-        (["0.png", "--square", "0"], ["--square"]),
         (["0.png", "1.png", "./0.png"], ["0.png", "given twice"]),
-        (["--left", "0.png", "--right", "0.png"], ["0.png", "given twice"]),
-        (["--camera", "one=0.png", "1.png", "0.png"], ["0.png", "given twice"]),
-        (["0.png", "--board", "7"], ["7"]),
-        (["0.png", "--out", "rig.txt"], ["yaml"]),
-        (["0.png", "--out", "no/rig.yaml"], ["there is no folder", "no'"]),
-        (["--left", "0.png", "--right", "1.png", "--split", "halves"], ["--split"]),
         (["0.png", "--free-board"], ["7 x 7", "half a turn"]),
-        (["--stereo", "0.png", "--region", "0,0,9,9"], ["one rectangle per camera", "2 here"]),
         (["--stereo", "0.png", "--region", "0,0,9,9:0,0,9,9"], ["0,0,9,9", "outside"]),
     ],
 )
@@ -187,30 +145,6 @@ def test_a_wrong_argument_of_calibrate_is_one_line_and_no_file(
         cv2.imwrite(f"{number}.png", np.hstack(boards[number]))
     fails_in_one_line(run("calibrate", *BOARD, *arguments), *words)
     assert not list(tmp_path.glob("rig.*"))
-
-
-def test_uncertain_and_unseen_corners_are_left_out():
-    grid = grid_of(np.ones((2, 2, 2)), sigma=0.1)
-    grid.sigma[0, 1] = 0.3
-    grid.status[1, 0] = NodeStatus.SECOND_LOOK
-    kept = trusted(grid, 0.2)
-    assert kept.valid.tolist() == [[True, False], [False, True]]
-    assert np.isnan(kept.xy[0, 1]).all()
-    assert kept.status[1, 0] == NodeStatus.MISSING
-
-
-def test_opencvs_five_pairs_calibrate(run):
-    folder = photographs("stereo_opencv")
-    left, right = (sorted(folder.glob(f"{side}0?.jpg")) for side in ("left", "right"))
-    status, out, _ = run(
-        *("calibrate", "--left", *left, "--right", *right, "--board", "9x6", "--square", 25),
-        *("--out", "rig.yaml"),
-    )
-    assert status == 0
-    assert float(out.split("all views: ")[1].split()[0]) < 0.155
-    mean, deviation = out.split("squares measure ")[1].split(" mm with a standard deviation of ")
-    assert float(mean) == pytest.approx(25, abs=0.03)
-    assert float(deviation.split()[0]) < 0.08
 
 
 def test_a_free_board_halves_the_residuals_of_opencvs_pairs(run):
@@ -228,38 +162,7 @@ def test_a_free_board_halves_the_residuals_of_opencvs_pairs(run):
         assert matrix[0, 0] == pytest.approx(matrix[1, 1], rel=5e-4)
 
 
-def test_our_corners_measure_30_mm_with_the_published_calibration():
-    folder = photographs("stereo_bumblebee2")
-    rig, device = bumblebee_rig(folder / "stereo.yaml"), select_device()
-    found = []
-    for pair in range(1, 5):
-        views = [
-            cv2.imread(str(folder / f"{side}{pair:02}.jpg"), cv2.IMREAD_GRAYSCALE)
-            for side in ("left", "right")
-        ]
-        points = rig.triangulate(
-            *align([trusted(find_board(view, (6, 4), device=device)) for view in views])
-        )
-        assert points.valid.all()
-        found.append(square_sides(points))
-    sides = np.concatenate(found)
-    assert sides.mean() == pytest.approx(30, abs=0.02)
-    assert sides.std() < 0.07
-
-
 # all commands
-
-
-def test_a_split_is_read_as_it_is_written():
-    assert split_of("halves", None, (6, 10)) == BinocularSplit.halves(10, 6)
-    assert split_of("1,2,3,4:5,6,7,8", "both", (6, 10)) == BinocularSplit(
-        (1, 2, 3, 4), (5, 6, 7, 8), mirror_left=True, mirror_right=True
-    )
-    assert split_of("halves", "left", (6, 10)).mirror_left
-    assert not split_of("halves", "left", (6, 10)).mirror_right
-    for text in ("", "1,2,3,4", "1,2,3,4:5,6,7", "-1,2,3,4:5,6,7,8"):
-        with pytest.raises(ConfigError, match="halves"):
-            split_of(text, None, (6, 10))
 
 
 @pytest.fixture

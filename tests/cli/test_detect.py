@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from cases import some
 from messages import OF_PYTHON, fails_in_one_line
-from videos import write_deep_video, write_video
+from videos import write_video
 
 import cmp_cl
 from cmp_cl import Method, media
@@ -56,27 +56,6 @@ def test_the_board_is_found_where_opencv_finds_it(run):
     assert (overlay == METHOD_COLOURS[Method.EDGE_STEP]).all(axis=2).sum() > 54 * 20
 
 
-def test_the_table_holds_every_digit_of_what_the_library_finds(run):
-    run("detect", BOARD, "--out", "corners.csv")
-    corners = cmp_cl.detect(media.read_image(BOARD))
-    rows = rows_of("corners.csv")
-    assert list(rows[0]) == COLUMNS.split()
-    np.testing.assert_array_equal(xy_of(rows), corners.xy)
-    np.testing.assert_array_equal([np.float32(row["sigma_px"]) for row in rows], corners.sigma)
-    edges = [[np.float32(row[f"edge{k}_rad"]) for k in range(4)] for row in rows]
-    np.testing.assert_array_equal(edges, corners.edges)
-    pixels = [(int(row["pixel_x_px"]), int(row["pixel_y_px"])) for row in rows]
-    np.testing.assert_array_equal(pixels, corners.pixel)
-    assert [row["method"] for row in rows] == [Method(method).name for method in corners.method]
-    assert {row["image"] for row in rows} == {str(BOARD)}
-
-
-def test_settings_of_a_file_are_used(run):
-    cmp_cl.DetectorConfig(refinement=None).save("cmp.toml")
-    run("detect", BOARD, "--config", "cmp.toml", "--out", "c.csv")
-    assert {row["method"] for row in rows_of("c.csv")} == {"CENTROID"}
-
-
 def test_a_pattern_of_known_size_is_numbered_and_looked_at_twice(run):
     run("render", "--markers", 30, "--indenter", "torus", "--out", "gel.png", "--truth", "t.csv")
     asked = ("detect", "gel.png", "--grid", "30x30", "--out", "n.csv", "--overlay", "o.png")
@@ -105,14 +84,6 @@ def test_corners_inside_the_cells_are_no_nodes(run):
     there = set(map(tuple, np.rint(xy_of(rows_of("board.csv")) / 20).astype(int).tolist()))
     assert len(rows_of("all.csv")) > 2 * len(rows_of("board.csv"))
     assert {(i, j) for i in range(1, 12) for j in range(1, 9)} <= there
-
-
-def test_colour_gives_the_corners_of_its_grey(run):
-    media.write_image("colour.png", np.dstack([media.read_image(BOARD)] * 3))
-    run("detect", BOARD, "--out", "grey.csv")
-    run("detect", "colour.png", "--out", "colour.csv")
-    colour = [list(row.values())[1:] for row in rows_of("colour.csv")]
-    assert colour == [list(row.values())[1:] for row in rows_of("grey.csv")]
 
 
 def test_images_of_fewer_than_16_bits_get_one_hint_about_full_scale(run):
@@ -172,13 +143,6 @@ def test_a_video_is_searched_frame_by_frame_and_broken_frames_are_left_out(run):
     status, out, err = run("detect", "cut.avi")
     assert (status, "cut.avi: " in out) == (0, True)
     assert re.fullmatch(r"cmp-cl: cut.avi: \d frames left out: 5, .*the file is cut off\n", err)
-
-
-def test_a_video_of_12_bits_needs_no_option(run):
-    image = cv2.resize(media.read_image(BOARD), (320, 240), interpolation=cv2.INTER_AREA)
-    write_deep_video("deep.mkv", image.astype(np.uint16) << 3)  # in half of the light
-    status, out, _ = run("detect", "deep.mkv", "--grid", "6x9")
-    assert (status, "54 of 54 nodes" in out) == (0, True)
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,17 +21,13 @@ from plane_images import moved_board
 from videos import write_deep_video, write_video
 
 from cmp_cl import (
-    BinocularSplit,
     DetectorConfig,
     DeviceError,
     EdgeLines,
-    ImageError,
     NodeStatus,
     StereoRig,
-    media,
     select_device,
 )
-from cmp_cl.cli.arguments import region_in
 from cmp_cl.measure import TwoViews
 from cmp_cl.media import Frame
 from cmp_cl.series import SeriesWriter, read_series
@@ -189,41 +183,6 @@ def test_run_uses_the_settings_of_a_file(run, recording):
 # Stages at the same time
 
 
-def test_frames_are_decoded_ahead_and_written_behind_but_only_a_few(
-    run, recording, press, monkeypatch
-):
-    decoded, written = [], []
-    ahead, second = threading.Event(), threading.Event()
-    measure, append, most = TwoViews.__call__, SeriesWriter.append, []
-
-    def frames_of(path, **_):
-        for number in range(30 if path.name == "1.png" else 1):
-            decoded.append(number)
-            if len(decoded) > 3:
-                ahead.set()
-            yield Frame(number, press[int(path.stem)].frame)
-
-    def measuring(self, frame):
-        assert ahead.wait(20), "nothing was decoded while the first frame waited"
-        most.append(len(decoded) - len(most))
-        if len(most) == 2:
-            second.set()
-        time.sleep(0.01)
-        return measure(self, frame)
-
-    def appending(series, **frame):
-        assert second.wait(20), "the second frame waited until the first was written"
-        append(series, **frame)
-        written.append(frame["index"])
-
-    monkeypatch.setattr("cmp_cl.media.cameras.read_frames", frames_of)
-    monkeypatch.setattr(TwoViews, "__call__", measuring)
-    monkeypatch.setattr(SeriesWriter, "append", appending)
-    assert run("run", recording, *STEREO)[0] == 0
-    assert written == list(range(32))
-    assert max(most) < 10
-
-
 def failing_decoder(press, monkeypatch):
     def frames_of(path, **_):
         for number in range(1 if path.name == "0.png" else 2):
@@ -273,18 +232,6 @@ def test_an_error_of_any_stage_is_one_line_and_keeps_the_frames_before_it(
     fails_in_one_line((status, out, err), why)
     assert out.startswith(f"wrote press.npz: {frames} frames")
     assert np.load("press.npz")["index"].tolist() == list(range(frames))
-
-
-def test_an_error_before_the_first_frame_is_written_keeps_an_older_series(
-    run, recording, monkeypatch
-):
-    def failing(*_, **__):
-        raise ImageError("no room")
-
-    Path("press.npz").write_text("old")
-    monkeypatch.setattr(SeriesWriter, "append", failing)
-    assert run("run", recording, *STEREO) == (2, "", "cmp-cl: no room\n")
-    assert Path("press.npz").read_text() == "old"
 
 
 STOPS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -341,58 +288,6 @@ def test_a_run_stopped_before_its_first_frame_keeps_an_older_series(
     assert run("run", recording, *STEREO, *options) == (130, "", "cmp-cl: interrupted\n")
     assert [Path(name).read_text() for name in older] == ["old"] * len(older)
     assert not [entry for entry in Path().iterdir() if entry.name.startswith(".")]
-
-
-@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="there is no SIGHUP here")
-def test_a_run_that_nohup_started_goes_on(run, recording, press, monkeypatch):
-    def frames_of(path, **_):
-        signal.raise_signal(signal.SIGHUP)
-        yield Frame(0, press[int(path.stem)].frame)
-
-    monkeypatch.setattr("cmp_cl.media.cameras.read_frames", frames_of)
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        assert run("run", recording, *STEREO)[0] == 0
-    finally:
-        signal.signal(signal.SIGHUP, before)
-    assert len(np.load("press.npz")["index"]) == len(press)
-
-
-def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press, monkeypatch):
-    close = SeriesWriter.close
-
-    def closing(series):
-        signal.raise_signal(signal.SIGINT)
-        signal.raise_signal(signal.SIGINT)
-        close(series)
-
-    monkeypatch.setattr(SeriesWriter, "close", closing)
-    before = signal.getsignal(signal.SIGINT)
-    status, _, _ = run("run", recording, *STEREO)
-    assert status == 0
-    assert len(np.load("press.npz")["index"]) == len(press)
-    assert signal.getsignal(signal.SIGINT) is before
-
-
-@pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
-def test_a_sheet_that_a_full_disk_cuts_is_not_written_but_the_series_is(
-    run, recording, press, monkeypatch
-):
-    Path("old.png").write_text("old")
-    close = SeriesWriter.close
-
-    def filling(series):
-        close(series)
-        disk.enter_context(full_after(10_000))
-
-    with contextlib.ExitStack() as disk:
-        monkeypatch.setattr(SeriesWriter, "close", filling)
-        status, out, err = run("run", recording, *STEREO, "--plot", "old.png")
-    assert status == 2
-    assert (err.count("\n"), "old.png: File too large" in err) == (1, True)
-    assert "old.png" not in out
-    assert Path("old.png").read_text() == "old"
-    assert len(np.load("press.npz")["index"]) == len(press)
 
 
 # Cameras and pairs
@@ -483,18 +378,6 @@ def test_two_recordings_are_measured_as_one_of_both_views(run, recording, press)
     assert "1 left and 0 right frames without a partner" in out
 
 
-def test_folders_of_which_one_has_more_images_are_not_paired_by_guess(run, recording, press):
-    os.mkdir("left")
-    os.mkdir("right")
-    for number, shot in enumerate(press):
-        media.write_image(f"left/{number}.png", shot.left.image)
-        if number != 1:
-            media.write_image(f"right/{number}.png", shot.right.image)
-    sides = "--left", "left", "--right", "right"
-    fails_in_one_line(run("run", *sides, *STEREO), "--left has 3 files and --right 2")
-    assert not Path("press.npz").exists()
-
-
 # What is told
 
 
@@ -536,35 +419,19 @@ def test_a_calibration_that_does_not_fit_or_is_missing_is_noticed_at_rest(run, r
     [
         (["none", *STEREO], ["none"]),
         (["frames", *STEREO, "--rest-frame", "9"], ["no --rest-frame 9", "3 frames"]),
-        (["frames", *STEREO, "--rest-frame", "-1"], ["0 or more"]),
-        (["frames", *STEREO, "--rest-frame", "x"], ["'x' is not a whole number"]),
-        (["frames", *STEREO, "--split", "thirds"], ["halves", "thirds"]),
         (["frames", *STEREO, "--split", "0,0,9999,9:0,0,9,9"], ["extends past the frame"]),
-        (["frames", *STEREO, "--grid", "0x3"], ["0x3"]),
-        (["frames", *STEREO, "--device", "abacus"], ["abacus"]),
         (["frames", *STEREO, "--out", "press.mat"], ["press.mat", ".npz"]),
         (["frames", *STEREO, "--out", "no/press.npz"], ["there is no folder", "no'"]),
-        (["frames", *STEREO, "--stereo", "frames/0.png"], ["frames/0.png"]),
         (["frames", "--out", "a.npz", "--split", "halves"], ["--stereo"]),
         (["frames", *STEREO, "--region", "1,2,3"], ["X,Y,WIDTH,HEIGHT"]),
-        (["frames", *STEREO, "--region", "1,2,0,3:1,1,2,2"], ["X,Y,WIDTH,HEIGHT"]),
         (["frames", *STEREO, "--region", "0,0,99,99"], ["one rectangle per view"]),
-        (["frames", "--out", "a.npz", "--region", "9999,0,9,9"], ["9999,0,9,9", "outside"]),
         (["--left", "frames", *STEREO], ["--right"]),
         (["--left", "frames", "--right", "frames", "--out", "a.npz"], ["--stereo"]),
-        (["frames", "--left", "frames", "--right", "frames", *STEREO], ["SOURCE"]),
-        ([*STEREO], ["SOURCE"]),
-        (["--left", "frames", "--right", "gone.mp4", *STEREO], ["gone.mp4"]),
-        (["--left", "frames", "--right", "0", *STEREO], ["both be cameras"]),
         (["--left", "frames", "--right", "frames", "--split", "halves", *STEREO], ["--split"]),
         (["frames", "--pair-within", "3", *STEREO], ["--pair-within"]),
         (["frames", "--exposure", "3", *STEREO], ["not a camera"]),
         (["0", "--camera-fps", "-3", *STEREO], ["--camera-fps: '-3' is not a positive number"]),
-        (["0", "--pixel-format", "M", *STEREO], ["four letters"]),
         (["frames", "--out", "a.npz", "--cell", "2", "--stereo", "rig.yaml"], ["for one view"]),
-        (["frames", "--out", "a.npz", "--contact", "2"], ["--contact needs --stereo"]),
-        (["frames", "--out", "a.npz", "--unit", "cm"], ["--unit needs --cell"]),
-        (["frames", "--out", "a.npz", "--cell", "0"], ["not a positive number"]),
         (["frames", *STEREO, "--plot", "shown.gif"], ["shown.gif", ".mp4"]),
     ],
 )
@@ -608,26 +475,6 @@ def shifted(rig, columns):
     return rig._replace(K1=rig.K1 + moved, K2=rig.K2 + moved)
 
 
-@pytest.mark.parametrize("mirror", [False, True])
-def test_a_region_follows_its_rectangle_into_the_view(mirror):
-    frame = np.zeros((40, 90), np.uint8)
-    frame[12:20, 45:70] = 1
-    split = BinocularSplit((0, 0, 20, 40), (30, 5, 50, 30), mirror_right=mirror)
-    y, x = np.nonzero(split(frame)[1])
-    x0, y0, x1, y1 = region_in(split.right, (45, 12, 25, 8), mirror=mirror)
-    assert (x.min() - x0, y.min() - y0, x1 - x.max(), y1 - y.max()) == (0.5,) * 4
-
-
-def test_the_help_of_run_fits_two_screens_with_the_rare_options_last(run, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    _, out, _ = run("run", "--help")
-    assert out.count("\n") <= 100
-    groups = ["input:", "pattern:", "output:", "pictures:", "speed:", "rarely needed:"]
-    places = [out.index(f"\n{group}") for group in groups]
-    assert places == sorted(places)
-    assert out.index("--config TOML ") > places[-1]
-
-
 # What is written
 
 
@@ -650,31 +497,6 @@ def test_what_the_viewer_lacks_is_named_before_anything_is_measured(
     assert not list(tmp_path.glob("*.npz"))
 
 
-def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatch):
-    shown = []
-
-    class Viewer(contextlib.nullcontext):
-        def __init__(self):
-            super().__init__(self)
-
-        def close(self):
-            pass
-
-        def frame(self, **what):
-            shown.append(what)
-
-    monkeypatch.setattr("cmp_cl.cli.running.display.Viewer", Viewer)
-    monkeypatch.setenv("DISPLAY", ":0")
-    status, _, err = run("run", recording, *STEREO, "--show")
-    assert (status, err) == (0, "")
-    assert [what["index"] for what in shown] == list(range(len(press)))
-    for what, shot in zip(shown, press, strict=True):
-        np.testing.assert_array_equal(what["image"], shot.left.image)
-        assert np.abs(what["grid"].xy - shot.left.truth).max() < 1
-    assert np.nanmax(np.abs(shown[-1]["field"].displacement)) > 0.1
-    assert shown[-1]["rate"] > 0
-
-
 def test_a_pipe_gets_json_lines_alone_and_the_report_goes_to_stderr(one_view):
     command = [sys.executable, "-m", "cmp_cl", "run", str(one_view), "--grid", "12x12"]
     done = subprocess.run([*command, "--out", "-"], capture_output=True, text=True, check=True)
@@ -694,15 +516,6 @@ def test_a_sheet_and_one_annotated_video_are_written(run, recording, press):
     sheet = cv2.imread("shown.png")
     assert run("plot", "press.npz", "--out", "same.png")[0] == 0
     np.testing.assert_array_equal(cv2.imread("same.png"), sheet)
-
-
-def test_a_part_of_an_earlier_run_is_told_and_kept(run, one_view):
-    Path("flat.csv.part").write_text("of a run that was killed")
-    status, _, err = run("run", one_view, "--grid", "12x12", "--out", "flat.csv")
-    assert (status, err.count("\n")) == (0, 1)
-    assert "flat.csv.part is of a run that was killed" in err
-    assert Path("flat.csv.part").read_text() == "of a run that was killed"
-    assert not Path("flat.csv.part-2").exists()
 
 
 def test_strain_and_contact_are_in_the_series_if_requested(run, recording, press):

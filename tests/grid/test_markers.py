@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cmp_cl.errors import GridError
 from cmp_cl.grid import Grid, NodeStatus
 from cmp_cl.grid.grid import Rival
 from cmp_cl.grid.markers import profiles, refine_markers
@@ -28,14 +27,6 @@ def grid_at(xy: np.ndarray, parity: int = 0) -> Grid:
 def regular(rows: int, columns: int) -> Grid:
     row, column = np.mgrid[:rows, :columns] * 10.0
     return grid_at(np.stack([column + 0.1 * row, row], axis=2))
-
-
-def test_three_markers_on_each_edge_give_the_papers_count_and_density():
-    grid = regular(40, 40)
-    dense = grid.with_virtual_markers(3)
-    assert dense.valid.sum() == 1600 + 3 * 2 * 40 * 39
-    assert round(dense.valid.sum() / 32**2, 1) == 10.7  # per mm^2, on 32 mm
-    assert (dense.status == NodeStatus.VIRTUAL).sum() == 9360
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5])
@@ -87,27 +78,6 @@ def test_an_edge_without_one_of_its_nodes_has_no_markers():
     np.testing.assert_allclose(dense.xy[dense.valid], at[:, ::-1] * 2.5, atol=1e-5)
 
 
-@pytest.mark.parametrize("shape", [(1, 4), (4, 1), (1, 1), (0, 0)])
-def test_grids_of_a_line_or_less_get_markers_too(shape):
-    xy = np.moveaxis(np.indices(shape)[::-1] * 12.0, 0, -1)
-    dense = grid_at(xy).with_virtual_markers(3)
-    expected = tuple(4 * n - 3 if n else 0 for n in shape)
-    assert dense.shape == expected
-    assert dense.valid.all()
-    assert profiles(dense, 3).place.shape == ((dense.status == NodeStatus.VIRTUAL).sum(), 2)
-
-
-@pytest.mark.parametrize("count", [0, -1, 1.5, True])
-def test_a_count_below_one_is_refused(count):
-    with pytest.raises(GridError, match="at least 1"):
-        regular(4, 4).with_virtual_markers(count)
-
-
-def test_more_markers_than_a_grid_may_have_nodes_are_refused():
-    with pytest.raises(GridError, match="nodes"):
-        regular(4, 4).with_virtual_markers(100_000)
-
-
 def checkerboard(dtype: type, parity: int) -> tuple[np.ndarray, Grid]:
     """Return an image of cells of 16 px with soft edges, and the grid of its nodes."""
     y, x = np.mgrid[0:160, 0:200].astype(float)
@@ -140,13 +110,6 @@ def test_markers_are_pulled_onto_their_edges(dtype, parity):
     assert np.percentile(after, 95) < 0.5
     wrong = dataclasses.replace(dense, parity=1 - parity)
     np.testing.assert_array_equal(refine_markers(wrong, 3, image).xy, dense.xy)
-
-
-@pytest.mark.parametrize("count", [1, 2, 7])
-def test_markers_of_another_count_are_refused(count):
-    image, grid = checkerboard(np.uint8, 0)
-    with pytest.raises(GridError, match=f"does not hold {count} virtual markers"):
-        refine_markers(grid.with_virtual_markers(3), count, image)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (37, 53), (160, 200)])

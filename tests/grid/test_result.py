@@ -38,13 +38,6 @@ def test_a_saved_grid_comes_back_as_it_was(grid, changes, tmp_path):
     assert found.doubts == grid.doubts
 
 
-def test_an_empty_grid_can_be_saved(tmp_path):
-    flat = np.zeros((40, 50), np.uint8)
-    empty = build_grid(detect(flat), flat)
-    empty.save(tmp_path / "none.npz")
-    assert Grid.load(tmp_path / "none.npz").shape == (0, 0)
-
-
 @pytest.mark.parametrize(
     ("name", "values", "said"),
     [
@@ -73,24 +66,6 @@ def test_a_file_that_holds_no_grid_is_refused_in_one_line(grid, tmp_path, name, 
         Grid.load(path)
     assert "rest.npz" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_what_is_no_npz_is_refused_and_what_is_missing_is_not_found(grid, tmp_path):
-    grid.save(tmp_path / "rest.npz")
-    whole = (tmp_path / "rest.npz").read_bytes()
-    for data in (b"", b"P5 2 2", whole[: len(whole) // 2]):
-        (tmp_path / "rest.npz").write_bytes(data)
-        with pytest.raises(GridError, match="damaged"):
-            Grid.load(tmp_path / "rest.npz")
-    np.savez_compressed(tmp_path / "packed.npz", **{"status": np.zeros((9, 9))})
-    with pytest.raises(GridError, match="lacks the array"):
-        Grid.load(tmp_path / "packed.npz")
-    with pytest.raises(FileNotFoundError):
-        Grid.load(tmp_path / "other.npz")
-    with pytest.raises(GridError, match=r"a grid is saved as \.npz"):
-        grid.save(tmp_path / "rest.csv")
-    with pytest.raises(FileNotFoundError, match="there is no folder"):
-        grid.save(tmp_path / "nowhere" / "rest.npz")
 
 
 @pytest.mark.parametrize("quarters", [0, 1, 2, 3, 4, -1])

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from cases import some
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
-from corner_images import board, corner, noise
+from corner_images import board, noise
 from forms import in_form
 
 from cmp_cl import Detector, DetectorConfig, EdgeLines, RingHarmonic, reference
-from cmp_cl.reference import harmonic
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import PlanBase
 
@@ -20,7 +19,6 @@ EIGHT = images.eight_bits()
 DEEP = images.sixteen_bits()
 FEW = ("scene", "fine board", "pixels", "noise", "white")
 VECTORS = sorted((Path(__file__).resolve().parents[1] / "data").glob("harmonic-*.npz"))
-NAMES = {"fine": "S1", "coarse": "S3", "coarse_response": "R5", "fine_response": "R3"}
 
 
 def configured(refinement=None, nms_radius=3, full_scale=None, **rule):
@@ -56,19 +54,6 @@ def test_corners_are_those_of_the_stored_vector(detector_in_form, stored):
     np.testing.assert_array_equal(corners.response, vector["kept"][:, 2])
 
 
-def test_maps_are_those_of_the_stored_vector(detector_for, stored):
-    vector, config = stored
-    maps = detector_for(vector["image"], config).maps(vector["image"])
-    for ours, theirs in NAMES.items():
-        np.testing.assert_array_equal(getattr(maps, ours), vector[theirs], err_msg=ours)
-    y, x = np.nonzero(maps.maximum)
-    np.testing.assert_array_equal(np.stack([x, y], axis=1), vector["kept"][:, :2])
-
-
-def test_nine_vectors_are_stored():
-    assert len(VECTORS) == 9
-
-
 # --- images --------------------------------------------------------------------------------
 
 
@@ -78,12 +63,6 @@ def test_corners_of_eight_bits_are_the_oracles(detector_in_form, name):
     image = EIGHT[name]
     for config in (DetectorConfig(), DENSE, LINES):
         assert_corners_equal(detector_in_form(image, config), image)
-
-
-@pytest.mark.parametrize("name", some(EIGHT, FEW))
-def test_maps_of_eight_bits_are_the_oracles(detector_for, name):
-    for config in (configured(), DENSE):
-        assert_maps_equal(detector_for(EIGHT[name], config), EIGHT[name])
 
 
 @pytest.mark.parametrize("full_scale", [1, 200, 255, 4095, 65535])
@@ -98,14 +77,6 @@ def test_grey_levels_above_full_scale_count_as_full_scale(detector_in_form, name
     clipped = reference.maps(np.minimum(image, full_scale).astype(np.uint16), config)
     np.testing.assert_array_equal(maps.fine, clipped.fine)
     assert maps.fine.max() <= 4080  # 255 grey levels in sixteenths
-
-
-@pytest.mark.parametrize("full_scale", [1, 200])
-def test_eight_bits_above_full_scale_equal_the_oracle(detector_in_form, full_scale):
-    image = EIGHT["scene"]
-    config = configured(full_scale=full_scale, **EVERYTHING)
-    assert_corners_equal(detector_in_form(image, config), image)
-    assert_maps_equal(detector_in_form(image, config), image)
 
 
 def test_levels_of_every_full_scale_equal_the_oracle(detector_in_form):
@@ -145,15 +116,6 @@ def test_widths_around_words_and_vectors_equal_the_oracle(detector_in_form, widt
         seen |= set(corners.pixel[:, 0].tolist())
     assert seen & {0, 1}
     assert seen & {width - 2, width - 1}
-
-
-@pytest.mark.parametrize("rows", some([31, 32, 63, 64, 65, 96, 127, 128], (65,)))
-def test_corners_of_images_of_any_height_are_the_oracles(detector_in_form, rows):
-    image = images.texture((rows, 64), seed=6)
-    corners = assert_corners_equal(detector_in_form(image, DENSE), image)
-    y = corners.pixel[:, 1]
-    assert y.min() < 4
-    assert y.max() >= rows - 5
 
 
 @pytest.mark.parametrize("bands", some([1, 2, 3, 5, 7, 36, 70], (2, 7)))
@@ -213,16 +175,6 @@ def test_the_largest_harmonics_fit_with_the_largest_factors(detector_in_form):
     assert len(corners) > 20
 
 
-def test_the_reference_of_the_largest_responses_is_the_oracles(detector_in_form):
-    """Corners of black and white in cells of 8 px respond most, and only the reference is kept."""
-    image = board(61, 83, 8.0, angle=1.22, blur=0.1, samples=4)[0]
-    image = np.where(image > 120, 255, 0).astype(np.uint8)
-    config = configured(relative=1)
-    found = harmonic.corners(image, config.detection, 3, 255, np.ones(image.shape, np.bool_))
-    assert found.reference > 2**13
-    assert len(assert_corners_equal(detector_in_form(image, config), image)) > 0
-
-
 @pytest.mark.parametrize("pixel", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
 def test_the_largest_noise_does_not_overflow(detector_in_form, pixel):
     """The bound is above every response, and the product that gives it is near 64 bits."""
@@ -230,33 +182,6 @@ def test_the_largest_noise_does_not_overflow(detector_in_form, pixel):
     image = (np.indices((200, 220)).sum(0) % 2 * most).astype(pixel)
     corners = assert_corners_equal(detector_in_form(image, configured(noise=100)), image)
     assert len(corners) == 0
-
-
-def test_fine_maxima_alone_have_a_reference_of_their_own(detector_in_form):
-    image = board(61, 83, 3.5, angle=0.2, blur=0.5)[0]
-    config = configured()
-    found = harmonic.corners(image, config.detection, 3, 255, np.ones(image.shape, np.bool_))
-    assert found.reference == 0
-    assert found.fine.sum() > 20
-    assert_corners_equal(detector_in_form(image, config), image)
-
-
-def test_plateaus_have_one_winner_the_first_in_raster_order(detector_in_form):
-    """A corner between pixels has four equal responses around it; the same one wins everywhere."""
-    y, x = np.indices(images.SHAPE)
-    image = np.where((x // 12 + y // 12) % 2 == 0, 40, 200).astype(np.uint8)
-    corners = assert_corners_equal(detector_in_form(image, configured()), image)
-    assert len(corners) == 24
-    response = reference.maps(image, configured()).coarse_response
-    x, y = corners.pixel.T
-    assert (response[y + 1, x + 1] == response[y, x]).all()
-    np.testing.assert_array_equal(corners.pixel % 12, 11)
-
-
-def test_stripes_and_flat_images_have_no_corner(detector_in_form):
-    stripes = [f"stripes {width}" for width in range(1, 9)]
-    for name in (*stripes, "black", "white", "ramp", "slope"):
-        assert len(detector_in_form(EIGHT[name], configured())(EIGHT[name])) == 0, name
 
 
 def test_a_mask_leaves_corners_inside_and_suppression_as_it_is(detector_in_form):
@@ -272,17 +197,6 @@ def test_a_mask_leaves_corners_inside_and_suppression_as_it_is(detector_in_form)
     assert 0 < len(corners) < whole.sum()
 
 
-def test_corners_in_any_row_of_a_band_are_listed_in_raster_order(detector_in_form):
-    """The order in which work-items find them does not matter."""
-    tile = corner(20, 20, 0.35)[:31, :31]
-    image = np.ascontiguousarray(np.tile(tile, (5, 4)))
-    for shift in (0, 7, 19):
-        moved = np.roll(image, shift, axis=(0, 1))
-        corners = assert_corners_equal(detector_in_form(moved, LINES), moved)
-        x, y = corners.pixel.T
-        assert (np.diff(y * moved.shape[1] + x) > 0).all()
-
-
 @pytest.mark.parametrize("config", [DetectorConfig(), DENSE], ids=["default", "dense"])
 def test_frames_of_a_batch_do_not_see_each_other(detector_in_form, config):
     frames = [EIGHT[name] for name in ("texture", "white", "worn scene")]
@@ -292,13 +206,6 @@ def test_frames_of_a_batch_do_not_see_each_other(detector_in_form, config):
 
 
 # --- capacity ------------------------------------------------------------------------------
-
-
-def with_capacity(detector, capacity):
-    plan = detector._plans.lend()
-    plan.list_capacity = plan.corner_capacity = capacity
-    plan._allocate()
-    plan._bind()
 
 
 def test_more_maxima_than_the_capacity_are_counted_and_found_all_the_same(device_in_form):
@@ -318,21 +225,6 @@ def test_more_maxima_than_the_capacity_are_counted_and_found_all_the_same(device
         assert len(detector(np.zeros_like(image))) == 0
         assert_same_bytes(detector(image), corners)
         assert detector.regrown - times <= 2  # the plan of the batch grows too
-
-
-@pytest.mark.parametrize(("count", "regrown"), [(63, False), (64, False), (65, True)])
-def test_a_capacity_of_64_holds_64(device_in_form, count, regrown):
-    """A mask leaves exactly that many maxima in the one band."""
-    image = images.texture((60, 300), seed=9)
-    config = DENSE.replace(detection=RingHarmonic(fine=False, **EVERYTHING))
-    maxima = np.argwhere(reference.maps(image, config).maximum)
-    mask = np.zeros(image.shape, np.bool_)
-    mask[tuple(maxima[:count].T)] = True
-    with Detector(shape=image.shape, config=config, device=device_in_form, mask=mask) as detector:
-        with_capacity(detector, 64)
-        corners = assert_corners_equal(detector, image, mask=mask)
-        assert len(corners) == count
-        assert (detector.regrown > 0) is regrown
 
 
 # --- the worst case ------------------------------------------------------------------------

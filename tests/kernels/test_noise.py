@@ -31,12 +31,6 @@ def test_the_noise_is_the_oracles_for_every_width(detector_in_form, dtype, colum
     assert summed(detector_in_form(image, config), image) == gate.noise_amplitude(image)[0]
 
 
-@pytest.mark.parametrize("rows", [1, 2, 3, 8, 9, 70])
-def test_the_noise_is_the_oracles_for_every_height(detector_in_form, rows):
-    image = np.random.default_rng(7).integers(0, 256, (rows, 31), np.uint8)
-    assert summed(detector_in_form(image), image) == gate.noise_amplitude(image)[0]
-
-
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
 def test_the_largest_noise_does_not_overflow(detector_in_form, dtype):
     """Black and white pixels in turn: eight full scales at every inner pixel."""

@@ -130,26 +130,6 @@ def test_every_image_gives_the_oracles_corners(detector_in_form, name, depth):
                 assert_corners_equal(detector_in_form(image, config), image)
 
 
-@pytest.mark.parametrize("name", ["edge lines", "midlines"])
-@pytest.mark.parametrize("max_shift", [0.0, 0.2, 5.0])
-def test_a_position_beyond_the_largest_shift_is_refused(detector_for, name, max_shift):
-    image = images.scene(1.5, seed=3).image
-    usual, other = (
-        assert_corners_equal(detector_for(image, config), image)
-        for config in (
-            rings(refinement=REFINEMENTS[name]),
-            rings(refinement=type(REFINEMENTS[name])(max_shift=max_shift)),
-        )
-    )
-    stricter, looser = (other, usual) if max_shift < 2 else (usual, other)  # px, the default
-    changed = other.refusal != usual.refusal
-    assert (stricter.refusal[changed] == Refusal.SHIFT).all()
-    kept = np.count_nonzero(stricter.method == Method.KEPT)
-    assert kept >= np.count_nonzero(looser.method == Method.KEPT)
-    if max_shift < 2:
-        assert kept > np.count_nonzero(looser.method == Method.KEPT)
-
-
 @pytest.mark.parametrize(
     "changes",
     [
@@ -255,27 +235,6 @@ def test_far_columns_are_equally_exact(detector_for, name, columns):
     np.testing.assert_allclose(
         moved, near.xy[clear], rtol=0, atol=rounding + tolerances.POSITION / 10
     )
-
-
-@pytest.mark.parametrize(
-    ("name", "error"), [("edge lines", 0.03), ("edge step", 0.03), ("centroid", 0.7)]
-)
-def test_positions_are_near_the_truth(detector_in_form, name, error):
-    image, truth = board(121, 83, 12)
-    corners = detector_in_form(image, rings(refinement=REFINEMENTS[name]))(image)
-    distance = np.linalg.norm(corners.xy[:, None] - truth, axis=2).min(axis=0)
-    assert distance.mean() < error
-
-
-@rules
-@pytest.mark.parametrize("image", ["texture", "scene"])
-def test_centroids_are_in_raster_order_and_within_their_window(detector_in_form, rule, image):
-    image = EIGHT[image]
-    corners = assert_corners_equal(detector_in_form(image, rule.replace(refinement=None)), image)
-    order = np.lexsort((corners.pixel[:, 0], corners.pixel[:, 1]))
-    np.testing.assert_array_equal(order, np.arange(len(corners)))
-    assert (np.abs(corners.xy - corners.pixel) <= 2).all()  # px: the window has 5 x 5
-    assert (corners.xy != corners.pixel).any()
 
 
 @pytest.mark.parametrize("factor", [2, 3])

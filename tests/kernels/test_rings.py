@@ -3,15 +3,13 @@
 binarize, criteria, spectral, noise, gate, nms, collect, scale: each setting of each of them.
 """
 
-import math
-
 import images
 import numpy as np
 import pytest
 from cases import some
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
 from configs import rings
-from corner_images import board, corner, noise
+from corner_images import board, noise
 
 from cmp_cl import (
     AdaptiveMean,
@@ -22,9 +20,6 @@ from cmp_cl import (
     SpectralCriteria,
     reference,
 )
-from cmp_cl.reference import scale as oracle_scale
-from cmp_cl.reference.paper import gate, ring
-from cmp_cl.stages.resampling import resampling_weights
 
 EIGHT, DEEP = images.eight_bits(), images.sixteen_bits()
 PLAIN = rings(refinement=None)
@@ -113,23 +108,6 @@ def test_a_threshold_beyond_32_bits_does_not_overflow(detector_for):
     assert not assert_maps_equal(detector, DEEP["white"]).binary.any()
 
 
-def test_the_mean_itself_is_white(detector_for):
-    image = np.full(images.SHAPE, 100, np.uint8)
-    image[20, 20] = 99
-    black = detector_for(image, PLAIN).maps(image).binary
-    assert black[20, 20]
-    assert black.sum() == 1
-
-
-@pytest.mark.parametrize("sample", range(16))
-@pytest.mark.parametrize(("name", "ring_of"), [("inner", ring.INNER), ("outer", ring.OUTER_5)])
-def test_each_sample_is_its_own_bit(detector_for, sample, name, ring_of):
-    image = np.full(images.SHAPE, 200, np.uint8)
-    dx, dy = ring_of[sample]
-    image[30 + dy, 40 + dx] = 10
-    assert getattr(detector_for(image, PLAIN).maps(image), name)[30, 40] == 1 << sample
-
-
 def test_candidates_lie_inside_the_mask_and_samples_beyond_it(detector_for):
     image = EIGHT["texture"]
     mask = np.zeros(images.SHAPE, np.bool_)
@@ -139,15 +117,6 @@ def test_candidates_lie_inside_the_mask_and_samples_beyond_it(detector_for):
     np.testing.assert_array_equal(inside.candidate, everywhere.candidate & mask)
     np.testing.assert_array_equal(inside.inner, everywhere.inner)
     assert 0 < inside.candidate.sum() < everywhere.candidate.sum()
-
-
-def test_a_correlation_at_the_bound_is_no_candidate(detector_for):
-    image = EIGHT["texture"]
-    config = rings(PLAIN, criteria=SpectralCriteria(phase=math.pi), contrast=None)
-    maps = detector_for(image, config).maps(image)
-    square = np.rint(np.float64(maps.correlation) ** 2 * 65536) / 65536
-    assert (square == 0.5625).any()
-    assert not maps.candidate[square == 0.5625].any()
 
 
 # the gate
@@ -176,42 +145,7 @@ def test_both_levels_of_the_percentile_equal_the_oracle(detector_for, relative):
         assert_maps_equal(detector_for(image, config), image)
 
 
-def test_a_difference_at_the_noise_bound_is_kept(detector_for):
-    """Bounds 2 N sm = F A at the sm of a candidate, and just above it."""
-    image = images.texture((200, 200))[:60, :61]
-    maps = reference.maps(image, rings(contrast=None))
-    amplitude, pixels = gate.noise_amplitude(image)
-    y, x = np.nonzero(maps.candidate & maps.maximum)
-    sm = gate.sector_contrast(image, x, y, maps.inner[y, x], 5)[2]
-    levels = {factor: -(-factor * amplitude // (2 * pixels)) for factor in range(1, 200)}
-    deciding = [f for f, level in levels.items() if level in sm or level - 1 in sm]
-    assert len(deciding) > 3
-    for factor in deciding[:4]:  # each is a detector of its own
-        contrast = SectorContrast(minimum=0, relative=0, noise=factor / 6.68)  # F = 6.68 noise
-        assert_maps_equal(detector_for(image, rings(PLAIN, contrast=contrast)), image)
-
-
-def test_a_single_candidate_is_kept_by_its_own_percentile(detector_for):
-    image = np.full(images.SHAPE, 200, np.uint8)
-    image[10:51, 20:61] = corner(20, 20, 0.4)
-    config = rings(PLAIN, contrast=SectorContrast(minimum=0, relative=1, noise=0))
-    assert assert_maps_equal(detector_for(image, config), image).maximum.any()
-
-
 # suppression and the list of maxima
-
-
-def test_a_plateau_has_one_winner_the_first_in_raster_order(detector_for):
-    tile = np.zeros((16, 16))
-    tile[:8, :8] = tile[8:, 8:] = 1
-    image = (200 - 160 * np.tile(tile, (4, 6))[:61, :83]).astype(np.uint8)
-    maps = assert_maps_equal(detector_for(image, rings(PLAIN, **OPEN)), image)
-    y, x = np.nonzero(maps.maximum)
-    inside = (y > 10) & (y < 50) & (x > 10) & (x < 70)
-    # One in every cell of 8 x 8 px, at the same place in all cells of a colour.
-    assert len(set(zip(y[inside] % 8, x[inside] % 8, strict=True))) <= 2
-    near = (maps.score == maps.score[y[0], x[0]])[y[0] : y[0] + 4, x[0] : x[0] + 4]
-    assert near.sum() > 1
 
 
 def test_frames_of_a_batch_do_not_see_each_other(device):
@@ -248,19 +182,6 @@ def test_a_list_that_overflows_is_made_again_and_holds_every_maximum(device, cou
 
 
 # the working scale
-
-
-@pytest.mark.parametrize("factor", [0.05, 0.3, 0.5, 0.63, 15 / 31, 1.5, 2.0, 4.0])
-@pytest.mark.parametrize("length", [1, 2, 7, 61, 640])
-def test_weights_of_the_working_scale_are_those_of_the_oracle(length, factor):
-    working = oracle_scale.working_length(length, factor)
-    first, weights = resampling_weights(length, working, factor)
-    index, expected = oracle_scale.weights(length, factor)
-    for k in range(working):
-        one, other = np.zeros(length, np.int64), np.zeros(length, np.int64)
-        np.add.at(one, np.minimum(first[k] + np.arange(weights.shape[1]), length - 1), weights[k])
-        np.add.at(other, index[k], expected[k])
-        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("factor", some([0.05, 1 / 3, 0.999, 1.001, 1.5, 4.0], (0.05, 1.5)))

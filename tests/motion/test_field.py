@@ -318,19 +318,6 @@ def test_the_strain_is_the_oracles(run, case, views, kernels):
     assert np.nanmax(off) < 2e-2
 
 
-def test_a_whole_lattice_has_the_field_that_displacement_returns(run):
-    rng, rig = np.random.default_rng(5), rig_with()
-    rest, now = (views_of(rig, surface(24, 20, press), rng) for press in (0.0, 1.0))
-    _, _, field = run(rig, rest, now)
-    other = displacement(rig.triangulate(*rest), rig.triangulate(*now))
-    for one, two in ((field, other), (field.raw, other.raw)):
-        np.testing.assert_allclose(one.displacement, two.displacement, rtol=0, atol=1e-5)
-        np.testing.assert_allclose(one.sigma, two.sigma, rtol=2e-3)
-        np.testing.assert_allclose(one.position, two.position, rtol=0, atol=1e-9)
-        np.testing.assert_array_equal(one.status, two.status)
-        np.testing.assert_array_equal(one.source, two.source)
-
-
 @pytest.mark.parametrize("window", ["no window", "acrylic and gel"])
 def test_points_that_no_rig_can_see_say_why(run, window):
     rng, rig = np.random.default_rng(6), rig_with(window=window)

@@ -1,14 +1,10 @@
 """The adaptive lattice filter: less noise, sharp bends that are kept, and the stated errors."""
 
-import math
-
 import numpy as np
 import pytest
 from stereo_data import grid_of, points
 
-from cmp_cl.errors import GridError
-from cmp_cl.filter import filter_at_rest, filter_grid, noise_of_change
-from cmp_cl.grid import NodeStatus
+from cmp_cl.filter import filter_at_rest, filter_grid
 from cmp_cl.motion import displacement, filter_positions
 from cmp_cl.reference.field import filter as lattice_filter
 
@@ -46,19 +42,6 @@ def test_a_sharp_bend_is_kept():
     assert rms((filtered.values - truth)[~bend]) < 0.7 * rms((values - truth)[~bend])
 
 
-@pytest.mark.parametrize("direction", ["along a row", "along one diagonal", "along the other"])
-def test_a_sharp_ridge_of_a_deformation_is_kept_in_every_direction(direction):
-    r, c = np.mgrid[:20, :20]
-    off = {"along a row": r - 9.5, "along one diagonal": r - c, "along the other": r + c - 19}
-    ridge = np.exp(-np.square(off[direction]) / 2)
-    truth = np.stack([ridge, -ridge], axis=-1)
-    values = noisy(truth, 0.02)
-    filtered = filter_grid(values, bends=True)
-    near = np.abs(off[direction]) <= 3
-    assert rms((filtered.values - truth)[near]) < 1.1 * rms((values - truth)[near])
-    assert rms((filtered.values - truth)[~near]) < 0.9 * rms((values - truth)[~near])
-
-
 def test_a_gross_error_does_not_spread():
     values = noisy(surface(30, 30), 0.05)
     clean = filter_grid(values)
@@ -71,19 +54,6 @@ def test_a_gross_error_does_not_spread():
     others = ~spoilt.refused
     assert np.abs(spoilt.values - clean.values)[others].max() < 0.05
     assert np.abs(spoilt.sigma / clean.sigma - 1)[others].max() < 0.5
-
-
-def test_missing_nodes_stay_missing_and_hardly_raise_the_error():
-    truth = surface(40, 40)
-    values = noisy(truth, 0.1)
-    values[np.random.default_rng(1).random((40, 40)) < 0.1] = np.nan
-    values[20:26, 5:11] = np.nan
-    filtered = filter_grid(values)
-    missing = np.isnan(values[..., 0])
-    assert np.isnan(filtered.values[missing]).all()
-    assert np.isnan(filtered.sigma[missing]).all()
-    assert rms(filtered.values - truth) < 0.5 * rms(values - truth)
-    assert 0.6 < rms((filtered.values - truth) / filtered.sigma[..., None]) < 1.1
 
 
 def test_nodes_that_are_not_measured_get_the_prediction_of_their_neighbours():
@@ -116,55 +86,6 @@ def test_islands_and_components_do_not_influence_each_other():
     assert np.array_equal(both.values[1, 37], apart[1, 37])
 
 
-@pytest.mark.parametrize(
-    "shape", [(1, 1), (1, 7), (2, 2), (3, 5), (4, 4), (5, 5), (8, 3), (200, 7)]
-)
-def test_lattices_of_every_shape_are_filtered(shape):
-    truth = surface(*shape)
-    filtered = filter_grid(noisy(truth, 0.1))
-    assert np.isfinite(filtered.values).all()
-    assert rms(filtered.values - truth) < 0.2
-    known = np.isfinite(filtered.sigma)
-    # A line of five nodes or more leaves a residual, which shows the noise.
-    np.testing.assert_array_equal(known, max(shape) >= 5)
-    assert (filtered.sigma[known] <= filtered.noise[known] * 1.5).all()
-
-
-def test_one_node_is_left_as_it_is_and_its_sigma_is_unknown():
-    filtered = filter_grid(np.array([[[3.0, 4.0]]]))
-    assert filtered.values.tolist() == [[[3.0, 4.0]]]
-    assert np.isnan(filtered.sigma).all()
-
-
-def test_a_lattice_without_nodes_is_no_error():
-    assert np.isnan(filter_grid(np.full((5, 4, 2), np.nan)).values).all()
-    assert filter_grid(np.empty((0, 0, 2))).values.shape == (0, 0, 2)
-
-
-def test_the_unit_does_not_matter():
-    values = noisy(surface(20, 20), 0.1)
-    one, other = filter_grid(values), filter_grid(values * 1e-3 + 5)
-    assert np.allclose(other.values, one.values * 1e-3 + 5, atol=1e-7)
-    assert np.allclose(other.sigma, one.sigma * 1e-3, rtol=1e-3)
-
-
-def test_the_covariance_shows_which_coordinate_is_less_certain():
-    truth = np.concatenate([surface(30, 30), surface(30, 30)[..., :1]], axis=2)
-    values = truth + np.random.default_rng(0).normal(0, (0.02, 0.02, 0.1), truth.shape)
-    filtered = filter_grid(values)
-    deviation = np.sqrt(np.diagonal(filtered.covariance_of(filtered.sigma), axis1=2, axis2=3))
-    assert np.median(deviation[..., 2] / deviation[..., 0]) == pytest.approx(5, rel=0.2)
-    mean = np.square(deviation).mean(axis=2)
-    assert np.allclose(mean, np.square(filtered.sigma), rtol=1e-5)
-
-
-def test_wrong_shapes_are_refused():
-    with pytest.raises(GridError, match=r"\(R, C, K\)"):
-        filter_grid(np.zeros((3, 3)))
-    with pytest.raises(GridError, match="measured"):
-        filter_grid(np.zeros((3, 3, 2)), measured=np.ones((2, 3), bool))
-
-
 def grid_at(xy, sigma=0.03):
     return grid_of(xy, sigma)
 
@@ -183,24 +104,6 @@ def test_current_positions_are_those_at_rest_plus_filtered_displacements():
     assert rms(filtered.xy - moved) < 0.5 * rms(raw.xy - moved)
     for grid in (filtered, raw):
         assert 0.5 < rms((grid.xy - moved) / grid.sigma[..., None]) < 1.15
-
-
-def test_a_node_that_is_missing_at_rest_keeps_its_position_and_sigma():
-    xy = 50 + 12.0 * np.stack(np.mgrid[:12, :12][::-1], axis=-1)
-    rest, now = noisy(xy, 0.1), noisy(xy, 0.1, seed=1)
-    rest[4, 5] = np.nan
-    filtered, _ = filter_positions(grid_at(now), rest=grid_at(rest))
-    np.testing.assert_array_equal(filtered.xy[4, 5], now[4, 5].astype(np.float32))
-    assert filtered.sigma[4, 5] == np.float32(0.03)
-
-
-def test_interpolated_nodes_follow_their_neighbours():
-    xy = noisy(50 + 12.0 * np.stack(np.mgrid[:12, :12][::-1], axis=-1), 0.1)
-    grid = grid_at(xy)
-    grid.status[6, 6] = NodeStatus.INTERPOLATED
-    off = grid_at(xy + np.where(np.arange(144).reshape(12, 12, 1) == 78, 3.0, 0.0))
-    off.status[6, 6] = NodeStatus.INTERPOLATED
-    assert np.allclose(filter_positions(grid)[0].xy, filter_positions(off)[0].xy, atol=1e-3)
 
 
 def assert_equals_the_oracle(values, measured=None, *, bends=False, most_noise=None):
@@ -242,17 +145,6 @@ def pyramid() -> np.ndarray:
     return np.maximum(0, 1 - aside / 4)[..., None] * [8.0, -5.6]
 
 
-def test_a_filter_with_a_bound_on_the_noise_keeps_sharp_edges():
-    values = noisy(pyramid(), 0.02, seed=3)
-    unbounded, bounded = (
-        rms(filter_grid(values, bends=True, most_noise=most).values - pyramid())
-        for most in (None, np.full((20, 20), 0.025))
-    )
-    raw = rms(values - pyramid())
-    assert unbounded > 1.1 * raw
-    assert bounded < 0.85 * raw
-
-
 @pytest.mark.parametrize("worn", [False, True])
 def test_displacements_keep_sharp_edges_on_a_perfect_print_but_not_on_a_worn_one(worn):
     """In the image, in the plane and in space, the sigma of the corners bounds the noise."""
@@ -274,16 +166,6 @@ def test_displacements_keep_sharp_edges_on_a_perfect_print_but_not_on_a_worn_one
     raw = rms(after - before - pyramid())
     for name, moved in found.items():
         assert (rms(moved - pyramid()) < 0.9 * raw) != worn, name
-
-
-def test_the_bound_on_the_noise_of_a_displacement_is_that_of_the_images_and_of_opened_wear():
-    own = np.full((20, 20), 0.02)
-    for wear, most in ((0.0, 0.02 * math.sqrt(2)), (0.2, 3 * 0.2)):  # strain may open wear
-        at_rest = filter_grid(noisy(surface(20, 20), math.hypot(0.015, wear)))
-        found = noise_of_change(at_rest, own, own)
-        assert np.median(found) == pytest.approx(most, rel=0.1)
-    unknown = noise_of_change(at_rest, np.full((20, 20), np.nan), own)
-    assert np.isnan(unknown).all()
 
 
 def test_the_fast_form_equals_the_oracle_for_holes_and_errors():
@@ -308,29 +190,6 @@ def test_the_fast_form_equals_the_oracle_for_components():
 def test_the_fast_form_equals_the_oracle_for_small_lattices(shape):
     for bends in (False, True):
         assert_equals_the_oracle(noisy(surface(*shape), 0.1), bends=bends)
-
-
-def test_the_oracles_interior_filters_are_those_of_savitzky_and_golay():
-    row = lattice_filter.axis_filter(20, 2, 3)[10]
-    np.testing.assert_allclose(row[8:13] * 35, [-3, 12, 17, 12, -3])
-    row = lattice_filter.axis_filter(20, 3, 5)[10]
-    np.testing.assert_allclose(row[7:14] * 231, [5, -30, 75, 131, 75, -30, 5])
-
-
-@pytest.mark.parametrize("bends", [False, True])
-def test_nodes_that_have_not_moved_stay_where_they_are(bends):
-    still = filter_grid(np.zeros((12, 12, 3)), bends=bends)
-    assert not still.values.any()
-    assert np.isfinite(still.sigma).all()
-
-
-def test_a_result_does_not_depend_on_earlier_calls():
-    small, large = noisy(surface(20, 20), 0.1), noisy(surface(31, 40), 0.3)
-    first = filter_grid(small, bends=True)
-    filter_grid(large)
-    again = filter_grid(small, bends=True)
-    assert first.values.tobytes() == again.values.tobytes()
-    assert first.sigma.tobytes() == again.sigma.tobytes()
 
 
 def test_positions_at_rest_are_filtered_once_for_all_frames():

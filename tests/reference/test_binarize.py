@@ -43,17 +43,3 @@ def test_the_largest_sums_fit():
     image[0, 0], image[-1, -1] = 0, 65535
     threshold = AdaptiveMean(window=255)
     np.testing.assert_array_equal(binarize(image, threshold), by_definition(image, threshold))
-
-
-def test_an_offset_is_added_before_the_comparison():
-    image = noise((11, 12))
-    threshold = AdaptiveMean(window=5, offset=20)
-    found = binarize(image, threshold)
-    np.testing.assert_array_equal(found, by_definition(image, threshold))
-    assert found.sum() < binarize(image, AdaptiveMean(window=5)).sum()
-
-
-def test_a_flat_image_is_white_whatever_its_level():
-    for level in (0, 7, 255):
-        image = np.full((9, 9), level, np.uint8)
-        assert not binarize(image, AdaptiveMean(window=5)).any()

@@ -10,13 +10,10 @@ from cmp_cl.config import (
     BinaryRings,
     DetectorConfig,
     EdgeLines,
-    Midlines,
-    RapidCriteria,
     RingHarmonic,
     SectorContrast,
     SpectralCriteria,
 )
-from cmp_cl.errors import ImageError
 
 IMAGE, TRUTH = board(110, 120, 12)
 CONFIGS = {
@@ -93,18 +90,6 @@ def test_flat_images_have_no_corner(config, level):
             assert not reference.maps(image, config).candidate.any()
 
 
-@pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
-@pytest.mark.parametrize("shape", [(0, 0), (0, 7), (7, 0)])
-def test_an_image_without_pixels_has_no_corners(config, shape):
-    image = np.zeros(shape, np.uint8)
-    corners = reference.detect(image, config)
-    assert corners.xy.shape == corners.pixel.shape == (0, 2)
-    assert corners.edges.shape == (0, 4)
-    maps = reference.maps(image, config)
-    assert maps.response.shape == shape
-    assert maps.binary.shape[-2:] == shape
-
-
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (2, 2), (3, 3), (5, 4), (11, 10)])
 @pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
 def test_images_smaller_than_ring_and_window_have_maps_of_their_shape(config, shape):
@@ -156,41 +141,11 @@ def test_a_mask_follows_the_working_scale():
     assert corners.pixel[:, 0].max() <= 65
 
 
-@pytest.mark.parametrize("mask", [np.ones((2, 2), np.bool_), np.ones(IMAGE.shape), "all"])
-def test_a_wrong_mask_is_refused(mask):
-    with pytest.raises(ImageError, match="mask"):
-        reference.detect(IMAGE, rings(), mask)
-
-
-def test_a_map_that_is_left_out_is_none():
-    rapid = reference.maps(
-        IMAGE,
-        DetectorConfig(detection=BinaryRings(criteria=RapidCriteria(corrosion_threshold=None))),
-    )
-    assert rapid.corrosion is None
-    assert rapid.spectrum_12 is None
-    assert rapid.sector_difference is not None
-    spectral = reference.maps(IMAGE, CONFIGS["spectral"])
-    assert spectral.inner_transitions is None
-    assert spectral.corrosion is not None
-    assert spectral.phase.dtype == spectral.correlation.dtype == np.float32
-
-
 def test_sixteen_bits_find_what_eight_find():
     deep = reference.detect(IMAGE.astype(np.uint16) * 257, rings())
     plain = reference.detect(IMAGE, rings())
     np.testing.assert_array_equal(deep.pixel, plain.pixel)
     np.testing.assert_allclose(deep.xy, plain.xy, atol=1e-4)
-
-
-def test_refinement_does_not_change_what_is_found():
-    lines, middle, none = (
-        reference.detect(IMAGE, rings(refinement=each)) for each in (EdgeLines(), Midlines(), None)
-    )
-    for other in (middle, none):
-        np.testing.assert_array_equal(lines.pixel, other.pixel)
-        np.testing.assert_array_equal(lines.response, other.response)
-    assert (lines.response == 5).any()
 
 
 @pytest.mark.parametrize("seed", [20, 30])

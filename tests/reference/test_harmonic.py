@@ -11,7 +11,6 @@ from corner_images import board, corner, noise
 from cmp_cl import reference
 from cmp_cl.config import DetectorConfig, RingHarmonic
 from cmp_cl.reference import harmonic
-from cmp_cl.reference.paper import nms
 
 FOLDER = Path(__file__).resolve().parents[1] / "data"
 NAMES = [
@@ -26,7 +25,6 @@ NAMES = [
     "water",
 ]
 EIGHT = images.eight_bits()
-DEEP = images.sixteen_bits()
 SYMMETRIES = {
     "quarter turn": lambda image: np.rot90(image),
     "half turn": lambda image: np.rot90(image, 2),
@@ -63,15 +61,6 @@ def test_every_map_and_every_number_equals_the_vector(vector):
     assert found.reference == vector["reference"]
 
 
-def test_the_maxima_before_the_checks_equal_the_vector(vector):
-    found = corners_of(vector["image"], int(vector["full_scale"]), **MADE_WITH)
-    response = found.maps.coarse_response.astype(np.int64)
-    y, x = np.nonzero(harmonic.maxima(response, found.bounds[0], 3))
-    expected = vector["peaks5"]
-    order = np.lexsort(expected.T)
-    np.testing.assert_array_equal(np.stack([x, y], axis=1), expected[order])
-
-
 def test_the_corners_equal_the_vector(vector):
     config = DetectorConfig(
         detection=RingHarmonic(**MADE_WITH),
@@ -103,39 +92,6 @@ def test_a_ring_has_the_values_worked_out_by_hand():
     assert seen.centre[0] == 400 - 263
     assert harmonic.coarse_measure(seen)[0] == 188 - (25 - 6) - (34 + 17)
     assert harmonic.fine_measure(seen)[0] == 188 - (162 - 40)
-
-
-def test_samples_outside_repeat_the_border():
-    image = noise((9, 12), seed=4).astype(np.int64)
-    wide = np.pad(image, 5, mode="edge")
-    y, x = (axis.ravel() for axis in np.indices(image.shape))
-    one = harmonic.harmonics(image, y, x, harmonic.COARSE)
-    other = harmonic.harmonics(wide, y + 5, x + 5, harmonic.COARSE)
-    for name in ("a", "b", "length", "odd", "centre"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-
-
-def test_the_length_is_that_of_the_vector_within_7_percent():
-    angle = np.linspace(0, 2 * np.pi, 721)
-    values = np.zeros((1, 1), np.int64)
-    seen = harmonic.harmonics(values, np.zeros(1, np.int64), np.zeros(1, np.int64), (1, 1))
-    assert seen.length[0] == 0
-    a, b = np.rint(1e4 * np.cos(angle)), np.rint(1e4 * np.sin(angle))
-    ratio = []
-    for u, v in zip(abs(a), abs(b), strict=True):
-        row = np.zeros((3, 3), np.int64)
-        row[0, 1], row[0, 2] = u, v  # u0 and u1: the samples at twelve and at half past one
-        here = np.ones(1, np.int64)
-        ratio.append(harmonic.harmonics(row, here, here, (1, 1)).length[0] / 1e4)
-    assert 0.97 < min(ratio) <= max(ratio) < 1.07
-
-
-def test_smoothing_repeats_the_border_of_every_pass():
-    image = noise((6, 7), seed=1)
-    wide = np.pad(image, 1, mode="edge")
-    once, thrice = harmonic.smoothed(image, 255)
-    np.testing.assert_array_equal(once, harmonic.smoothed(wide, 255)[0][1:-1, 1:-1])
-    assert (thrice != harmonic.smoothed(np.pad(image, 3, mode="edge"), 255)[1][3:-3, 3:-3]).any()
 
 
 def test_the_reference_is_where_half_of_the_squares_are_reached():
@@ -176,65 +132,6 @@ def test_the_noise_bound_is_exact_and_rounded_up():
     assert harmonic.noise_bounds(sixteen, RingHarmonic(), 65535) == (two, four)
 
 
-@pytest.mark.parametrize("name", ["scene", "worn scene", "fine board", "texture"])
-def test_the_kept_maxima_follow_the_definition(name):
-    """The corners are found once more, one pixel at a time."""
-    found = corners_of(EIGHT[name])
-    coarse, fine = (
-        values.astype(np.int64) for values in (found.maps.coarse_response, found.maps.fine_response)
-    )
-
-    def peaks(response, bound):
-        for y, x in np.ndindex(response.shape):
-            top, left = max(y - 3, 0), max(x - 3, 0)
-            part = response[top : y + 4, left : x + 4]
-            first = np.unravel_index(part.argmax(), part.shape)
-            if response[y, x] > bound and (y - top, x - left) == first:
-                yield y, x
-
-    def at(y, x, ring, smooth):
-        return harmonic.harmonics(smooth, np.array([y]), np.array([x]), ring)
-
-    once, thrice = harmonic.smoothed(EIGHT[name], 255)
-    checked = []
-    for y, x in peaks(coarse, found.bounds[0]):
-        small, large = at(y, x, (3, 2), once), at(y, x, (5, 4), thrice)
-        middle = harmonic.coarse_measure(at(y, x, (4, 3), thrice))[0]
-        along, whole = small.a * large.a + small.b * large.b, large.a**2 + large.b**2
-        alike = 8 * along >= whole
-        alike &= large.centre / large.length <= 11 / 8 + along / whole  # no case is near equality
-        if alike and 6 * middle >= coarse[y, x] and middle <= 2 * coarse[y, x]:
-            checked.append((y, x))
-    level = harmonic.reference(np.array([coarse[at] for at in checked], np.int64))
-    kept = []
-    for y, x in checked:
-        length = at(y, x, (5, 4), thrice).length[0]
-        share = 12 if coarse[y, x] >= 0.75 * length else 24
-        if 128 * coarse[y, x] >= share * level:
-            kept.append((y, x))
-    squeezed = []
-    for y, x in peaks(fine, found.bounds[1]):
-        small, large = at(y, x, (2, 1), once), at(y, x, (3, 2), once)
-        alike = 4 * (small.a * large.a + small.b * large.b) >= large.a**2 + large.b**2
-        free = all(max(abs(y - v), abs(x - u)) > 3 for v, u in kept)
-        if alike and free and 128 * fine[y, x] >= 40 * level:
-            squeezed.append((y, x))
-    expected = sorted(kept + squeezed)
-    assert list(zip(found.y.tolist(), found.x.tolist(), strict=True)) == expected
-    assert len(kept) > 3
-
-
-def test_the_start_is_the_centroid_of_the_positive_responses():
-    image = EIGHT["worn scene"]
-    found = corners_of(image)
-    centroid, rounded = found.centroid, found.rounded
-    for k, (x, y, fine) in enumerate(zip(found.x, found.y, found.fine, strict=True)):
-        response = found.maps.fine_response if fine else found.maps.coarse_response
-        one, whole = nms.centroids(np.maximum(response, 0), np.array([x]), np.array([y]))
-        np.testing.assert_array_equal(centroid[k], one[0])
-        np.testing.assert_array_equal(rounded[k], whole[0])
-
-
 # --- what each setting does ----------------------------------------------------------------
 
 
@@ -252,17 +149,6 @@ def test_squeezed_cells_are_found_by_the_small_ring_alone():
     assert seen(both) == 1
     assert seen(coarse) < 0.1
     assert both.fine.mean() > 0.9
-
-
-def test_without_the_noise_bound_more_is_kept():
-    some, every = (
-        {*zip(found.x.tolist(), found.y.tolist(), strict=True)}
-        for found in (
-            corners_of(EIGHT["noise"], fine=False, relative=0, **bound)
-            for bound in ({}, {"noise": 0})
-        )
-    )
-    assert some < every
 
 
 @pytest.mark.parametrize(
@@ -347,46 +233,7 @@ def test_an_inverted_image_has_the_same_response_but_for_rounding(name):
     assert np.abs(plain.coarse_response - inverted.coarse_response).max() <= 40
 
 
-def test_an_inverted_scene_has_the_same_corners():
-    plain, inverted = (corners_of(each) for each in (EIGHT["scene"], 255 - EIGHT["scene"]))
-    np.testing.assert_allclose(plain.x, inverted.x, atol=1)
-    np.testing.assert_allclose(plain.y, inverted.y, atol=1)
-
-
 # --- extremes ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("level", [0, 130, 255])
-@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1), (2, 2), (5, 4), (30, 33)])
-def test_a_flat_image_has_no_corner(shape, level):
-    for dtype, factor in ((np.uint8, 1), (np.uint16, 257)):
-        image = np.full(shape, level * factor, dtype)
-        found = corners_of(image)
-        assert len(found.x) == 0
-        assert not found.maps.coarse_response.any()
-        assert (found.maps.fine == 16 * level).all()
-        assert len(reference.detect(image, DetectorConfig())) == 0
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 40), (3, 3), (7, 5), (11, 10)])
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_images_smaller_than_the_ring_have_maps_of_their_shape(shape, dtype):
-    image = noise(shape, seed=3).astype(dtype) * (257 if dtype == np.uint16 else 1)
-    maps = reference.maps(image, DetectorConfig())
-    assert maps.maximum.shape == maps.fine.shape == shape
-    corners = reference.detect(image, DetectorConfig())
-    assert len(corners) == maps.maximum.sum()
-    assert np.isfinite(corners.xy).all()
-
-
-@pytest.mark.parametrize("shape", [(0, 0), (0, 7), (7, 0)])
-def test_an_image_without_pixels_has_no_corners(shape):
-    image = np.zeros(shape, np.uint8)
-    assert len(reference.detect(image, DetectorConfig())) == 0
-    maps = reference.maps(image, DetectorConfig())
-    assert maps.coarse_response.shape == maps.fine_response.shape == shape
-    without = reference.maps(image, DetectorConfig(detection=RingHarmonic(fine=False)))
-    assert without.fine_response is None
 
 
 def test_the_largest_responses_stay_within_their_bounds():
@@ -407,12 +254,6 @@ def test_what_is_no_pattern_has_no_corner(name):
     assert len(corners_of(EIGHT[name]).x) == 0
 
 
-@pytest.mark.parametrize("width", range(1, 16))
-def test_stripes_along_the_axes_have_no_corner(width):
-    for angle in (0, np.pi / 2):
-        assert len(corners_of(images.stripes(width, angle)).x) == 0
-
-
 @pytest.mark.parametrize("blur", [0, 0.7, 1.2, 2.0])
 @pytest.mark.parametrize("width", range(3, 12))
 def test_stripes_at_any_angle_have_no_corner(width, blur):
@@ -427,21 +268,6 @@ def test_stripes_at_any_angle_have_no_corner(width, blur):
         assert not inside.any(), angle
 
 
-def test_stripes_without_their_check_would_have_corners():
-    """The other checks pass many maxima of these stripes."""
-    found = corners_of(images.stripes(7, 0.5))
-    once, thrice = harmonic.smoothed(images.stripes(7, 0.5), 255)
-    response = found.maps.coarse_response.astype(np.int64)
-    y, x = np.nonzero(harmonic.maxima(response, found.bounds[0], 3))
-    small = harmonic.harmonics(once, y, x, harmonic.FINE)
-    large = harmonic.harmonics(thrice, y, x, harmonic.COARSE)
-    middle = harmonic.coarse_measure(harmonic.harmonics(thrice, y, x, harmonic.MIDDLE))
-    along, whole = small.a * large.a + small.b * large.b, large.a**2 + large.b**2
-    passed = (8 * along >= whole) & (6 * middle >= response[y, x]) & (middle <= 2 * response[y, x])
-    assert passed.sum() > 20
-    assert len(found.x) < 3
-
-
 @pytest.mark.parametrize("bits", [12, 16])
 def test_deep_images_find_what_eight_bits_find(bits):
     full_scale = 2**bits - 1
@@ -451,15 +277,6 @@ def test_deep_images_find_what_eight_bits_find(bits):
     np.testing.assert_allclose(other.x, plain.x, atol=1)
     np.testing.assert_allclose(other.y, plain.y, atol=1)
     assert np.abs(plain.maps.fine.astype(int) - other.maps.fine).max() <= 1
-
-
-def test_grey_levels_above_full_scale_count_as_full_scale():
-    image = DEEP["12-bit board"]
-    bright = np.where(image > 2000, np.uint16(65535), image)
-    limit = np.where(image > 2000, np.uint16(4095), image)
-    one, other = (corners_of(each, 4095).maps for each in (bright, limit))
-    np.testing.assert_array_equal(one.fine, other.fine)
-    assert one.fine.max() == 4080
 
 
 @pytest.mark.parametrize("cell", [6.0, 9.0, 15.0, 30.0, 60.0])

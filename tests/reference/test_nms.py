@@ -52,37 +52,9 @@ def test_maxima_are_those_of_a_walk_over_the_pixels(radius, share, shape):
     assert found == kept(response, score, radius)
 
 
-def test_a_plateau_has_one_maximum_at_its_upper_left_centre():
-    response = np.zeros((30, 30), np.int32)
-    response[10:14, 11:15] = 5
-    score = nms.score(response)
-    assert np.argwhere(nms.maxima(response, score, 3)).tolist() == [[11, 12]]
-
-
-def test_maxima_of_an_endless_plateau_are_more_than_the_radius_apart():
-    response = np.full((40, 40), 4, np.int32)
-    row, column = np.nonzero(nms.maxima(response, nms.score(response), 3))
-    distance = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column))
-    assert len(row) >= 1
-    assert (distance[~np.eye(len(row), dtype=bool)] > 3).all()
-
-
-def test_an_image_without_a_response_has_no_maximum():
-    response = np.zeros((8, 8), np.int32)
-    assert not nms.maxima(response, nms.score(response), 3).any()
-
-
 def test_the_centroid_is_rounded_halves_up():
     response = np.zeros((20, 20), np.int32)
     response[9, 9], response[9, 10], response[11, 10], response[9, 12] = 5, 3, 2, 5
     centroid, rounded = nms.centroids(response, np.array([9]), np.array([9]))
     np.testing.assert_allclose(centroid, [[9 + 5 / 10, 9 + 4 / 10]])  # (9, 12) is outside
     np.testing.assert_array_equal(rounded, [[10, 9]])  # halves go up
-
-
-def test_the_centroid_at_the_border_counts_nothing_outside():
-    response = np.zeros((4, 4), np.int32)
-    response[0, 0], response[1, 0] = 5, 5
-    centroid, rounded = nms.centroids(response, np.array([0]), np.array([0]))
-    np.testing.assert_allclose(centroid, [[0, 0.5]])
-    np.testing.assert_array_equal(rounded, [[0, 1]])

@@ -2,7 +2,6 @@
 
 import math
 
-import cv2
 import numpy as np
 import pytest
 from corner_images import board, corner, noise
@@ -11,7 +10,6 @@ from cmp_cl import reference
 from cmp_cl.config import DetectorConfig, EdgeLines, EdgeStep, Fit, Midlines, RingHarmonic
 from cmp_cl.corners import Corners, Method, Refusal
 from cmp_cl.reference import edge_lines, edge_step, edges, midlines, refine
-from cmp_cl.reference.paper import ring
 
 RNG = np.random.default_rng(11)
 PLACES = [
@@ -38,10 +36,6 @@ def test_the_circles_are_round_and_begin_at_twelve_oclock(radius, points):
     assert circle[0] == (0, -radius)
     assert circle[points // 4] == (radius, 0)
     assert all(abs(math.hypot(*point) - radius) <= 0.5 for point in circle)
-
-
-def test_the_inner_circle_is_that_of_the_sampler():
-    assert edges.circle(3) == ring.INNER
 
 
 @pytest.mark.parametrize(
@@ -97,26 +91,6 @@ def test_a_step_brings_edge_lines_nearer_to_the_truth():
     assert errors[EdgeStep] < errors[EdgeLines] / 2 < 0.02
 
 
-def test_every_refined_corner_has_a_sigma_and_no_whole_one_is_doubtful():
-    image, truth = board(150, 160, 11)
-    image[60:66, 60:90] = 120  # a torn place
-    corners = found(image, EdgeStep(cell=11))
-    stepped = corners.method == Method.EDGE_STEP
-    assert stepped.sum() > 0.8 * len(truth)
-    assert (corners.sigma[stepped] >= edge_step.STEP_ERROR).all()
-    assert np.array_equal(np.isnan(corners.sigma), corners.method == Method.KEPT)
-    assert 0 < corners.doubtful.sum() < 0.2 * len(corners)
-    torn = np.linalg.norm(corners.xy - np.array([75, 63]), axis=1) < 25
-    whole = ((corners.xy > 9) & (corners.xy < np.array([150, 140]))).all(axis=1)
-    assert not (corners.doubtful & whole & ~torn).any()
-    # The excess of a doubtful corner is above 0.010; 1000 times its square is in the variance.
-    assert corners.sigma[corners.doubtful].min() > math.sqrt(1000) * 0.010
-    lines = found(image, EdgeLines())
-    assert np.array_equal(np.isnan(lines.sigma), lines.method == Method.KEPT)
-    assert not lines.doubtful.any()
-    assert np.nanmedian(lines.sigma) < np.nanmax(lines.sigma[torn[: len(lines)]])
-
-
 def test_sigma_of_lines_is_that_of_their_crossing():
     """Points off two lines by known distances: the variance of the crossing by hand."""
     points = rays([0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi])
@@ -148,16 +122,6 @@ def test_sigma_grows_with_noise(refinement):
             error = np.sqrt((distance[inside] ** 2).mean() / 2)
             assert 0.5 < error / medians[-1] < 2
     assert medians == sorted(medians)
-
-
-def test_the_cell_sets_the_radius_of_the_step_up_to_9_px():
-    image, _ = board(80, 80, 11)
-    wide = np.clip(image.astype(np.int64) + noise(image.shape) // 12, 0, 255).astype(np.uint8)
-    near, far = (found(wide, EdgeStep(cell=cell)).xy for cell in (6, 12))
-    assert len(near) == len(far)
-    assert not np.array_equal(near, far)
-    same = found(wide, EdgeStep(cell=1000)).xy
-    np.testing.assert_array_equal(far, same)  # 0.75 cell is at most 9 px
 
 
 @pytest.mark.parametrize("cell", [6, 8, 15])
@@ -225,25 +189,6 @@ def test_parallel_centrelines_of_a_perfect_board_fall_back_to_cusps():
         np.testing.assert_allclose(result.xy, [[20, 20]], atol=1e-12)
 
 
-def bent(sharpness: float) -> np.ndarray:
-    """Return a corner whose two black sectors point in different directions."""
-    y, x = np.mgrid[-20.5:20.5:328j, -20.5:20.5:328j]
-    angle = np.arctan2(y, x)
-    first = np.abs(np.angle(np.exp(1j * (angle - 0.2)))) < 0.7
-    second = np.abs(np.angle(np.exp(1j * (angle - 0.2 - sharpness)))) < 0.7
-    fine = np.where(first | second, 30, 220)
-    return fine.reshape(41, 8, 41, 8).mean(axis=(1, 3)).astype(np.uint8)
-
-
-def test_bent_sectors_have_centrelines_that_meet():
-    for fit in Fit:
-        result = at_centre(bent(2.2), Midlines(fit=fit))
-        assert result.method[0] == Method.MIDLINE
-        assert np.linalg.norm(result.xy - [20, 20]) < 1.2
-    linear, curved = (at_centre(bent(2.2), Midlines(fit=fit)).xy for fit in Fit)
-    assert not np.array_equal(linear, curved)
-
-
 def rays(angles: list[float]) -> edges.EdgePoints:
     """Return edge points where four rays from the start meet circles of 3, 4 and 5 px."""
     unit = np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -264,79 +209,6 @@ def test_the_midpoints_of_rays_meet_where_the_rays_do():
     shift, method, why, _ = midlines.midlines(rays([-0.5, 0.9, 2.64, 4.04]), Fit.LINEAR, 2.0)
     assert (method[0], why[0]) == (Method.CUSP, Refusal.ANGLE)
     np.testing.assert_allclose(shift, [[0, 0]], atol=1e-9)
-
-
-def test_lines_at_a_small_angle_are_rejected():
-    kept, taken = (Method.KEPT, Refusal.ANGLE), (Method.EDGE_LINES, Refusal.NONE)
-    for angle, expected in [(0.16, kept), (0.18, taken)]:
-        points = rays([0.0, angle, math.pi, math.pi + angle])
-        _, method, refusal, _ = edge_lines.edge_lines(points, 2.0, 1.0)
-        assert (method[0], refusal[0]) == expected
-
-
-@pytest.mark.parametrize("scale", [1.0, 0.5])
-@pytest.mark.parametrize(("off", "expected"), [(0.49, Method.EDGE_LINES), (0.51, Method.KEPT)])
-def test_edge_points_off_their_lines_are_rejected(scale, off, expected):
-    """Points of e0 and e2 lie to the left and to the right of their line alternately."""
-    points = rays([0.0, np.pi / 2, np.pi, 3 * np.pi / 2])
-    points.point[0] /= scale
-    sideways = np.array([0.5, -1.0, 0.5]) * np.sqrt(2) * off / scale  # their mean square is off^2
-    points.point[0, :, 0, 1] += sideways
-    points.point[0, :, 2, 1] += sideways
-    _, method, refusal, margin = edge_lines.edge_lines(points, 2.0 / scale, scale)
-    assert method[0] == expected
-    assert (refusal[0] == Refusal.RESIDUAL) == (expected == Method.KEPT)
-    assert margin[0] == pytest.approx(abs(off**2 - 0.25) / 0.25, rel=1e-6)
-
-
-def test_a_corner_of_squeezed_cells_keeps_its_centroid():
-    """Rings of 4 and 5 px reach over cells that are 4 px high, and the lines with them."""
-    y, x = np.mgrid[:41, :41] - 20.0
-    cells = np.where((np.floor(x / 12) + np.floor(y / 4)) % 2 == 0, 30.0, 220.0)
-    image = np.rint(cv2.GaussianBlur(cells, (0, 0), 0.7)).astype(np.uint8)
-    start = np.array([[20, 20]])
-    found = refine.refine(image, start, start + 0.25, EdgeLines(), 1.0)
-    assert found.method[0] == Method.KEPT
-    np.testing.assert_array_equal(found.xy, [[20.25, 20.25]])
-
-
-def test_quadratic_centrelines_meet_where_parabolas_meet():
-    middle = np.zeros((1, 3, 2, 2))
-    t = np.array([3.0, 4.0, 5.0])
-    middle[0, :, 0] = np.stack([t, 0.1 * t * t], axis=1)  # y = x^2 / 10
-    middle[0, :, 1] = np.stack([0.1 * t * t, -t], axis=1)  # x = y^2 / 10
-    lines = [edges.fit_lines(middle[:, :, k], np.ones((1, 3), np.bool_)) for k in (0, 1)]
-    straight = edges.intersect(*lines)
-    curved = midlines._intersect_curves(*lines, middle, straight.position)
-    # They do not meet at the origin exactly: v is quadratic along a rotated axis.
-    assert np.linalg.norm(curved.position) < np.linalg.norm(straight.position) / 3
-
-
-@pytest.mark.parametrize("far", [4000, 16000])
-def test_a_corner_far_from_the_origin_is_refined_exactly_like_one_near_it(far):
-    image = corner(20.3, 19.8, 0.7)
-    wide = np.pad(image, ((0, 0), (far, 0)), mode="edge")
-    start = np.array([[20, 20]])
-    for refinement in (EdgeLines(), EdgeStep(), Midlines()):
-        near = refine.refine(image, start, start + 0.0, refinement, 1.0)
-        there = start + np.array([[far, 0]])
-        moved = refine.refine(wide, there, there + 0.0, refinement, 1.0)
-        np.testing.assert_allclose(moved.xy - there, near.xy - start, rtol=0, atol=1e-10)
-
-
-@pytest.mark.parametrize("speck", [2, 8, 14, 20])
-def test_a_ring_with_a_speck_is_smoothed_by_a_majority(speck):
-    clean = np.where(np.arange(24) // 6 % 2 == 0, -50.0, 50.0)[None]
-    offsets = np.array(edges.circle(4), np.float64)
-    expected, four, _ = edges._ring_edges(offsets, clean)
-    assert four[0]
-    dirty = clean.copy()
-    dirty[0, speck] *= -1
-    mended, four, _ = edges._ring_edges(offsets, dirty)
-    assert four[0]
-    np.testing.assert_array_equal(mended, expected)
-    dirty[0, [(speck + 12) % 24, (speck + 13) % 24]] *= -1
-    assert not edges._ring_edges(offsets, dirty)[1][0]
 
 
 def test_boundaries_across_twelve_o_clock_are_matched_between_rings():
@@ -456,72 +328,3 @@ def test_a_step_is_weighted_least_squares(cell, light):
     found = edge_step.edge_step(image, start, shift, points, refinement, 1.0)
     np.testing.assert_allclose(found.position, shift + terms[0])
     np.testing.assert_allclose(found.variance, edge_step.STEP_ERROR**2 + terms[2][0] / 2, rtol=1e-8)
-
-
-def test_uneven_light_moves_no_corner():
-    """Light that grows by 2 % per px would move the step by 0.18 px if the model had no gradient.
-
-    Sums over pixels and integrals differ by about 2 % of that.
-    """
-    angles = (0.9, 2.0)
-    points = rays([*angles, angles[0] + math.pi, angles[1] + math.pi])
-    across = 1 + 0.02 * (np.arange(41) - 20)
-    image = np.rint(model(20.02, 19.97, angles) / 2 * across).astype(np.uint16)
-    step = edge_step.edge_step(
-        image, np.array([[20, 20]]), np.zeros((1, 2)), points, EdgeStep(cell=12), 1.0
-    )
-    np.testing.assert_allclose(step.position, [[0.02, -0.03]], atol=5e-3)
-
-
-def test_a_step_of_more_than_0_3_px_is_rejected():
-    points = rays([0.2, 1.7, 0.2 + math.pi, 1.7 + math.pi])
-    start = np.array([[20, 20]])
-    for t, accepted in [(0.25, True), (0.4, False)]:
-        image = model(20 + t, 20, (0.2, 1.7))
-        step = edge_step.edge_step(image, start, np.zeros((1, 2)), points, EdgeStep(), 1.0)
-        assert step.accepted[0] == accepted
-        assert step.refusal[0] == (Refusal.NONE if accepted else Refusal.SHIFT)
-        assert (step.variance[0] > 0.3**2 - 1e-9) != accepted
-
-
-def test_a_step_without_contrast_is_rejected():
-    points = rays([0.2, 1.7, 0.2 + math.pi, 1.7 + math.pi])
-    grey = np.full((41, 41), 90, np.uint8)
-    step = edge_step.edge_step(
-        grey, np.array([[20, 20]]), np.zeros((1, 2)), points, EdgeStep(), 1.0
-    )
-    assert step.refusal[0] == Refusal.FLAT
-
-
-def test_the_margin_tells_how_near_a_check_is_to_its_bound():
-    image = corner(20.3, 20.4, 0.7)
-    shift = np.linalg.norm(one(image, EdgeLines()).xy[0] - np.array([20, 20]))
-    _, wide = reference.detect_with_margin(image, DetectorConfig(refinement=EdgeLines()))
-    near = DetectorConfig(refinement=EdgeLines(max_shift=float(shift) * 1.001))
-    corners, margin = reference.detect_with_margin(image, near)
-    assert corners.method[0] == Method.EDGE_LINES
-    assert margin[0] == pytest.approx(1e-3, rel=0.05)
-    assert wide[0] > 0.1
-    _, none = reference.detect_with_margin(image, DetectorConfig(refinement=None))
-    assert np.isinf(none).all()
-
-
-def test_radii_follow_the_working_scale():
-    image = corner(20.3, 20.4, 0.7)
-    offsets, greys = edges.ring_samples(image, np.array([[20, 20]]), 3, 0.5)
-    assert greys.shape == (1, 32)
-    np.testing.assert_allclose(np.hypot(*offsets.T), 6)
-    np.testing.assert_allclose(offsets[[0, 8]], [[0, -6], [6, 0]], atol=1e-12)
-    assert greys[0, 8] == image[20, 26]
-
-
-def test_grey_levels_between_pixels_are_those_worked_out_by_hand():
-    image = np.array([[0, 100], [50, 250]], np.uint8)
-    x, y = np.array([0.25, 0.5, -3.0, 1.0]), np.array([0.0, 0.5, 0.0, 9.0])
-    np.testing.assert_allclose(edges.bilinear(image, x, y), [25, 100, 0, 250])
-
-
-def test_the_threshold_lies_between_the_quarters():
-    greys = np.array([[*range(10, 18), *range(100, 108)]], np.float64)
-    expected = ((10 + 11 + 12 + 13) / 4 + (104 + 105 + 106 + 107) / 4) / 2
-    assert edges.threshold(greys)[0] == expected

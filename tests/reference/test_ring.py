@@ -37,35 +37,6 @@ def test_rings_go_clockwise_from_twelve_and_have_the_symmetries_of_a_square(name
         assert offsets[-k % 16] == (-dx, dy)
 
 
-def test_the_region_has_21_pixels():
-    assert len(ring.REGION) == 21
-    assert (2, 1) in ring.REGION
-    assert (2, 2) not in ring.REGION
-
-
-def test_bit_i_is_sample_i():
-    binary = np.zeros((20, 20), np.bool_)
-    for bit, (dx, dy) in enumerate(ring.INNER):
-        binary[:] = False
-        binary[10 + dy, 10 + dx] = True
-        assert ring.ring_bits(binary, ring.INNER)[10, 10] == 1 << bit
-
-
-def test_samples_outside_repeat_the_border_pixel():
-    binary = np.zeros((12, 12), np.bool_)
-    binary[0, 0] = True
-    corner = ring.bits(ring.ring_bits(binary, ring.OUTER_5))[0, 0]
-    expected = [dx <= 0 and dy <= 0 for dx, dy in ring.OUTER_5]
-    np.testing.assert_array_equal(corner, expected)
-
-
-def test_rotation_brings_sample_i_plus_k_to_bit_i():
-    masks = ring.all_rings()
-    for k in range(16):
-        expected = np.roll(ring.bits(masks), -k, axis=1)
-        np.testing.assert_array_equal(ring.bits(ring.rotate(masks, k)), expected)
-
-
 def test_eq_19_counts_the_runs(runs):
     expected = [len(run) if len(run) > 1 else 0 for run in runs]
     np.testing.assert_array_equal(criteria.inner_transitions(ring.all_rings()), expected)
@@ -95,11 +66,3 @@ def test_272_rings_tie_exactly_in_the_spectrum_and_none_has_four_runs():
     f1, f2, f3 = spectral.magnitudes().T
     others = np.concatenate([np.abs(f2 - f1)[minus_1 != 0], np.abs(f2 - f3)[minus_3 != 0]])
     assert others.min() > 1e-3
-
-
-def test_run_numbers_go_clockwise_from_the_first_change(runs):
-    masks = np.arange(0, 1 << 16, 7).astype(np.uint16)
-    number, black = ring.runs(masks)
-    np.testing.assert_array_equal(black, ring.bits(masks))
-    for mask, numbers in zip(masks, number, strict=True):
-        assert np.bincount(numbers).tolist() == runs[mask]

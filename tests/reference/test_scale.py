@@ -6,7 +6,7 @@ import pytest
 from corner_images import board, noise
 
 from cmp_cl import reference
-from cmp_cl.config import AdaptiveMean, BinaryRings, DetectorConfig, EdgeLines, RingHarmonic
+from cmp_cl.config import DetectorConfig, EdgeLines, RingHarmonic
 from cmp_cl.reference import scale
 
 
@@ -19,14 +19,6 @@ def test_weights_are_of_pixels_in_the_image_and_add_up_to_2048(factor, length):
     assert (weight.sum(axis=1) == 2048).all()
     assert index.min() >= 0
     assert index.max() < length
-
-
-def test_half_scale_is_the_mean_of_four():
-    index, weight = scale.weights(6, 0.5)
-    assert index.tolist() == [[0, 1], [2, 3], [4, 5]]
-    assert (weight == 1024).all()
-    image = np.array([[10, 20], [30, 41]], np.uint8)
-    assert scale.to_working(image, 0.5).tolist() == [[25]]
 
 
 def test_weights_at_three_quarters_are_those_worked_out_by_hand():
@@ -60,32 +52,6 @@ def test_stretching_agrees_with_opencv(factor):
     assert np.abs(scale.to_working(image, factor).astype(np.int64) - peer).max() <= 1
 
 
-@pytest.mark.parametrize("factor", [0.05, 0.31, 0.99, 1.01, 4.0])
-def test_a_flat_image_keeps_its_level_even_full_scale(factor):
-    for level in (0, 1, 65535):
-        image = np.full((9, 30), level, np.uint16)
-        assert (scale.to_working(image, factor) == level).all()
-
-
-def test_at_scale_one_the_image_itself_is_used():
-    image = noise((9, 9))
-    assert scale.to_working(image, 1.0) is image
-    config = DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(window=9)))
-    plain, scaled = reference.maps(image, config), reference.maps(image, config.replace(scale=1.0))
-    for name, values in vars(plain).items():
-        np.testing.assert_array_equal(values, getattr(scaled, name))
-
-
-def test_working_pixels_lie_where_the_mapping_says():
-    np.testing.assert_allclose(scale.to_full(np.array([0.0, 1.0]), 0.5), [0.5, 2.5])
-    ramp = np.tile(np.arange(0, 200, 2, dtype=np.uint8), (20, 1))
-    for factor in (0.4, 0.5, 1.7):
-        working = scale.to_working(ramp, factor)[5].astype(np.float64)
-        place = scale.to_full(np.arange(len(working)), factor)
-        inner = (place > 2) & (place < 97)
-        assert np.abs(working - 2 * place)[inner].max() < 0.6  # 0.5 by rounding
-
-
 @pytest.mark.parametrize("factor", [0.5, 0.62])
 def test_large_cells_are_found_at_a_smaller_scale(factor):
     image, truth = board(240, 260, 30)
@@ -100,14 +66,3 @@ def test_large_cells_are_found_at_a_smaller_scale(factor):
     y, x = np.nonzero(working.maximum)
     place = np.floor(scale.to_full(np.stack([x, y], axis=1).astype(float), factor) + 0.5)
     np.testing.assert_array_equal(corners.pixel, place)
-
-
-@pytest.mark.parametrize("factor", [0.05, 0.6, 3.0])
-def test_tiny_images_at_a_scale_have_their_corners_within_them(factor):
-    for shape in [(1, 1), (2, 5), (9, 1)]:
-        corners = reference.detect(
-            noise(shape), DetectorConfig(detection=RingHarmonic(octaves=0), scale=factor)
-        )
-        assert np.isfinite(corners.xy).all()
-        assert (corners.pixel >= 0).all()
-        assert (corners.pixel < shape[::-1]).all()
