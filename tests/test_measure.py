@@ -7,6 +7,7 @@ import textwrap
 import cv2
 import numpy as np
 import pytest
+from gels import NODES, RIG, SPLIT, pressed
 from lattices import drawn
 from stereo_data import grid_of, project
 from videos import write_video
@@ -15,21 +16,14 @@ import cmp_cl
 from cmp_cl import GridError, StereoRig, measure
 from cmp_cl.measure.views import View
 from cmp_cl.media import read_frames
-from cmp_cl.synthetic import Indenter, Mode, Scene, binocular_frame, default_rig, render_stereo
 
-VIEW = (240, 216)
-RIG = default_rig(VIEW)
-GEL = Scene(markers=12, shape=VIEW, indenter=Indenter.TORUS, mode=Mode.TWIST, seed=5)
+FILM = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.6, 0.6)  # a press that ends, and one at once
 
 
 @pytest.fixture(scope="session")
-def rest_and_now():
-    """Return two frames, at rest and pressed: an image of both views and the nodes in space, mm."""
-    found = []
-    for severity in (0.0, 0.4):
-        left, right, xyz = render_stereo(dataclasses.replace(GEL, severity=severity), RIG)
-        found.append((binocular_frame(left, right), xyz))
-    return found
+def film():
+    """Return frames of both views."""
+    return [pressed(severity).frame for severity in FILM]
 
 
 def example():
@@ -38,34 +32,26 @@ def example():
     return textwrap.dedent(code)
 
 
-def test_the_ten_lines_of_the_docstring_turn_a_video_into_fields(
-    rest_and_now, tmp_path, monkeypatch
-):
+def test_the_ten_lines_of_the_docstring_turn_a_video_into_fields(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    StereoRig(*RIG).save("rig.yaml")
-    write_video("press.mp4", [frame for frame, _ in rest_and_now], "mp4v")
+    RIG.save("rig.yaml")
+    write_video("press.mp4", [pressed(0.0).frame, pressed(0.4).frame], "mp4v")
     assert len([line for line in example().splitlines() if line]) <= 10
     exec(example().replace("(40, 40)", "(12, 12)"), {})  # the video is small
-    assert [path.name for path in sorted(tmp_path.glob("*.vtp"))] == ["press-0001.vtp"]
+    assert [path.name for path in tmp_path.glob("*.vtp")] == ["press-0001.vtp"]
     frames = [frame.image for frame in read_frames("press.mp4")]
-    split = cmp_cl.BinocularSplit.halves(*frames[0].shape[::-1])
-    rig = StereoRig.load("rig.yaml")
-    with measure.TwoViews(frames[0], rig, split, shape=(12, 12)) as against_rest:
+    with measure.TwoViews(frames[0], RIG, SPLIT, shape=NODES) as against_rest:
         field = against_rest(frames[1]).field
-    truth = rest_and_now[1][1] - rest_and_now[0][1]
+    truth = pressed(0.4).xyz - pressed(0.0).xyz
     assert np.count_nonzero(field.valid) > 0.95 * field.status.size
     off = np.linalg.norm(field.displacement - truth, axis=2)[field.valid]
     assert np.sqrt(np.mean(off**2)) < 0.1 * np.linalg.norm(truth, axis=2).max()
 
 
 @pytest.mark.parametrize("raw", [False, True])
-def test_two_views_have_the_field_that_displacement_returns(rest_and_now, raw):
-    rest, now = (frame for frame, _ in rest_and_now)
-    split = cmp_cl.BinocularSplit.halves(*rest.shape[::-1])
-    with measure.TwoViews(
-        rest, StereoRig(*RIG), split, shape=(12, 12), raw=raw, strain=True
-    ) as against_rest:
-        measured = against_rest(now)
+def test_two_views_have_the_field_that_displacement_returns(film, raw):
+    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES, raw=raw, strain=True) as against_rest:
+        measured = against_rest(film[4])
         other = cmp_cl.displacement(against_rest.rest, measured.points, raw=raw).with_strain()
     found = measured.field
     assert (found.raw is None) == raw
@@ -76,22 +62,13 @@ def test_two_views_have_the_field_that_displacement_returns(rest_and_now, raw):
     np.testing.assert_allclose(found.strain_sigma, other.strain_sigma, rtol=2e-3)
 
 
-@pytest.fixture(scope="session")
-def film():
-    """Return frames of both views: a press that grows and ends, then one that comes at once."""
-    severities = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.6, 0.6)
-    scenes = [dataclasses.replace(GEL, severity=severity) for severity in severities]
-    return [binocular_frame(*render_stereo(scene, RIG)[:2]) for scene in scenes]
-
-
 def test_a_frame_is_tracked_or_numbered_anew_and_the_result_is_the_same(film):
-    split, rig = cmp_cl.BinocularSplit.halves(*film[0].shape[::-1]), StereoRig(*RIG)
-    with measure.TwoViews(film[0], rig, split, shape=(12, 12)) as following:
+    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
         tracked = list(following.stream(film))
         again = [following(frame) for frame in film]
     anew = []
     for frame in film:  # nothing is known of the frame before
-        with measure.TwoViews(film[0], rig, split, shape=(12, 12)) as alone:
+        with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as alone:
             anew.append(alone(frame))
     assert following.tally.tracked > len(film)
     assert following.tally.tracked + following.tally.numbered == 2 * len(film)
@@ -104,8 +81,7 @@ def test_a_frame_is_tracked_or_numbered_anew_and_the_result_is_the_same(film):
 
 
 def test_a_call_within_a_stream_changes_no_result_of_it(film):
-    split, rig = cmp_cl.BinocularSplit.halves(*film[0].shape[::-1]), StereoRig(*RIG)
-    with measure.TwoViews(film[0], rig, split, shape=(12, 12)) as following:
+    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
         alone = [following(frame).field.displacement for frame in film]
         for each, expected in zip(following.stream(film), alone, strict=True):
             np.testing.assert_array_equal(each.field.displacement, expected)
@@ -118,7 +94,6 @@ def test_a_call_within_a_stream_changes_no_result_of_it(film):
 
 
 def test_an_audit_tells_the_nodes_that_tracking_numbered_otherwise(film, monkeypatch):
-    split, rig = cmp_cl.BinocularSplit.halves(*film[0].shape[::-1]), StereoRig(*RIG)
     number = View.number
 
     def otherwise(view, corners, image):
@@ -128,7 +103,7 @@ def test_an_audit_tells_the_nodes_that_tracking_numbered_otherwise(film, monkeyp
         return dataclasses.replace(grid, index=index)
 
     monkeypatch.setattr("cmp_cl.measure.frames.AUDITED", 2)
-    with measure.TwoViews(film[0], rig, split, shape=(12, 12)) as following:
+    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
         found = [following(frame) for frame in film[:4]]
         assert [each.tracked for each in found] == [False, True, True, True]
         assert (following.tally.audited, following.tally.differing) == (1, 0)
@@ -139,8 +114,7 @@ def test_an_audit_tells_the_nodes_that_tracking_numbered_otherwise(film, monkeyp
 
 
 def test_a_tracked_frame_says_what_its_kernels_took(film):
-    split, rig = cmp_cl.BinocularSplit.halves(*film[0].shape[::-1]), StereoRig(*RIG)
-    with measure.TwoViews(film[0], rig, split, shape=(12, 12), profile=True) as following:
+    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES, profile=True) as following:
         following(film[0])
         assert following(film[1]).tracked
         assert 20 < following.launches < 60
@@ -152,16 +126,14 @@ def test_a_tracked_frame_says_what_its_kernels_took(film):
 
 
 def test_a_frame_that_is_missing_in_a_stream_has_no_result(film):
-    split, rig = cmp_cl.BinocularSplit.halves(*film[0].shape[::-1]), StereoRig(*RIG)
-    with measure.TwoViews(film[0], rig, split, shape=(12, 12)) as following:
+    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
         found = list(following.stream([film[0], None, film[1], film[2], None]))
     assert [each is None for each in found] == [False, True, False, False, True]
 
 
 def test_a_frame_that_does_not_fit_is_refused_and_the_next_one_is_measured(film):
-    split, rig = cmp_cl.BinocularSplit.halves(*film[0].shape[::-1]), StereoRig(*RIG)
     wider = np.pad(film[1], ((0, 40), (0, 60)))
-    with measure.TwoViews(film[0], rig, split, shape=(12, 12)) as following:
+    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
         expected = following(film[2]).field.displacement
         for other in (wider, film[1][:-5], film[1].astype(np.uint16), film[1].astype(float)):
             with pytest.raises(cmp_cl.ImageError):
@@ -169,10 +141,9 @@ def test_a_frame_that_does_not_fit_is_refused_and_the_next_one_is_measured(film)
         np.testing.assert_array_equal(following(film[2]).field.displacement, expected)
 
 
-def test_a_view_is_measured_against_the_view_at_rest(rest_and_now):
-    half = rest_and_now[0][0].shape[1] // 2
-    rest, now = (frame[:, :half] for frame, _ in rest_and_now)
-    with measure.OneView(rest, shape=(12, 12)) as against_rest:
+def test_a_view_is_measured_against_the_view_at_rest():
+    rest, now = pressed(0.0).left.image, pressed(0.4).left.image
+    with measure.OneView(rest, shape=NODES) as against_rest:
         still, moved = against_rest(rest), against_rest(now)
         empty = against_rest(np.zeros_like(rest))
     assert against_rest.unit == "px"
@@ -186,17 +157,15 @@ def test_a_view_is_measured_against_the_view_at_rest(rest_and_now):
         against_rest(rest)
 
 
-def test_both_the_filtered_and_the_raw_values_are_there_and_named(rest_and_now):
-    rest, now = (frame for frame, _ in rest_and_now)
-    split, rig = cmp_cl.BinocularSplit.halves(*rest.shape[::-1]), StereoRig(*RIG)
-    views = [(frame, frame[:, : frame.shape[1] // 2]) for frame in (rest, now)]
+def test_both_the_filtered_and_the_raw_values_are_there_and_named():
+    views = [(pressed(severity).frame, pressed(severity).left.image) for severity in (0.0, 0.4)]
     for k, kind, name, extra in (
-        (0, measure.TwoViews, "displacement", (rig, split)),
+        (0, measure.TwoViews, "displacement", (RIG, SPLIT)),
         (1, measure.OneView, "displacement", ()),
     ):
         with (
-            kind(views[0][k], *extra, shape=(12, 12)) as filtering,
-            kind(views[0][k], *extra, shape=(12, 12), raw=True) as plain,
+            kind(views[0][k], *extra, shape=NODES) as filtering,
+            kind(views[0][k], *extra, shape=NODES, raw=True) as plain,
         ):
             filtered, raw = filtering(views[1][k]).arrays, plain(views[1][k]).arrays
         assert filtering.constants["filtered"]
@@ -262,8 +231,8 @@ def test_views_that_may_show_different_parts_of_a_pattern_are_refused():
             measure.TwoViews(inside, rig, split, shape=shape)
 
 
-def test_a_pattern_is_found_without_its_cell(rest_and_now):
-    view = rest_and_now[0][0][:, : rest_and_now[0][0].shape[1] // 2]
+def test_a_pattern_is_found_without_its_cell():
+    view = pressed(0.0).left.image
     cell, grid = measure.find_pattern(view, shape=(12, 12))
     assert grid.shape == (12, 12)
     assert cell == pytest.approx(measure.cell_of(grid))

@@ -1,23 +1,19 @@
 """A sensor for robots: frames from a thread, as a script for PyTac3D takes them."""
 
 import contextlib
-import dataclasses
 import threading
 import time
 
 import numpy as np
 import pytest
+from gels import NODES, RIG, SPLIT, pressed
 from videos import write_video
 
-from cmp_cl import BinocularSplit, ConfigError, FieldError, GridError, ImageError, StereoRig
+from cmp_cl import ConfigError, FieldError, GridError, ImageError
 from cmp_cl.measure import Sensor, TwoViews, pytac3d
 from cmp_cl.media import read_frames
 from cmp_cl.series import read_series
-from cmp_cl.synthetic import Indenter, Mode, Scene, binocular_frame, default_rig, render_stereo
 
-VIEW = (240, 216)
-RIG = StereoRig(*default_rig(VIEW))
-GEL = Scene(markers=12, shape=VIEW, indenter=Indenter.TORUS, mode=Mode.TWIST, seed=5)
 SCRIPT = """
 got = []
 def receive(frame, param):
@@ -33,18 +29,13 @@ forces = frame.get("3D_Forces")
 def video(tmp_path_factory):
     """Return the path of a video: at rest, pressed twice."""
     path = tmp_path_factory.mktemp("sensor") / "press.mp4"
-    frames = []
-    for severity in (0.0, 0.3, 0.6):
-        left, right, _ = render_stereo(dataclasses.replace(GEL, severity=severity), RIG)
-        frames.append(binocular_frame(left, right))
-    write_video(path, frames, "mp4v")
+    write_video(path, [pressed(severity).frame for severity in (0.0, 0.3, 0.6)], "mp4v")
     return str(path)
 
 
 def fields(video, rest=0):
     frames = [frame.image for frame in read_frames(video)]
-    split = BinocularSplit.halves(*frames[0].shape[::-1])
-    with TwoViews(frames[rest], RIG, split, shape=(12, 12)) as measure:
+    with TwoViews(frames[rest], RIG, SPLIT, shape=NODES) as measure:
         return [measure(frame).field.displacement.reshape(-1, 3) for frame in frames]
 
 
@@ -63,7 +54,7 @@ def all_frames(sensor):
 
 def test_a_script_for_pytac3d_runs_with_only_its_import_changed(video, tmp_path):
     RIG.save(tmp_path / "rig.yaml")
-    names = {"PyTac3D": pytac3d(video, tmp_path / "rig.yaml", shape=(12, 12), serial="gel-1")}
+    names = {"PyTac3D": pytac3d(video, tmp_path / "rig.yaml", shape=NODES, serial="gel-1")}
     exec(SCRIPT, names)
     with names["sensor"] as sensor:
         all_frames(sensor)
@@ -75,7 +66,7 @@ def test_a_script_for_pytac3d_runs_with_only_its_import_changed(video, tmp_path)
 
 def test_what_was_recorded_is_replayed_at_its_times(video, tmp_path):
     path = tmp_path / "press.npz"
-    sensor = Sensor(video, RIG, shape=(12, 12), maxQSize=9)
+    sensor = Sensor(video, RIG, shape=NODES, maxQSize=9)
     with sensor:
         sensor.record(path)
         live = all_frames(sensor)
@@ -101,7 +92,7 @@ def test_a_new_rest_is_taken_while_running(video):
         if frame["index"] == 0:
             sensor.calibrate()
 
-    with Sensor(video, RIG, shape=(12, 12), recvCallback=receive) as sensor:
+    with Sensor(video, RIG, shape=NODES, recvCallback=receive) as sensor:
         made.set()
         all_frames(sensor)
     np.testing.assert_allclose(got[1], 0, atol=1e-4)
@@ -119,7 +110,7 @@ def test_a_series_that_begins_after_calibrate_has_the_new_rest(video, tmp_path, 
         return measured(measure, frame)
 
     monkeypatch.setattr(TwoViews, "__call__", asked_meanwhile)
-    with Sensor(video, RIG, shape=(12, 12)) as sensor:
+    with Sensor(video, RIG, shape=NODES) as sensor:
         all_frames(sensor)
     series = read_series(path)
     assert list(series["index"]) == [1, 2]
@@ -127,7 +118,7 @@ def test_a_series_that_begins_after_calibrate_has_the_new_rest(video, tmp_path, 
 
 
 def test_of_frames_that_nobody_takes_the_newest_stay(video):
-    with Sensor(video, RIG, shape=(12, 12), maxQSize=2) as sensor:
+    with Sensor(video, RIG, shape=NODES, maxQSize=2) as sensor:
         sensor._thread.join(60)
         assert [sensor.getFrame()["index"] for _ in range(2)] == [1, 2]
         assert sensor.getFrame() is None
@@ -148,7 +139,7 @@ def test_errors_reach_the_caller(video, tmp_path):
         Sensor(video, RIG, maxQSize=0)
     with pytest.raises(FileNotFoundError):
         Sensor(str(tmp_path / "none.mp4"), RIG)
-    with Sensor(video, RIG, shape=(12, 12)) as sensor:
+    with Sensor(video, RIG, shape=NODES) as sensor:
         sensor.record(tmp_path / "one.npz")
         with pytest.raises(ConfigError, match="being recorded"):
             sensor.record(tmp_path / "two.npz")

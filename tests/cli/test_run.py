@@ -1,20 +1,19 @@
 """`cmp-cl run` as a user has it, on small rendered frames."""
 
 import contextlib
-import dataclasses
 import json
 import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
 from cases import some
 from disks import full_after
+from gels import CAMERAS, RIG, VIEW, pressed
 from lattices import drawn
 from messages import fails_in_one_line
 from plane_images import moved_board
@@ -31,41 +30,14 @@ from cmp_cl import (
 from cmp_cl.measure import TwoViews
 from cmp_cl.media import Frame
 from cmp_cl.series import SeriesWriter, read_series
-from cmp_cl.synthetic import (
-    Indenter,
-    Mode,
-    Rendered,
-    Scene,
-    binocular_frame,
-    default_rig,
-    render_stereo,
-)
 
 CLOSE = 0.05  # mm, a third of a pixel
-VIEW = (240, 216)
-RIG = default_rig(VIEW)
-GEL = Scene(markers=12, shape=VIEW, indenter=Indenter.TORUS, mode=Mode.TWIST, seed=5)
-
-
-class Shot(NamedTuple):
-    """A rendered frame: its views, both in one image, and its nodes in space, mm."""
-
-    left: Rendered
-    right: Rendered
-    xyz: np.ndarray
-
-    @property
-    def frame(self):
-        return binocular_frame(self.left, self.right)
 
 
 @pytest.fixture(scope="session")
 def press():
     """Return frames of a gel at rest and pressed more and more."""
-    return [
-        Shot(*render_stereo(dataclasses.replace(GEL, severity=severity), RIG))
-        for severity in (0.0, 0.4, 0.9)
-    ]
+    return [pressed(severity) for severity in (0.0, 0.4, 0.9)]
 
 
 @pytest.fixture
@@ -75,7 +47,7 @@ def recording(press, tmp_path):
     folder.mkdir()
     for number, shot in enumerate(press):
         cv2.imwrite(str(folder / f"{number}.png"), shot.frame)
-    StereoRig(*RIG).save(tmp_path / "rig.yaml")
+    RIG.save(tmp_path / "rig.yaml")
     return folder
 
 
@@ -449,7 +421,7 @@ def test_a_rectangle_in_each_view_selects_one_of_two_patterns(run, recording, pr
     for number, shot in enumerate(press):
         frame = np.hstack([other, shot.left.image, other, shot.right.image])
         cv2.imwrite(str(doubled / f"{number}.png"), frame)
-    StereoRig(*shifted(RIG, VIEW[1])).save("rig.yaml")
+    StereoRig(*shifted(CAMERAS, VIEW[1])).save("rig.yaml")
     wide = 2 * VIEW[1]
     fails_in_one_line(run("run", doubled, *STEREO), "the left view", "two patterns", "region")
     boxes = [f"{x},0,{VIEW[1]},{VIEW[0]}" for x in (VIEW[1], wide + VIEW[1])]

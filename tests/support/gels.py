@@ -1,0 +1,44 @@
+"""A small gel seen by two cameras, for the tests that measure: frames, and the truth in space."""
+
+import dataclasses
+import functools
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl import BinocularSplit, StereoRig
+from cmp_cl.synthetic import (
+    Indenter,
+    Mode,
+    Rendered,
+    Scene,
+    binocular_frame,
+    default_rig,
+    render_stereo,
+)
+
+VIEW = (240, 216)
+CAMERAS = default_rig(VIEW)
+RIG = StereoRig(*CAMERAS)
+SPLIT = BinocularSplit.halves(2 * VIEW[1], VIEW[0])
+NODES = (12, 12)
+GEL = Scene(markers=12, shape=VIEW, indenter=Indenter.TORUS, mode=Mode.TWIST, seed=5)
+
+
+class Shot(NamedTuple):
+    """A rendered frame: its views, both in one image, and its nodes in space (12, 12, 3), mm."""
+
+    left: Rendered
+    right: Rendered
+    xyz: NDArray[np.float64]
+
+    @property
+    def frame(self) -> NDArray[np.uint8]:
+        return binocular_frame(self.left, self.right)
+
+
+@functools.cache
+def pressed(severity: float) -> Shot:
+    """Return the gel pressed so strongly; 0 is at rest."""
+    return Shot(*render_stereo(dataclasses.replace(GEL, severity=severity), CAMERAS))
