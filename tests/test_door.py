@@ -1,9 +1,7 @@
 """`import cmp_cl` is quick, changes nothing in the process, and gives every public name."""
 
-import ast
 import subprocess
 import sys
-from pathlib import Path
 
 import cmp_cl
 
@@ -24,18 +22,6 @@ cmp_cl.reference.detect
 def test_importing_the_library_imports_no_command_no_oracle_and_leaves_signals_alone():
     done = subprocess.run([sys.executable, "-c", IMPORT], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-
-
-def test_types_are_checked_for_the_names_that_there_are():
-    tree = ast.parse(Path(cmp_cl.__file__).read_text(encoding="utf-8"))
-    (typed,) = (node for node in tree.body if isinstance(node, ast.If))
-    homes = {
-        alias.asname: f"{node.module}.{alias.name}"
-        for node in typed.body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
-    assert homes == {name: f"cmp_cl.{home}.{name}" for name, home in cmp_cl._HOME.items()}
 
 
 def test_a_name_that_is_not_there_is_an_attribute_error():

@@ -79,17 +79,6 @@ def test_a_field_has_the_displacement_and_the_holes_of_its_raw_field(space):
         np.testing.assert_array_equal(alone.displacement, moved)
 
 
-def test_a_lattice_too_small_for_an_estimate_has_the_sigma_of_its_points():
-    rest, now = gel(3, 3, depth=0), gel(3, 3)
-    for raw in (True, False):
-        field = displacement(points(rest), points(now), raw=raw)
-        np.testing.assert_allclose(field.sigma, 0.01 * math.sqrt(2))
-        np.testing.assert_allclose(field.position_sigma, 0.01)
-    unknown = displacement(grid_of(lattice(4, 4)), grid_of(lattice(4, 4) * 1.01)).with_strain()
-    assert np.isnan(unknown.sigma).all()
-    assert np.isnan(unknown.strain_sigma).all()
-
-
 def test_wear_that_travels_with_the_gel_cancels_and_sigma_covers_the_remainder():
     """Wear of 20 um that is the same at rest and now, and 3 um of noise at each moment."""
     rng = np.random.default_rng(3)

@@ -11,11 +11,9 @@ import pytest
 from plane_images import moved_board
 
 from cmp_cl.cli.main import main
-from cmp_cl.errors import FieldError, ImageError
+from cmp_cl.errors import ImageError
 from cmp_cl.media.bags import mcap_images
 from cmp_cl.media.cameras import Source
-from cmp_cl.series import Description, SeriesWriter
-from cmp_cl.series.mcap import POINT_FIELDS, TOPIC
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "ros_node.py"
 START = 1_700_000_000_123  # ms since 1970
@@ -129,49 +127,6 @@ def test_compressed_images_are_read_and_a_topic_is_chosen(ros, tmp_path):
     (tmp_path / "bad.mcap").write_bytes(b"nothing")
     with pytest.raises(ImageError, match="not an MCAP"):
         list(mcap_images(tmp_path / "bad.mcap"))
-
-
-def test_rosbags_reads_the_nodes_and_their_stamps(ros, tmp_path):
-    pytest.importorskip("rosbags", reason="rosbags is not installed")
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
-    row, column = np.mgrid[:3, :4]
-    rest = np.stack([2.0 * column, 2.0 * row, 40.0 + 0 * row], axis=-1)
-    shift = np.full((3, 4, 3), 0.5)
-    shift[0, 1] = np.nan
-    path = tmp_path / "nodes.mcap"
-    about = Description(units={"displacement": "mm"}, settings={"start_ns": str(START * 10**6)})
-    with SeriesWriter(path, description=about, rest=rest) as series:
-        for number in range(2):
-            series.append(
-                index=number,
-                time_ms=20.0 * number,
-                displacement=shift * number,
-                sigma=np.full((3, 4), 0.01),
-            )
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    with AnyReader([path], default_typestore=store) as reader:
-        messages = [
-            (stamp, reader.deserialize(raw, link.msgtype))
-            for link, stamp, raw in reader.messages()
-            if link.topic == TOPIC
-        ]
-    assert [stamp for stamp, _ in messages] == [START * 10**6, (START + 20) * 10**6]
-    cloud = messages[1][1]
-    assert (cloud.height, cloud.width) == (3, 4)
-    assert tuple(field.name for field in cloud.fields) == POINT_FIELDS
-    stamp = cloud.header.stamp
-    assert stamp.sec * 1000 + stamp.nanosec // 10**6 == START + 20
-    points = np.frombuffer(cloud.data.tobytes(), "<f4").reshape(3, 4, 9)
-    np.testing.assert_allclose(points[2, 3], [6.5, 4.5, 40.5, 0.5, 0.5, 0.5, 0.01, 2, 3])
-    assert np.isnan(points[0, 1, :6]).all()
-    assert not cloud.is_dense
-
-
-def test_an_mcap_needs_the_positions_at_rest(tmp_path):
-    with pytest.raises(FieldError, match="rest"):
-        SeriesWriter(tmp_path / "a.mcap")
 
 
 def test_a_recording_of_a_robot_is_measured_and_its_stamps_are_kept(ros, tmp_path):

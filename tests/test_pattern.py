@@ -52,17 +52,6 @@ def test_a_png_states_its_resolution(tmp_path):
     assert struct.unpack(">IIB", data[data.index(b"pHYs") + 4 :][:9]) == (10_000, 10_000, 1)
 
 
-def test_without_a_border_and_bars_the_sheet_is_the_cells():
-    board = Checkerboard(shape=(2, 3), cell=5, border=0, scale_bar=False)
-    assert board.size == (20, 15)
-    np.testing.assert_allclose(board.corners[0, 0], (5, 5))
-
-
-def test_paper_holds_the_pattern_in_its_middle():
-    board = Checkerboard(shape=(8, 8), cell=10, border=0, scale_bar=False, paper=(210, 297))
-    np.testing.assert_allclose(board.corners.mean(axis=(0, 1)), (105, 148.5))
-
-
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [

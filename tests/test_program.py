@@ -1,6 +1,5 @@
 """The module that builds programs: sources, errors, cached binaries."""
 
-import re
 import secrets
 import shutil
 import warnings
@@ -153,27 +152,3 @@ def test_one_changed_offset_of_a_ring_changes_its_bits(altered, device, detector
 
 
 # --- the index -----------------------------------------------------------------------------
-
-
-def files_of_kernels():
-    """Return the kernel files by name, "cpu/harmonic.cl" for one in the folder cpu."""
-    folder = program.kernel_folder()
-    return {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.cl")}
-
-
-def test_the_index_names_every_kernel_and_no_other():
-    index = (program.kernel_folder() / "README.md").read_text(encoding="utf-8")
-    cells = [line.split("|")[1] for line in index.splitlines() if line.startswith("| ")]
-    named, file = {}, None
-    for cell in cells:
-        heads = re.findall(r"\*\*(.+)\*\*", cell)
-        if heads:
-            (file,) = heads
-        names = set(re.findall(r"`(\w+)`", cell))
-        if file is not None:
-            named[file] = named.get(file, set()) | names
-    kernels = {
-        name: set(re.findall(r"__kernel void (\w+)", path.read_text("utf-8")))
-        for name, path in files_of_kernels().items()
-    }
-    assert named == kernels

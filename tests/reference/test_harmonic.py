@@ -194,15 +194,6 @@ def test_a_mask_limits_the_kept_maxima_and_those_of_the_reference():
     assert len(corners_of(image, mask=np.zeros_like(mask)).x) == 0
 
 
-def test_suppression_looks_beyond_the_mask():
-    image = corner(20, 20, 0.4)
-    found = corners_of(image)
-    here = np.flatnonzero(np.abs(found.x - 20) + np.abs(found.y - 20) <= 2)[0]
-    mask = np.ones(image.shape, np.bool_)
-    mask[found.y[here], found.x[here]] = False
-    assert len(corners_of(image, mask=mask, fine=False).x) == len(found.x[~found.fine]) - 1
-
-
 # --- symmetry ------------------------------------------------------------------------------
 
 
