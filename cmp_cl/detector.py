@@ -314,7 +314,7 @@ class Detector(Closing):
         asked = asked_of(shape, like, previous)
         corners, found = self._boards(image)
         given, count = Given.of(corners), len(corners)
-        return corners, grid_of(found, given, image, asked, count, strict=strict)
+        return corners, grid_of(found, given, asked, count, strict=strict)
 
     def grids(
         self,

@@ -73,21 +73,20 @@ def build_grid(
     given = _checked(corners, frame, asked)
     inside = _inside(given.xy, region)
     return grid_of(
-        boards_of(given, inside, frame, device), given, frame, asked, len(inside), strict=strict
+        boards_of(given, inside, frame, device), given, asked, len(inside), strict=strict
     )
 
 
 def grid_of(
     found: Iterable[Board],
     given: Given,
-    image: GreyImage,
     asked: Asked,
     count: int,
     *,
     strict: bool,
 ) -> Grid:
     """Return the grid of the board that is meant; count: corners that may belong to it."""
-    chosen, others = chosen_of(found_in(found, image, asked), asked, count)
+    chosen, others = chosen_of(found_in(found, asked), asked, count)
     if chosen is None:
         return empty_like(len(given.xy), asked)
     grid = placed(chosen, given, asked, others)
@@ -115,7 +114,7 @@ def build_grids(
     frame = as_frame(image)
     given = _checked(corners, frame, asked)
     every = boards_of(given, _inside(given.xy, region), frame, device)
-    found: list[Found] = found_in(every, frame, asked)
+    found: list[Found] = found_in(every, asked)
     if shape is not None:
         found = [each for each in found if 2 * each.size >= shape[0] * shape[1]]
     return [placed(each, given, asked, 0) for each in found]

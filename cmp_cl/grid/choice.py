@@ -1,19 +1,17 @@
 """Which board of a view is meant: by its size, its print, or because it alone is seen whole."""
 
+import dataclasses
 import functools
 import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import MEASURED, Grid
-from cmp_cl.image import GreyImage
-from cmp_cl.lattice.arrays import Board, Mask, Numbers
-from cmp_cl.lattice.boards import cropped
-from cmp_cl.lattice.borders import Border, border_of
+from cmp_cl.lattice.arrays import Board, Mask
+from cmp_cl.lattice.borders import Border
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.numbers import (
     Decision,
@@ -22,7 +20,6 @@ from cmp_cl.lattice.numbers import (
     Seen,
     in_shape,
     like_rest,
-    upright,
 )
 
 SMALL = 0.1  # least share of the corners that the board must hold
@@ -44,14 +41,15 @@ class Asked(NamedTuple):
     previous: Grid | None = None
 
 
-class Found(NamedTuple):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Found:
     """A board in a view, upright; the number of its first node and how sure it is."""
 
     board: Board
-    seen: Seen
+    border: Border
     decision: Decision
 
-    @property
+    @functools.cached_property
     def size(self) -> int:
         """Return the number of its corners."""
         return int(np.count_nonzero(self.board.owner >= 0))
@@ -59,8 +57,8 @@ class Found(NamedTuple):
     @property
     def box(self) -> tuple[float, float, float, float]:
         """Return the least x and y, and the greatest, of its nodes, px."""
-        at = self.seen.at[~np.isnan(self.seen.at)]
-        x, y = at.real, at.imag
+        mine = self.board.owner >= 0
+        x, y = self.board.x[mine], self.board.y[mine]
         return float(x.min()), float(y.min()), float(x.max()), float(y.max())
 
     @property
@@ -73,6 +71,8 @@ class Found(NamedTuple):
         """Return the number of places between nodes of its rows and of its columns that show no
         corner, 0 if they are few."""
         there = self.board.there
+        if there.all():
+            return 0
         inside = _between(there) & _between(there.T).T
         missing = int(np.count_nonzero(inside & ~there))
         return missing if missing >= max(LEAST_GAP, GAP * np.count_nonzero(inside)) else 0
@@ -89,7 +89,7 @@ class Found(NamedTuple):
     @property
     def is_whole(self) -> bool:
         """Return whether it is a full rectangle whose border is seen, but for one side."""
-        return self.is_full and int(np.count_nonzero(self.seen.border.ends)) >= BORDERS
+        return self.is_full and int(np.count_nonzero(self.border.ends)) >= BORDERS
 
     def fills(self, shape: tuple[int, int]) -> bool:
         """Return whether it has nearly all nodes of a known size."""
@@ -101,43 +101,14 @@ class Found(NamedTuple):
         return self.decision.best.nats > -K.place_nats
 
 
-def found_in(boards: Iterable[Board], image: GreyImage, asked: Asked) -> list[Found]:
-    """Return the boards of a view with their borders and numbers, those of more corners first."""
-    found = []
-    for board in (part for each in boards for part in _apart(each, image)):
-        at = _places(board)
-        if not (board.owner >= 0).any():
-            continue
-        quarters = upright(at)
-        seen = Seen(at, int(board.sign < 0), border_of(at, image, K)).turned(quarters)
-        found.append(Found(board.turned(quarters), seen, _decided(seen, asked)))
+def found_in(boards: Iterable[Board], asked: Asked) -> list[Found]:
+    """Return the boards of a view with their numbers, those of more corners first."""
+    found = [
+        Found(board, board.border, _decided(board, asked))
+        for board in boards
+        if board.border is not None and (board.owner >= 0).any()
+    ]
     return sorted(found, key=lambda each: -each.size)
-
-
-def _apart(board: Board, image: GreyImage) -> list[Board]:
-    """Return a board, or several if a part of it that touches no other ends where others follow.
-
-    Colours counted across plain ground can join two boards that lie in one plane.
-    """
-    count, label = cv2.connectedComponents((board.owner >= 0).astype(np.uint8), connectivity=4)
-    parts = [label == n for n in range(1, count)]
-    parts = sorted((each for each in parts if each.sum() >= OTHER), key=lambda each: -each.sum())
-    found, rest = [], board.owner >= 0
-    for part in parts[1:]:
-        row, column = (np.flatnonzero(part.any(axis)) for axis in (1, 0))
-        top, bottom, left, right = row[0], row[-1] + 1, column[0], column[-1] + 1
-        others = (board.owner >= 0) & ~part
-        follow = (
-            others[:top, left:right].any(),
-            others[bottom:, left:right].any(),
-            others[top:bottom, :left].any(),
-            others[top:bottom, right:].any(),
-        )
-        alone = board.only(part)
-        if (border_of(_places(cropped(alone)), image, K).ends & follow).any():
-            found.append(cropped(alone))
-            rest &= ~part
-    return [cropped(board.only(rest)), *found] if found else [board]
 
 
 def _between(there: Mask) -> Mask:
@@ -147,21 +118,15 @@ def _between(there: Mask) -> Mask:
     return between
 
 
-def _places(board: Board) -> Numbers:
-    """Return where the corners of a board are, (R, C) complex, px, NaN where there is none."""
-    at: Numbers = np.where(board.owner >= 0, board.x + 1j * board.y.astype(np.float64), np.nan)
-    return at
-
-
-def _decided(seen: Seen, asked: Asked) -> Decision:
+def _decided(board: Board, asked: Asked) -> Decision:
     if asked.like is not None:
         rest = reference_of(asked.like)
         before = None if asked.previous is None else reference_of(asked.previous)
         if asked.previous is asked.like:
             before = rest._replace(sure=True)
-        return like_rest(seen, rest, before, K)
+        return like_rest(Seen.of(board), rest, before, K)
     if asked.shape is not None:
-        return in_shape(seen, asked.shape, K)
+        return in_shape(Seen.of(board), asked.shape, K)
     return Decision(Numbering(0.0, 0, 0, 0), None, math.inf)
 
 

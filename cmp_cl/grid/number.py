@@ -56,7 +56,7 @@ def number(
             f"the {count} corners form no board: too few of them are linked by the sides of cells; "
             "check that they lie in this image, as (x, y), and that its cells are 4 px or wider"
         )
-    grid = grid_of(every, given, frame, asked, count, strict=False)
+    grid = grid_of(every, given, asked, count, strict=False)
     nodes = grid.index[:, 0] >= 0
     places = tuple(grid.index[nodes].T)
     xy, status = grid.xy.copy(), grid.status.copy()

@@ -11,8 +11,8 @@ from cmp_cl.filter import bent_sigma
 from cmp_cl.grid.choice import Asked, Found
 from cmp_cl.grid.grid import Grid, NodeStatus, Rival, Sides, empty_grid
 from cmp_cl.grid.limits import check_size
-from cmp_cl.lattice.arrays import LOOKED
-from cmp_cl.lattice.numbers import Decision, Numbering, full_lines, seen_lines
+from cmp_cl.lattice.arrays import LOOKED, Board
+from cmp_cl.lattice.numbers import Decision, Numbering, Seen, full_lines, seen_lines
 
 
 class Given(NamedTuple):
@@ -37,28 +37,28 @@ def empty_like(corners: int, asked: Asked) -> Grid:
 
 def placed(found: Found, given: Given, asked: Asked, others: int) -> Grid:
     """Return the grid of a board with the numbers that were decided."""
-    board, seen, decision = found
-    best = decision.best
-    turned, seen = board.turned(best.quarters), seen.turned(best.quarters)
-    size = turned.owner.shape[0], turned.owner.shape[1]
-    first, shape = _extent(best, full_lines(seen.at), size, asked)
+    best = found.decision.best
+    board, border = found.board.turned(best.quarters), found.border.turned(best.quarters)
+    size = board.owner.shape[0], board.owner.shape[1]
+    first, shape = _extent(board, best, asked)
     check_size(*shape)
     top, left = first[0] - best.row, first[1] - best.column
-    owner = _window(turned.owner, top, left, shape, -1)
-    torn = _window(turned.torn, top, left, shape, 0)
-    x, y = (_window(each, top, left, shape, np.nan) for each in (turned.x, turned.y))
-    xy = np.stack([x, y], axis=2).astype(np.float32)
-    status = np.select(
-        [(owner >= 0) & torn, owner >= 0, owner == LOOKED],
-        [np.uint8(s) for s in (NodeStatus.ATTACHED, NodeStatus.DETECTED, NodeStatus.INTERPOLATED)],
-        np.uint8(NodeStatus.MISSING),
-    ).astype(np.uint8)
-    row, column = np.nonzero(owner >= 0)
+    owner, torn, x, y = board.owner, board.torn, board.x, board.y
+    if (top, left, shape) != (0, 0, size):
+        owner, torn = _window(owner, top, left, shape, -1), _window(torn, top, left, shape, 0)
+        x, y = (_window(each, top, left, shape, np.nan) for each in (x, y))
+    xy = np.stack([x, y], axis=2)
+    mine = owner >= 0
+    status = mine.astype(np.uint8) * np.uint8(NodeStatus.DETECTED)
+    status[mine & torn] = NodeStatus.ATTACHED
+    status[owner == LOOKED] = NodeStatus.INTERPOLATED
+    row, column = np.nonzero(mine)
+    corner = owner[row, column]
     index = np.full((len(given.xy), 2), -1, np.int32)
-    index[owner[row, column]] = np.stack([row, column], axis=1)
+    index[corner] = np.stack([row, column], axis=1)
     sigma = np.full(shape, np.nan, np.float32)
-    sigma[row, column] = given.sigma[owner[row, column]]
-    border, ends = seen.border, seen.border.ends
+    sigma[row, column] = given.sigma[corner]
+    ends = border.ends
     misfit = asked.like is None and asked.shape is not None and not found.fits
     if asked.like is None and size == asked.shape and found.fits:
         ends = ends | border.room  # a further line would be in view
@@ -67,32 +67,31 @@ def placed(found: Found, given: Given, asked: Asked, others: int) -> Grid:
         status=status,
         sigma=bent_sigma(xy, sigma, given.edge_radius),
         index=index,
-        parity=(seen.parity + top + left) % 2,
+        parity=((board.sign < 0) + top + left) % 2,
         origin=first,
         border=Sides(*ends.tolist()),
         reach=tuple(border.reach.tolist()),
         past=tuple(border.past.tolist()),
-        seen_shape=seen_lines(seen) if misfit else None,
-        confidence=decision.margin,
-        rival=_rival(decision, size, first, shape),
+        seen_shape=seen_lines(Seen.of(board)) if misfit else None,
+        confidence=found.decision.margin,
+        rival=_rival(found.decision, size, first, shape),
         others=others,
         edge_radius=given.edge_radius,
     )
 
 
-def _extent(
-    best: Numbering, lines: tuple[int, int, int, int], size: tuple[int, int], asked: Asked
-) -> tuple[tuple[int, int], tuple[int, int]]:
+def _extent(board: Board, best: Numbering, asked: Asked) -> tuple[tuple[int, int], tuple[int, int]]:
     """Return the number of the grid's first node, and its rows and columns.
 
-    lines: the first and last full row, first and last full column of the board. The grid has the
-    rows and columns of the known shape or at rest, and those beyond a side that is open at rest. A
-    side at which whole lines are seen beyond the border at rest was hidden then.
+    The grid has the rows and columns of the known shape or at rest, and those beyond a side that is
+    open at rest. A side at which whole lines are seen beyond the border at rest was hidden then.
     """
+    size = board.owner.shape
     if asked.shape is None:
-        return (0, 0), size
+        return (0, 0), (size[0], size[1])
     if asked.like is None:
         return (0, 0), asked.shape
+    lines = full_lines(board.owner >= 0)
     first, shape = [], []
     ends = asked.like.border or Sides()
     for axis, start in enumerate((best.row, best.column)):

@@ -1,10 +1,13 @@
 """The arrays of the lattice, from parts to boards."""
 
 import dataclasses
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from cmp_cl.lattice.borders import Border
 
 Whole = NDArray[np.int64]
 Real = NDArray[np.float32]
@@ -73,14 +76,16 @@ class Board:
 
     x, y: px, NaN where missing. owner: their corner, LOOKED or NONE. torn: the position of the
     corner is rough, so that x, y come in part from the neighbours. sign: +1 if the boundary of node
-    (0, 0) towards greater columns is from white to black, clockwise, else -1.
+    (0, 0) towards greater columns is from white to black, clockwise, else -1. border: what is seen
+    at its sides, None if that is not measured.
     """
 
     x: Real
     y: Real
-    owner: Whole
+    owner: NDArray[np.integer[Any]]
     torn: Mask
     sign: int
+    border: "Border | None" = None
 
     @property
     def there(self) -> Mask:
@@ -94,6 +99,8 @@ class Board:
 
     def turned(self, quarters: int) -> "Board":
         """Return the board after quarter turns: after one, row 0 is the former last column."""
+        if not quarters % 4:
+            return self
         rows, columns = self.x.shape
         odd = (0, columns, rows + columns, rows)[quarters % 4] % 2
         return Board(
@@ -102,6 +109,7 @@ class Board:
             owner=np.rot90(self.owner, quarters),
             torn=np.rot90(self.torn, quarters),
             sign=self.sign * (1 - 2 * odd),
+            border=self.border and self.border.turned(quarters),
         )
 
     def only(self, nodes: Mask) -> "Board":

@@ -3,29 +3,30 @@
 import dataclasses
 from collections.abc import Iterator
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.lattice.arrays import NONE, Board
-from cmp_cl.lattice.constants import LatticeConstants
+from cmp_cl.lattice.arrays import Board, Mask
 from cmp_cl.lattice.joins import Placed, joined, units_of
 from cmp_cl.lattice.plan import LatticePlan
 
 LEAST_FACES = 4  # of a part where no other is larger
+LEAST_PIECE = 12  # corners
 
 
 def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
-    """Yield the boards of a frame that was started, without margins, the largest part's first.
+    """Yield the boards of a frame that was started, upright, with their borders, the largest part's
+    first.
 
     xy: (N, 2), the corners of the plan, px. A corner is a node of one board at most. If no part has
     `least_part` faces, four are enough, which 3 x 3 corners have.
     """
     k = plan.constants
     alone = plan.alone()
-    if alone is not None and alone.there.any():
-        board = trimmed(alone, plan.shape, k)
-        if np.count_nonzero(board.there) >= k.least_board:
-            yield board
+    if alone is not None and alone.owner.size:
+        if np.count_nonzero(alone.there) >= k.least_board:
+            yield from _apart(plan, alone)
         return
     parts = plan.parts()
     units = units_of(parts, xy, k)
@@ -39,12 +40,12 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
             continue
         placed = joined(units, votes, len(xy), k, main)
         placed.part[taken] = -1
-        board = trimmed(plan.settle(numbers_of(placed)), plan.shape, k)
+        board = plan.settle(numbers_of(placed))
         owner = board.owner[board.owner >= 0]
         if np.count_nonzero(board.there) < k.least_board:
             continue
         taken[owner] = True
-        yield board
+        yield from _apart(plan, board)
 
 
 def numbers_of(placed: Placed) -> NDArray[np.int32]:
@@ -54,43 +55,57 @@ def numbers_of(placed: Placed) -> NDArray[np.int32]:
     return np.stack([column, row, placed.rotation, placed.there], axis=1).astype(np.int32)
 
 
-def cropped(board: Board) -> Board:
+def _apart(plan: LatticePlan, board: Board) -> list[Board]:
+    """Return a board, or several if a piece of it that touches no other ends where others follow.
+
+    Colours counted across plain ground can join two boards that lie in one plane.
+    """
+    seen = board.owner >= 0
+    if seen.all():
+        return [board]
+    count, label = cv2.connectedComponents(seen.astype(np.uint8), connectivity=4)
+    pieces = [label == n for n in range(1, count)]
+    pieces = sorted(
+        (each for each in pieces if each.sum() >= LEAST_PIECE), key=lambda each: -each.sum()
+    )
+    found, rest = [], seen
+    for piece in pieces[1:]:
+        top, bottom, left, right = _box(piece)
+        others = seen & ~piece
+        follow = (
+            others[:top, left:right].any(),
+            others[bottom:, left:right].any(),
+            others[top:bottom, :left].any(),
+            others[top:bottom, right:].any(),
+        )
+        alone = _cropped(board.only(piece))
+        alone.border, quarters = plan.measured(alone)
+        if (alone.border.ends & follow).any():
+            found.append(alone.turned(quarters))
+            rest = rest & ~piece
+    if not found:
+        return [board]
+    left_over = _cropped(board.only(rest))
+    left_over.border, quarters = plan.measured(left_over)
+    return [left_over.turned(quarters), *found]
+
+
+def _cropped(board: Board) -> Board:
     """Return the board without the empty rows and columns around it."""
-    row, column = (np.flatnonzero(board.there.any(axis)) for axis in (1, 0))
-    if not len(row):
+    if not board.there.any():
         return board
-    box = np.s_[row[0] : row[-1] + 1, column[0] : column[-1] + 1]
+    top, bottom, left, right = _box(board.there)
+    box = np.s_[top:bottom, left:right]
     return Board(
         x=board.x[box],
         y=board.y[box],
         owner=board.owner[box],
         torn=board.torn[box],
-        sign=board.sign * (1 - 2 * int((row[0] + column[0]) % 2)),
+        sign=board.sign * (1 - 2 * ((top + left) % 2)),
     )
 
 
-def trimmed(board: Board, shape: tuple[int, int], k: LatticeConstants) -> Board:
-    """Return the board without outer lines that hold too few of their places in view.
-
-    shape: of the image. Things beside a pattern continue some of its columns, a further line of the
-    pattern continues all of them.
-    """
-    height, width = shape
-    while True:
-        board = cropped(board)
-        z = np.where(board.there, board.x + 1j * board.y, np.nan)
-        worst, line = 0.0, None
-        for number, way in enumerate((z, z[::-1], z.T, z.T[::-1])):
-            if len(way) < 3:
-                continue
-            place = 2 * way[1] - way[2]
-            inside = (place.real > k.edge_px) & (place.real < width - 1 - k.edge_px)
-            inside &= (place.imag > k.edge_px) & (place.imag < height - 1 - k.edge_px)
-            there = ~np.isnan(way[0].real)
-            lack = k.least_line * np.count_nonzero(there | inside) - np.count_nonzero(there)
-            if lack > worst:
-                worst, line = lack, number
-        if line is None:
-            return board
-        cut = (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])[line]
-        board.owner[cut], board.x[cut], board.y[cut] = NONE, np.nan, np.nan
+def _box(there: Mask) -> tuple[int, int, int, int]:
+    """Return the first row that has any, the one after the last, and the same of columns."""
+    row, column = (np.flatnonzero(there.any(axis)) for axis in (1, 0))
+    return int(row[0]), int(row[-1]) + 1, int(column[0]), int(column[-1]) + 1

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmp_cl.lattice.arrays import Float, Numbers, Whole
+from cmp_cl.lattice.arrays import Board, Float, Mask, Numbers, Whole
 from cmp_cl.lattice.borders import Border
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.printing import Prints, agreement, prints_of
@@ -33,6 +33,13 @@ class Seen:
     parity: int
     border: Border
 
+    @classmethod
+    def of(cls, board: Board) -> "Seen":
+        """Return a board with a border as it is seen."""
+        assert board.border is not None
+        at = np.where(board.owner >= 0, board.x + 1j * board.y.astype(np.float64), np.nan)
+        return cls(at, int(board.sign < 0), board.border)
+
     def turned(self, quarters: int) -> "Seen":
         """Return the same after quarter turns: after one, row 0 is the former last column."""
         rows, columns = self.at.shape
@@ -40,6 +47,10 @@ class Seen:
         return Seen(
             np.rot90(self.at, quarters), (self.parity + odd) % 2, self.border.turned(quarters)
         )
+
+    @functools.cached_property
+    def full_lines(self) -> tuple[int, int, int, int]:
+        return full_lines(~np.isnan(self.at.real))
 
     @functools.cached_property
     def prints(self) -> Prints:
@@ -83,12 +94,6 @@ class Decision(NamedTuple):
     best: Numbering
     second: Numbering | None
     margin: float
-
-
-def upright(at: Numbers) -> int:
-    """Return the quarter turns after which the columns of a board follow the image's x axis."""
-    along, down = _steps(at)
-    return int(np.argmin(np.abs(np.angle([along, down, -along, -down]))))
 
 
 def like_rest(
@@ -156,7 +161,7 @@ def _shifts(
     away = np.square(row - unmoved[0])[:, None] + np.square(column - unmoved[1])
     score = nats - np.minimum(away / (2 * sd_cells**2), k.motion_nats)
     score += agreement(rest.seen.prints, prints, row - origin[0], column - origin[1], k)
-    here, there = full_lines(now.at), full_lines(rest.seen.at)
+    here, there = now.full_lines, rest.seen.full_lines
     for axis, first in ((0, row), (1, column)):
         ends = _of_ends(
             first - origin[axis],
@@ -231,7 +236,7 @@ def in_shape(now: Seen, shape: tuple[int, int], k: LatticeConstants) -> Decision
     found = []
     for quarters in turns:
         turned = now.turned(quarters)
-        top, bottom, left, right = full_lines(turned.at)
+        top, bottom, left, right = turned.full_lines
         rows = _places(top, bottom, shape[0], turned.border, 0, k)
         columns = _places(left, right, shape[1], turned.border, 2, k)
         found += [
@@ -266,14 +271,13 @@ def _places(
 def seen_lines(now: Seen) -> tuple[int, int]:
     """Return the rows and columns that a board seems to have: its own, and one more on each side
     on which the pattern follows."""
-    top, bottom, left, right = full_lines(now.at)
+    top, bottom, left, right = now.full_lines
     more = now.border.follows.astype(int)
     return bottom - top + 1 + more[:2].sum(), right - left + 1 + more[2:].sum()
 
 
-def full_lines(at: Numbers) -> tuple[int, int, int, int]:
+def full_lines(there: Mask) -> tuple[int, int, int, int]:
     """Return the first and last row, first and last column with a fair share of the nodes."""
-    there = ~np.isnan(at.real)
     ends = []
     for axis in (1, 0):
         count = np.count_nonzero(there, axis=axis)

@@ -12,8 +12,9 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.image import GreyImage
-from cmp_cl.lattice import links, nodes, parts, votes
+from cmp_cl.lattice import borders, links, nodes, parts, votes
 from cmp_cl.lattice.arrays import Board, Parts, Units, Votes, Whole
+from cmp_cl.lattice.borders import Border
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.opencl.device import Device, DeviceKind, check_process, is_forked
 from cmp_cl.opencl.launches import GROUP, Binder, Launch, multiple
@@ -28,8 +29,9 @@ from cmp_cl.stages.refine import (
     RESULT_HEAD,
 )
 
-FILES = ("bins", "links", "faces", "parts", "votes", "nodes")
-SHARED = ("image", "corners", "layout", "result", "owner", "rough")  # that the host writes or reads
+FILES = ("bins", "links", "faces", "parts", "votes", "nodes", "borders")
+# That the host writes or reads.
+SHARED = ("image", "corners", "layout", "nodes", "node_owner", "node_rough", "border")
 ONE_GROUP = 256  # work-items of a kernel that is one work-group
 PLACES = 16384  # of a board with few corners
 FIRST_PASSES = 2  # that are launched with a frame; whole gels need one or two
@@ -93,6 +95,8 @@ class LatticePlan(Binder):
         self.find_votes = votes.launches(self)
         self.lay_only, self.lay = (nodes.lay(self, most) for most in (1, nodes.ANY))
         self.a_pass = nodes.a_pass(self)
+        self.measure = [borders.measure(self)]
+        self.finish = [borders.cut(self), *self.measure]
         self._likely = 0  # places of a board, as of the frame before
 
     def __del__(self) -> None:
@@ -172,6 +176,7 @@ class LatticePlan(Binder):
             **parts.sizes(self),
             **votes.sizes(self),
             **nodes.sizes(self),
+            **borders.sizes(self),
         }
 
     def _buffer(self, name: str, size: int) -> cl.Buffer:
@@ -278,7 +283,7 @@ class LatticePlan(Binder):
     def start(self) -> None:
         """Enqueue what leads from the corners to the parts, and if one part is large enough, to its
         board. Nothing is waited for."""
-        self.enqueue([*self.launches, *self.lay_only, *self.a_pass * FIRST_PASSES])
+        self.enqueue([*self.launches, *self.lay_only, *self._passes(FIRST_PASSES)])
 
     def wait(self) -> None:
         """Wait until the launches are done."""
@@ -322,7 +327,7 @@ class LatticePlan(Binder):
         return votes.votes(self, units)
 
     def settle(self, numbers: NDArray[np.int32] | None = None) -> Board:
-        """Return the board of numbered corners once no pass changes its nodes.
+        """Return the board of numbered corners once no pass changes its nodes, as `_board`.
 
         numbers: (N, 4), column, row, quarter turn, and 1 for a corner that has them; None for those
             of the largest part. A number that several corners have goes to the first of them. The
@@ -330,8 +335,20 @@ class LatticePlan(Binder):
         """
         if numbers is not None:
             self._write("numbers", numbers)
-        self.enqueue([*self.lay, *self.a_pass * FIRST_PASSES])
+        self.enqueue([*self.lay, *self._passes(FIRST_PASSES)])
         return self._after_all_passes(*self._board())
+
+    def measured(self, board: Board) -> tuple[Border, int]:
+        """Return the border of a board, and the quarter turns that make it upright."""
+        self._write("border", np.array(board.owner.shape, np.int32))
+        self._write("nodes", np.stack([board.x, board.y], axis=2))
+        self._write("node_owner", board.owner.astype(np.int32))
+        self.enqueue(self.measure)
+        found = self.read("border", np.int32)
+        return Border.of(found), borders.upright(found)
+
+    def _passes(self, count: int) -> list[Launch]:
+        return [*self.a_pass * count, *self.finish]
 
     def _after_all_passes(self, layout: NDArray[np.int32], board: Board) -> Board:
         """Return the board once no pass changes it, from its state after some passes."""
@@ -340,36 +357,39 @@ class LatticePlan(Binder):
             layout[nodes.DROPPED] or layout[nodes.ENTERED]
         ):
             passes = min(2 * passes, MOST_PASSES)
-            self.enqueue(self.a_pass * passes)
+            self.enqueue(self._passes(passes))
             layout, board = self._board()
         return board
 
     def _board(self) -> tuple[NDArray[np.int32], Board]:
-        """Wait. Return the layout, and the board as it is."""
+        """Wait. Return the layout, and the board as it is: upright, with its border, without outer
+        lines that hold too few of their places in view."""
 
         def fetched(places: int) -> list[NDArray[Any]]:
             return self.fetch(
                 ("layout", np.int32, nodes.LAYOUT),
-                ("result", np.float32, 2 * places),
-                ("owner", np.int32, places),
-                ("rough", np.bool_, places),
+                ("border", np.int32, borders.FOUND),
+                ("nodes", np.float32, 2 * places),
+                ("node_owner", np.int32, places),
+                ("node_rough", np.bool_, places),
             )
 
-        layout, at, owner, rough = fetched(self._likely)
-        shape = int(layout[nodes.ROWS]), int(layout[nodes.COLUMNS])
+        layout, found, at, owner, rough = fetched(self._likely)
+        shape = int(found[borders.ROWS]), int(found[borders.COLUMNS])
         count = shape[0] * shape[1]
         if count > self._likely:
-            layout, at, owner, rough = fetched(count)
+            layout, found, at, owner, rough = fetched(count)
         self._likely = count
         x, y = at[: 2 * count].reshape(*shape, 2).transpose(2, 0, 1)
         board = Board(
             x=x,
             y=y,
-            owner=owner[:count].reshape(shape).astype(np.int64),
+            owner=owner[:count].reshape(shape),
             torn=rough[:count].reshape(shape),
-            sign=int(layout[nodes.SIGN]),
+            sign=int(found[borders.SIGN]),
+            border=Border.of(found),
         )
-        return layout, board
+        return layout, board.turned(borders.upright(found))
 
     def fetch(self, *wanted: tuple[str, Any, int]) -> list[NDArray[Any]]:
         """Return the first elements of buffers after the launches: names, dtypes, counts."""

@@ -1,4 +1,4 @@
-"""The nodes of a board: the kernels equal the oracle, owners and positions seen to the bit."""
+"""The nodes of a board and its sides: the kernels equal the oracle, positions to the bit."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,9 @@ from lattices import keep
 
 from cmp_cl import detect
 from cmp_cl.lattice.arrays import LOOKED, NONE, Board
+from cmp_cl.lattice.borders import CONTRAST, upright
 from cmp_cl.reference import harmonic
+from cmp_cl.reference.lattice import borders
 from cmp_cl.reference.lattice import nodes as lattice_nodes
 from cmp_cl.reference.lattice import parts as lattice
 from cmp_cl.synthetic import Indenter
@@ -67,6 +69,11 @@ def assert_equal_to_the_oracle(device, image, corners, *, change=None):
     wanted = lattice_nodes.settled(
         plane, corners.xy, torn, board_of(alone(numbers), corners.xy, torn), K
     )
+    wanted = borders.trimmed(wanted, image.shape, K)
+    sides = borders.Sides(wanted, image, K)
+    seen = plan.read("border", np.int32)
+    assert seen[CONTRAST:].tolist() == sides.found()
+    wanted = wanted.turned(upright(seen))
     np.testing.assert_array_equal(found.owner, wanted.owner)
     np.testing.assert_array_equal(found.torn & found.there, wanted.torn & wanted.there)
     np.testing.assert_array_equal(found.x, wanted.x)

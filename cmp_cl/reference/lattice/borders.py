@@ -1,0 +1,238 @@
+"""A board without lines that are none of it, and what is seen at its sides (section 13.6).
+
+Positions are float32 with + - * in a fixed order, levels and shares are integers, so that the
+kernels give the same bits.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.image import GreyImage
+from cmp_cl.lattice.arrays import Board
+from cmp_cl.lattice.borders import UNSEEN, WHOLE
+from cmp_cl.lattice.constants import LatticeConstants
+from cmp_cl.reference.lattice.parts import F, Mask, Real, Whole
+
+PAIRS = 16  # pairs of neighbouring squares of a side that are read
+DEPTHS = np.array([F(0.1) * F(n) for n in range(3, 15)])  # cells, where the last squares may end
+SPOTS = np.array([F(0.15) * F(n) for n in (-1, 0, 1)])  # cells along the side
+SIGHT, BEYOND = (F(1.75), F(1.2)), (F(1.5), F(1.15))  # cells; the second where the image ends
+ROOM = F(1.4)  # steps: a place nearer to the edge of the image may be missed
+Positions = tuple[Real, Real]  # x, y, px, NaN where missing
+
+
+def trimmed(board: Board, shape: tuple[int, int], k: LatticeConstants) -> Board:
+    """Return the board without empty outer lines, and without those that hold less than
+    `least_line` of their places in the image. A place is where the next two lines predict it. The
+    line that lacks most goes first."""
+    rows, columns = np.array(shape) - 1
+    edge = F(k.edge_px)
+    box = [0, board.x.shape[0], 0, board.x.shape[1]]
+    while True:
+        owner, x, y = (a[box[0] : box[1], box[2] : box[3]] for a in (board.owner, board.x, board.y))
+        if not owner.size:
+            box = [0, 0, 0, 0]
+            break
+        sides = list(zip(*(_ways(each) for each in (owner >= -2, owner, x, y)), strict=True))
+        empty = [not (owner[0] != -1).any() for _, owner, _, _ in sides]
+        worst, lines = F(0), [False] * 4
+        for side, (_, line, x_of, y_of) in enumerate(sides if not any(empty) else ()):
+            if len(line) < 3:
+                continue
+            there = line != -1
+            px, py = F(2) * x_of[1] - x_of[2], F(2) * y_of[1] - y_of[2]
+            inside = there[1] & there[2] & (px > edge) & (px < F(columns) - edge)
+            inside &= (py > edge) & (py < F(rows) - edge)
+            count = np.count_nonzero(there[0])
+            lack = F(k.least_line) * F(np.count_nonzero(there[0] | inside)) - F(count)
+            if lack > worst:
+                worst, lines = lack, [n == side for n in range(4)]
+        if not any(empty) and not any(lines):
+            break
+        for n, cut in enumerate(empty if any(empty) else lines):
+            box[n] += (1 - 2 * (n % 2)) * cut
+    here = np.s_[box[0] : box[1], box[2] : box[3]]
+    return Board(
+        x=board.x[here],
+        y=board.y[here],
+        owner=board.owner[here],
+        torn=board.torn[here],
+        sign=board.sign * (1 - 2 * ((box[0] + box[2]) % 2)),
+    )
+
+
+def _ways(a: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return an array as seen from the top, the bottom, the left and the right: row 0 is the last
+    line there."""
+    return [a, a[::-1], a.T, a.T[::-1]]
+
+
+class Sides:
+    """What is seen at the sides of a board, (4,) each: top, bottom, left, right.
+
+    room: most places of a further line lie in the image. follows: cells follow. reach: of the last
+    squares beyond the last nodes, 0.25 cells and as many of 0.05 / 4096 more, UNSEEN where the
+    pattern is not seen to end. past: the sum of three levels beyond the line of a border, past the
+    pattern, less that of three within, UNSEEN where that is not seen. contrast: that of the
+    pattern. steps: sums of the steps to the next column, x and y, and to the next row, 1/32 px.
+    """
+
+    def __init__(self, board: Board, image: GreyImage, k: LatticeConstants) -> None:
+        there = board.owner >= 0
+        self.image, self.k = image, k
+        self.x = np.where(there, board.x, F(np.nan))
+        self.y = np.where(there, board.y, F(np.nan))
+        self.ways = list(zip(_ways(self.x), _ways(self.y), strict=True))
+        self.room = np.array([self._has_room(*way) for way in self.ways])
+        self.follows, self.reach = np.zeros(4, np.bool_), np.full(4, UNSEEN)
+        self.past, self.contrast = np.full(4, UNSEEN), 1
+        steps = [np.diff(each, axis=axis) for axis in (1, 0) for each in (self.x, self.y)]
+        self.steps = [int(np.floor(F(32) * d[~np.isnan(d)] + F(0.5)).sum()) for d in steps]
+        if min(there.shape) < 2:
+            return
+        for n, way in enumerate(self.ways):
+            self.follows[n], self.reach[n] = self._read(*way)
+        levels = self._levels_of_a_row()
+        if len(levels):
+            low, high = levels[len(levels) // 4], levels[3 * len(levels) // 4]
+            self.contrast = max(high - low, 1)
+        if len(levels) >= 2:
+            for n, way in enumerate(self.ways):
+                others = self.reach[2:] if n < 2 else self.reach[:2]
+                self.past[n] = self._past(*way, self.reach[n], others)
+
+    def found(self) -> list[int]:
+        """Return all in the order of the kernel, after rows, columns and sign."""
+        return [
+            self.contrast,
+            *self.room.tolist(),
+            *self.follows.tolist(),
+            *self.reach.tolist(),
+            *self.past.tolist(),
+            *self.steps,
+        ]
+
+    def _in_view(self, x: Real, y: Real) -> Mask:
+        rows, columns = self.image.shape
+        inside: Mask = (x >= 0) & (y >= 0) & (x < F(columns)) & (y < F(rows))
+        return inside
+
+    def _grey(self, x: Real, y: Real) -> Whole:
+        """Return the levels of the nearest pixels."""
+        rows, columns = self.image.shape
+        column = np.floor(x + F(0.5)).astype(np.int64).clip(0, columns - 1)
+        row = np.floor(y + F(0.5)).astype(np.int64).clip(0, rows - 1)
+        levels: Whole = self.image[row, column].astype(np.int64)
+        return levels
+
+    def _has_room(self, x: Real, y: Real) -> bool:
+        known = inside = 0
+        for column in range(x.shape[1]):
+            nodes = np.flatnonzero(~np.isnan(x[:, column]))
+            if len(nodes) < 2 or nodes[1] != nodes[0] + 1:
+                continue
+            (x1, x2), (y1, y2) = x[nodes[:2], column], y[nodes[:2], column]
+            known += 1
+            inside += bool(self._in_view(x1 + ROOM * (x1 - x2), y1 + ROOM * (y1 - y2)))
+        return 2 * inside > known
+
+    def _read(self, x: Real, y: Real) -> tuple[bool, int]:
+        """Return whether cells follow at a side, and its reach."""
+        lines = np.count_nonzero(~np.isnan(x).all(axis=0))
+        middle, out, along = [], [], []
+        for a in (x, y):
+            middles = F(0.5) * (a[:2, 1:] + a[:2, :-1])
+            middle.append(middles[0])
+            out.append(middles[0] - middles[1])
+            along.append(a[0, 1:] - a[0, :-1])
+        square = ~np.isnan(out[0])
+        first = np.flatnonzero(square[:-1] & square[1:])
+        if 2 * np.count_nonzero(square) < lines - 1:
+            first = first[:0]
+        asked = min(len(first), PAIRS)
+        first = first[np.arange(asked) * len(first) // max(asked, 1)]
+        both = np.stack([first, first + 1], axis=1)
+        both = np.where(first[:, None] % 2, both[:, ::-1], both)  # an even square comes first
+
+        def at(depth: np.float32, spot: np.float32) -> Positions:
+            return tuple((middle[n][both] + depth * out[n][both]) + spot * along[n][both]
+                         for n in (0, 1))  # fmt: skip
+
+        seen = [self._in_view(*at(depth, F(0))).all(axis=1) for depth in SIGHT]
+        near = bool(2 * np.count_nonzero(seen[0]) < asked)
+        both = both[seen[near]]
+        if not len(both) or 2 * len(both) < asked:
+            return False, UNSEEN
+        depths = [F(-0.5), BEYOND[near], *DEPTHS]
+        level = np.array([sum(self._grey(*at(d, spot)) for spot in SPOTS) for d in depths])
+        inside, beyond = (abs(int((level[n, :, 0] - level[n, :, 1]).sum())) for n in (0, 1))
+        change = int(np.abs(level[0] - level[1]).sum())
+        follows = bool(F(change) < F(2) * F(self.k.follow_share) * F(inside))
+        if not F(beyond) < F(self.k.end_share) * F(inside):
+            return follows, UNSEEN
+        return follows, self._common(np.abs(level[..., 0] - level[..., 1]), x.shape[1])
+
+    def _common(self, contrast: Whole, length: int) -> int:
+        """Return the median reach of pairs of squares, doubled, if they reach equally far.
+
+        contrast: (depths, pairs). Three of four must be near the median, and the medians of both
+        halves near each other. A single pair of a longer side shows nothing.
+        """
+        count = contrast.shape[1]
+        if count < max(min(2, length - 2), 1):
+            return UNSEEN
+        inside = np.maximum(contrast[0], 1)
+        share = np.zeros((len(DEPTHS) + 4, count), np.int64)
+        share[2:-2] = np.minimum(contrast[2:], inside) * WHOLE // inside
+        around = np.minimum(
+            np.maximum(share[:-4], share[1:-3]), np.maximum(share[3:-1], share[4:])
+        )  # where black and white change places
+        reach = np.maximum(share[2:-2], around).sum(axis=0)
+        limit = int(self.k.parallel_cells / 0.05 * WHOLE)
+        common = _doubled_median(reach)
+        part = count // 2 if count // 2 > 2 else count
+        off = np.sort(np.abs(2 * reach - common))[(3 * count - 1) // 4]
+        apart = abs(_doubled_median(reach[:part]) - _doubled_median(reach[-part:]))
+        return common if max(off, apart) <= limit else UNSEEN
+
+    def _levels_of_a_row(self) -> Whole:
+        """Return the levels in the middles of the cells of the middle row, in order."""
+        row = len(self.x) // 2
+        x, y = (F(0.5) * (a[row - 1, 1:] + a[row, :-1]) for a in (self.x, self.y))
+        there = ~np.isnan(x)
+        return np.sort(self._grey(x[there], y[there]))
+
+    def _past(self, x: Real, y: Real, reach: int, others: Whole) -> int:
+        """Return the smaller of the differences at both ends of a side, 0 if their signs differ."""
+        found = []
+        for end, inner, other in ((0, 1, others[0]), (-1, -2, others[1])):
+            if UNSEEN in (reach, other):
+                continue
+            out, along = (
+                [a[0, end] - b for a, b in ((x, x[at]), (y, y[at]))]
+                for at in ((1, end), (0, inner))
+            )
+            across, ahead = (F(0.25) + F(each) * F(0.05 / WHOLE) for each in (reach, other))
+            levels = []
+            for aside in (F(-0.3), F(0.3)):
+                on = [ahead + F(0.3) * F(n) for n in (1, 2, 3)]
+                px, py = (
+                    np.array([(a[0, end] + (across + aside) * o) + each * s for each in on])
+                    for a, o, s in ((x, out[0], along[0]), (y, out[1], along[1]))
+                )
+                if self._in_view(px, py).all():
+                    levels.append(int(self._grey(px, py).sum()))
+            if len(levels) == 2:
+                found.append(levels[1] - levels[0])
+        if not found:
+            return UNSEEN
+        if min(found) > 0 or max(found) < 0:
+            return min(found, key=abs)
+        return 0
+
+
+def _doubled_median(values: Whole) -> int:
+    ordered = np.sort(values)
+    return int(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])

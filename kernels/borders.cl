@@ -1,0 +1,379 @@
+#include "lattice.clh"
+
+/* The sides of a board (13.6): whether the pattern ends there, how far its last squares reach, and
+ * what lies past them.
+ *
+ * A side is read along squares that share its last two lines of nodes. From one square to the next
+ * the colours change, so the difference of two neighbours, with its sign, is the pattern's own
+ * signal: it is there inside, it is gone where the pattern ends, and it comes back where cells
+ * follow. Levels are those of the image; decisions rest on their sums.
+ *
+ * nodes: the positions of a board, row by row; owner: their corners; only nodes with one are read
+ * here. Sides are top, bottom, left, right; line 0 of a side is its last one. */
+#define SIDES 4
+#define PAIRS 16  /* pairs of neighbouring squares of a side that are read */
+#define DEPTHS 14 /* half a cell inside, beyond, and at .3 to 1.4 cells */
+#define NEAR_DEPTH 2
+#define UNSEEN INT_MIN
+#define WHOLE 4096 /* a share of 1 */
+#define REACH(doubled) (0.25f + (float)(doubled) * (0.05f / WHOLE)) /* cells */
+
+/* What is found, see cmp_cl/lattice/borders.py. */
+#define ROWS_OF 0
+#define COLUMNS_OF 1
+#define SIGN_OF 2
+#define CONTRAST_OF 3
+#define ROOM_OF 4
+#define FOLLOWS_OF 8
+#define REACH_OF 12
+#define PAST_OF 16
+#define STEPS_OF 20
+
+/* A place, by its line from a side and its number there. box: top, bottom, left, right, the ends not
+ * included. */
+int place_on(const int side, const int line, const int k, const int4 box, const int width) {
+  const int row = side == 0 ? box.x + line : side == 1 ? box.y - 1 - line : box.x + k;
+  const int column = side == 2 ? box.z + line : side == 3 ? box.w - 1 - line : box.z + k;
+  return row * width + column;
+}
+#define MAGNITUDE_OF(v) ((int)abs(v))
+#define LINES_OF(side) ((side) < 2 ? height : width)
+#define LENGTH_OF(side) ((side) < 2 ? width : height)
+
+/* Take off the outer lines of a board that hold too few of their places in view, and keep the rest.
+ * Things beside a pattern continue some of its columns, a further line of the pattern continues all
+ * of them. One work-group. */
+__kernel void cut_board(const uint rows, const uint columns, const float least_line,
+                        const float edge, __global const int *restrict layout,
+                        __global const float2 *restrict result,
+                        __global const int *restrict owner, __global const uchar *restrict rough,
+                        __global float2 *restrict nodes, __global int *restrict node_owner,
+                        __global uchar *restrict node_rough, __global int *restrict border) {
+  const int width = layout[BOARD_COLUMNS];
+  int4 box = (int4)(0, layout[BOARD_ROWS], 0, width);
+  __local int there[SIDES], asked[SIDES];
+  for (;;) {
+    const int height = box.y - box.x, across = box.w - box.z;
+    ALL_TOGETHER;
+    if (height <= 0 || across <= 0) break;
+    FOR_ALL(side, SIDES) there[side] = asked[side] = 0;
+    ALL_TOGETHER;
+    FOR_ALL(m, SIDES * LARGER(height, across)) {
+      const int side = m & 3, k = m >> 2, lines = side < 2 ? height : across;
+      if (k >= (side < 2 ? across : height)) continue;
+      const bool is_here = owner[place_on(side, 0, k, box, width)] != NONE;
+      bool counts = is_here;
+      if (!counts && lines >= 3) {
+        const int one = place_on(side, 1, k, box, width);
+        const int two = place_on(side, 2, k, box, width);
+        const float2 p = 2.0f * result[one] - result[two];
+        counts = owner[one] != NONE && owner[two] != NONE && p.x > edge && p.y > edge &&
+                 p.x < (float)((int)columns - 1) - edge && p.y < (float)((int)rows - 1) - edge;
+      }
+      if (is_here) atomic_inc(there + side);
+      if (counts) atomic_inc(asked + side);
+    }
+    ALL_TOGETHER;
+    bool any = false; /* of the lines without a node */
+    for (int side = 0; side < SIDES; ++side) any |= !there[side];
+    float worst = 0;
+    int line = NONE;
+    for (int side = 0; side < SIDES && !any; ++side) {
+      const float lack = least_line * (float)asked[side] - (float)there[side];
+      if (lack > worst && (side < 2 ? height : across) >= 3) {
+        worst = lack;
+        line = side;
+      }
+    }
+    if (!any && line == NONE) break;
+    box.x += any ? !there[0] : line == 0;
+    box.y -= any ? !there[1] : line == 1;
+    box.z += any ? !there[2] : line == 2;
+    box.w -= any ? !there[3] : line == 3;
+  }
+  const int height = LARGER(box.y - box.x, 0), across = LARGER(box.w - box.z, 0);
+  const int all = height && across ? height * across : 0;
+  FOR_ALL(place, all) {
+    const int from = (box.x + place / across) * width + box.z + place % across;
+    nodes[place] = result[from];
+    node_owner[place] = owner[from];
+    node_rough[place] = rough[from];
+  }
+  if (get_local_id(0)) return;
+  border[ROWS_OF] = all ? height : 0;
+  border[COLUMNS_OF] = all ? across : 0;
+  border[SIGN_OF] = (box.x + box.z) & 1 ? -layout[SIGN] : layout[SIGN];
+}
+
+/* The position of a corner's node, NAN without one. */
+#define AT(side, line, k) corner_at(nodes, owner, place_on(side, line, k, (int4)(0, height, 0, width), width))
+float2 corner_at(__global const float2 *nodes, __global const int *owner, const int place) {
+  return owner[place] >= 0 ? nodes[place] : (float2)(NAN, NAN);
+}
+#define IS_HERE(p) ((p).x == (p).x)
+
+#define IMAGE image, step, rows, columns
+#define IMAGE_OF_BOARD                                                              \
+  __global const PIXEL *restrict image, const uint step, const uint rows, const uint columns
+bool is_in_view(const float2 p, const uint rows, const uint columns) {
+  return p.x >= 0 && p.y >= 0 && p.x < (float)columns && p.y < (float)rows;
+}
+int grey_at(IMAGE_OF_BOARD, const float2 p) {
+  const int column = floor_of(p.x + 0.5f), row = floor_of(p.y + 0.5f);
+  return image[(HELD(row, rows) + 1) * (int)step + PAD + HELD(column, columns)];
+}
+
+/* A square at a side: the middle of its side on the last line, and the steps out of the board and
+ * along the line, px. */
+typedef struct {
+  float2 middle, out, along;
+} Square;
+Square square_at(__global const float2 *nodes, __global const int *owner, const int side,
+                 const int k, const int height, const int width) {
+  const float2 a = AT(side, 0, k + 1), b = AT(side, 0, k);
+  const float2 middle = 0.5f * (a + b), inner = 0.5f * (AT(side, 1, k + 1) + AT(side, 1, k));
+  Square found = {middle, middle - inner, a - b};
+  return found;
+}
+#define SQUARE_AT(side, k) square_at(nodes, owner, side, k, height, width)
+#define IS_SQUARE(square) IS_HERE((square).out)
+
+/* Which pairs of squares a side has in sight, as far as some cells beyond it. Returns their number. */
+#define PAIRS_IN_SIGHT(side, sight)                                                 \
+  pairs_in_sight(nodes, owner, side, height, width, own, pairs[side], sight, rows, columns, own_shown)
+int pairs_in_sight(__global const float2 *nodes, __global const int *owner, const int side,
+                   const int height, const int width, __local const int *first, const int pairs,
+                   const float sight, const uint rows, const uint columns, __local int *shown) {
+  int seen = 0;
+  for (int n = 0; n < pairs; ++n) {
+    const Square one = SQUARE_AT(side, first[n]), two = SQUARE_AT(side, first[n] + 1);
+    shown[n] = is_in_view(one.middle + sight * one.out, rows, columns) &&
+               is_in_view(two.middle + sight * two.out, rows, columns);
+    seen += shown[n];
+  }
+  return seen;
+}
+
+/* Twice the median of some numbers. */
+int doubled_median(__local const int *values, const int count) {
+  int low = 0, high = 0;
+  for (int k = 0; k < count; ++k) {
+    int less = 0, equal = 0;
+    for (int n = 0; n < count; ++n) {
+      less += values[n] < values[k];
+      equal += values[n] == values[k];
+    }
+    if (less <= (count - 1) / 2 && (count - 1) / 2 < less + equal) low = values[k];
+    if (less <= count / 2 && count / 2 < less + equal) high = values[k];
+  }
+  return low + high;
+}
+
+/* Squares of a side, in pairs of neighbours; `first` has those of the pairs that are read. There are
+ * none where less than half of the board's lines end. Returns their number. */
+int list_pairs(__global const float2 *nodes, __global const int *owner, const int side,
+               const int height, const int width, __local int *first) {
+  const int length = LENGTH_OF(side), deep = LINES_OF(side);
+  int squares = 0, pairs = 0, lines = 0;
+  bool before = false;
+  for (int k = 0; k < length; ++k) {
+    bool any = false;
+    for (int line = 0; line < deep && !any; ++line) any = IS_HERE(AT(side, line, k));
+    lines += any;
+    const bool is_square = k < length - 1 && IS_SQUARE(SQUARE_AT(side, k));
+    squares += is_square;
+    pairs += is_square && before;
+    before = is_square;
+  }
+  if (2 * squares < lines - 1) return 0;
+  const int read = SMALLER(pairs, PAIRS);
+  before = false;
+  for (int k = 0, pair = 0, n = 0; n < read; ++k) {
+    const bool is_square = IS_SQUARE(SQUARE_AT(side, k));
+    if (is_square && before && pair++ == n * pairs / read) first[n++] = k - 1;
+    before = is_square;
+  }
+  return read;
+}
+
+/* Whether most places of a line before the first one lie in the image. */
+#define BEYOND 1.4f /* steps: a place nearer to the edge of the image may be missed */
+bool has_room(__global const float2 *nodes, __global const int *owner, const int side,
+              const int height, const int width, const uint rows, const uint columns) {
+  int known = 0, inside = 0;
+  for (int k = 0; k < LENGTH_OF(side); ++k) {
+    int line = 0;
+    while (line < LINES_OF(side) - 1 && !IS_HERE(AT(side, line, k))) ++line;
+    if (line == LINES_OF(side) - 1) continue;
+    const float2 one = AT(side, line, k), two = AT(side, line + 1, k);
+    if (!IS_HERE(two)) continue;
+    ++known;
+    inside += is_in_view(one + BEYOND * (one - two), rows, columns);
+  }
+  return 2 * inside > known;
+}
+
+/* How far pairs of squares reach, twice the sum of their shares; UNSEEN if they do not reach equally
+ * far. Three of four must be near the median, and the medians of both halves near each other,
+ * because along an oblique edge they differ. A single pair of a longer side shows nothing. */
+int common_reach(__local const int *reach, const int count, const int length, const int parallel) {
+  if (count < LARGER(SMALLER(2, length - 2), 1)) return UNSEEN;
+  const int common = doubled_median(reach, count), part = count / 2 > 2 ? count / 2 : count;
+  int near = 0;
+  for (int k = 0; k < count; ++k) near += MAGNITUDE_OF(2 * reach[k] - common) <= parallel;
+  const int apart = doubled_median(reach, part) - doubled_median(reach + count - part, part);
+  return near > (3 * count - 1) / 4 && MAGNITUDE_OF(apart) <= parallel ? common : UNSEEN;
+}
+
+/* What lies past the corner of the pattern at one end of a side: the sum of levels beyond its line
+ * less that of levels within; UNSEEN if it is not. */
+int step_past(IMAGE_OF_BOARD, __global const float2 *nodes, __global const int *owner,
+              const int side, const int end, const int height, const int width, const int reach,
+              const int other) {
+  const int k = end ? LENGTH_OF(side) - 1 : 0;
+  const float2 node = AT(side, 0, k);
+  const float2 out = node - AT(side, 1, k), along = node - AT(side, 0, end ? k - 1 : 1);
+  int sum = 0;
+  bool seen = reach != UNSEEN && other != UNSEEN;
+  for (int m = 0; m < 6 && seen; ++m) {
+    const float across = REACH(reach) + (m < 3 ? -0.3f : 0.3f);
+    const float2 p = (node + across * out) + (REACH(other) + 0.3f * (float)(m % 3 + 1)) * along;
+    seen = is_in_view(p, rows, columns);
+    if (seen) sum += m < 3 ? -grey_at(IMAGE, p) : grey_at(IMAGE, p);
+  }
+  return seen ? sum : UNSEEN;
+}
+
+/* Measure the sides of a board. One work-group. */
+#define FAR_SIGHT 1.75f /* cells that the image must reach beyond a side */
+#define FAR_CELL 1.5f   /* the middle of those that a longer pattern has there */
+#define NEAR_SIGHT 1.2f /* the same where the image ends before */
+#define NEAR_CELL 1.15f
+__kernel void measure_border(__global const PIXEL *restrict image, const uint step, const uint rows,
+                             const uint columns, const float end_share, const float follow_share,
+                             const int parallel, __global const float2 *restrict nodes,
+                             __global const int *restrict owner, __global int *restrict row_levels,
+                             __global int *restrict border) {
+  const int height = border[ROWS_OF], width = border[COLUMNS_OF];
+  __local int first[SIDES * PAIRS], pairs[SIDES], near[SIDES], shown[SIDES * PAIRS];
+  __local int levels[SIDES * PAIRS * DEPTHS * 2], reach[SIDES * PAIRS];
+  __local int reaches[SIDES], steps[4], low, high, count;
+  FOR_ALL(k, 4) steps[k] = 0;
+  FOR_ALL(side, SIDES) {
+    border[ROOM_OF + side] =
+        height && width && has_room(nodes, owner, side, height, width, rows, columns);
+    pairs[side] = height < 2 || width < 2
+                      ? 0
+                      : list_pairs(nodes, owner, side, height, width, first + side * PAIRS);
+  }
+  ALL_TOGETHER;
+  FOR_ALL(side, SIDES) { /* the image may end before the cells beyond a whole square */
+    __local const int *own = first + side * PAIRS;
+    __local int *own_shown = shown + side * PAIRS;
+    const int seen = PAIRS_IN_SIGHT(side, FAR_SIGHT);
+    near[side] = 2 * seen < pairs[side];
+    if (near[side]) PAIRS_IN_SIGHT(side, NEAR_SIGHT);
+  }
+  ALL_TOGETHER;
+  FOR_ALL(m, SIDES * PAIRS * DEPTHS * 2) {
+    const int pair = m / (DEPTHS * 2), depth = m / 2 % DEPTHS, side = pair / PAIRS;
+    levels[m] = 0;
+    if (pair % PAIRS >= pairs[side] || !shown[pair]) continue;
+    const int k = first[pair];
+    const Square square = SQUARE_AT(side, k + ((k + m) & 1)); /* an even one comes first */
+    const float far = near[side] ? NEAR_CELL : FAR_CELL;
+    const float out = depth == 0 ? -0.5f : depth == 1 ? far : 0.1f * (float)(depth + 1);
+    int sum = 0;
+    for (int spot = -1; spot <= 1; ++spot)
+      sum += grey_at(IMAGE, (square.middle + out * square.out) + 0.15f * (float)spot * square.along);
+    levels[m] = sum;
+  }
+  ALL_TOGETHER;
+#define LEVEL(n, depth, square) levels[((n) * DEPTHS + (depth)) * 2 + (square)]
+#define DIFFERENCE(n, depth) (LEVEL(n, depth, 0) - LEVEL(n, depth, 1))
+  FOR_ALL(n, SIDES * PAIRS) {
+    int share[DEPTHS + 4], sum = 0;
+    const int inside = LARGER(MAGNITUDE_OF(DIFFERENCE(n, 0)), 1);
+    for (int k = 0; k < DEPTHS + 4; ++k) {
+      const bool is_read = k >= 2 + NEAR_DEPTH && k < 2 + DEPTHS;
+      share[k] = is_read ? SMALLER(MAGNITUDE_OF(DIFFERENCE(n, k - 2)), inside) * WHOLE / inside : 0;
+    }
+    for (int k = 2 + NEAR_DEPTH; k < 2 + DEPTHS; ++k) { /* where black and white change places */
+      const int before = LARGER(share[k - 2], share[k - 1]);
+      const int after = LARGER(share[k + 1], share[k + 2]);
+      sum += LARGER(share[k], SMALLER(before, after));
+    }
+    reach[n] = sum;
+  }
+  ALL_TOGETHER;
+  FOR_ALL(side, SIDES) {
+    const int start = side * PAIRS;
+    int inside = 0, beyond = 0, change = 0, some = 0;
+    for (int n = start; n < start + pairs[side]; ++n) {
+      if (!shown[n]) continue;
+      inside += DIFFERENCE(n, 0);
+      beyond += DIFFERENCE(n, 1);
+      for (int k = 0; k < 2; ++k) change += MAGNITUDE_OF(LEVEL(n, 0, k) - LEVEL(n, 1, k));
+      reach[start + some++] = reach[n];
+    }
+    const bool read = some && 2 * some >= pairs[side];
+    const float whole = (float)MAGNITUDE_OF(inside);
+    border[FOLLOWS_OF + side] = read && (float)change < 2.0f * follow_share * whole;
+    reaches[side] = read && (float)MAGNITUDE_OF(beyond) < end_share * whole
+                        ? common_reach(reach + start, some, LENGTH_OF(side), parallel)
+                        : UNSEEN;
+    border[REACH_OF + side] = reaches[side];
+  }
+  /* The contrast of the pattern: that of the quartiles of a row of cells. */
+  const int below = height / 2;
+  if (get_local_id(0) == 0) {
+    count = 0;
+    low = high = UNSEEN;
+    for (int k = 0; below && k < width - 1; ++k) {
+      const float2 a = corner_at(nodes, owner, (below - 1) * width + k + 1);
+      const float2 b = corner_at(nodes, owner, below * width + k);
+      const float2 middle = 0.5f * (a + b);
+      if (IS_HERE(middle)) row_levels[count++] = grey_at(IMAGE, middle);
+    }
+  }
+  ALL_TOGETHER;
+  FOR_ALL(k, count) {
+    int less = 0, equal = 0;
+    for (int n = 0; n < count; ++n) {
+      less += row_levels[n] < row_levels[k];
+      equal += row_levels[n] == row_levels[k];
+    }
+    if (less <= count / 4 && count / 4 < less + equal) low = row_levels[k];
+    if (less <= 3 * count / 4 && 3 * count / 4 < less + equal) high = row_levels[k];
+  }
+  FOR_ALL(place, height * width) { /* the steps of the board, in 1/32 px */
+    const float2 here = corner_at(nodes, owner, place);
+    const bool is_last_column = place % width == width - 1, is_last_row = place / width == height - 1;
+    for (int k = 0; k < 2; ++k) {
+      if (!IS_HERE(here) || (k ? is_last_row : is_last_column)) continue;
+      const float2 next = corner_at(nodes, owner, place + (k ? width : 1));
+      if (!IS_HERE(next)) continue;
+      atomic_add(steps + 2 * k, floor_of(32 * (next.x - here.x) + 0.5f));
+      atomic_add(steps + 2 * k + 1, floor_of(32 * (next.y - here.y) + 0.5f));
+    }
+  }
+  ALL_TOGETHER;
+  FOR_ALL(side, SIDES) {
+    int past = UNSEEN;
+    for (int end = 0; end < 2 && count >= 2 && height >= 2 && width >= 2; ++end) {
+      const int other = reaches[(side < 2 ? 2 : 0) + end];
+      const int found =
+          step_past(IMAGE, nodes, owner, side, end, height, width, reaches[side], other);
+      if (found == UNSEEN) continue;
+      if (past == UNSEEN)
+        past = found;
+      else if ((past < 0) != (found < 0) || !past || !found)
+        past = 0;
+      else
+        past = MAGNITUDE_OF(found) < MAGNITUDE_OF(past) ? found : past;
+    }
+    border[PAST_OF + side] = past;
+  }
+  FOR_ALL(k, 4) border[STEPS_OF + k] = steps[k];
+  if (get_local_id(0) == 0) border[CONTRAST_OF] = LARGER(high - low, 1);
+}
