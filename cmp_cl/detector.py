@@ -365,8 +365,7 @@ class Detector(Closing):
         while True:
             lattice = self._lattice_of(plan)
             lattice.start()
-            lattice.wait()
-            corners = self._finish(plan, self._queue)[0]
+            corners = self._finish(plan, self._queue)[0]  # while the kernels of the lattice run
             if lattice is self._lattice_of(plan):  # else a list was too short, and has grown
                 return corners, lattice
 

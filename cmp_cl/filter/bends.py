@@ -16,6 +16,7 @@ Single = NDArray[np.float32]
 Float = TypeVar("Float", np.float32, np.float64)
 
 _HALF = 2  # nodes on each side of a node that show the curvature of a line
+_WHOLE_SUPPORT = 1 - 1e-6
 _LEAST_SINE = math.sin(math.radians(10))  # of the angle between the two lines at a corner
 
 
@@ -37,10 +38,14 @@ def bent_sigma(
 def bend_variance(xy: Single, radius: float) -> Single:
     """Return the variance per axis that bent edges add to raw positions, (R, C), px^2.
 
-    Nodes whose neighbours do not show the bend get the mean of the others. Single precision, which
+    Nodes of which not all neighbours are there get the mean of the others. Single precision, which
     raw positions have, changes their sigma by less than a thousandth.
     """
-    shift, known = _shift_of(xy, radius)
+    there = np.asarray(~np.isnan(xy[..., 0]), np.bool_)
+    data: Single = np.ascontiguousarray(xy.transpose(2, 0, 1))
+    if not there.all():
+        data = np.where(there, data, np.float32(0))
+    shift, known = _shift_of(data, there, radius, _WHOLE_SUPPORT)
     variance: Single = (shift[0] * shift[0] + shift[1] * shift[1]) / 2
     return (
         variance
@@ -58,29 +63,33 @@ def bend_shift(xy: Array, radius: float) -> Array:
     inner side; the corner moves with both of its lines. The shift is 0 if too few nodes show the
     curvature, or if the lines enclose less than 10 degrees.
     """
-    shift, _ = _shift_of(xy, radius)
+    there = np.asarray(np.isfinite(xy).all(axis=2), np.bool_)
+    data = np.ascontiguousarray(xy.transpose(2, 0, 1))
+    if not there.all() and there.any():
+        plane = bilinear_surface(xy, there)
+        bent = np.where(there[..., None], xy - plane, 0).transpose(2, 0, 1)
+        data = plane.transpose(2, 0, 1) + filled(bent.astype(np.float32), there)
+    shift, _ = _shift_of(data, there, radius, LEAST_SUPPORT)
     return np.ascontiguousarray(shift.transpose(1, 2, 0))
 
 
-def _shift_of(xy: NDArray[Float], radius: float) -> tuple[NDArray[Float], NDArray[np.bool_]]:
+def _shift_of(
+    data: NDArray[Float], there: NDArray[np.bool_], radius: float, least_support: float
+) -> tuple[NDArray[Float], NDArray[np.bool_]]:
     """Return the shift of `bend_shift` by coordinate, (2, R, C), and where it is known, (R, C).
 
-    The shift has the dtype of `xy`. Let t and k be the first and second derivatives along a line of
+    data: (2, R, C), finite; there: (R, C), the measured nodes; least_support: share of the nodes
+    around one that must be. Let t and k be the first and second derivatives along a line of
     nodes, by the number of the node, and q = |t|^2. The straight fit to that edge lies
     (t x k) r^2 / (6 q^1.5) off the node, along the normal. The fits to both edges meet at
     r^2 / 6 ((t0 x k0) / q0 t1 - (t1 x k1) / q1 t0) / (t0 x t1) from the node.
     """
-    data: NDArray[Float] = np.ascontiguousarray(xy.transpose(2, 0, 1))
-    there = np.asarray(np.isfinite(data).all(axis=0), np.bool_)
     rows, columns = there.shape
     if not math.isfinite(radius) or min(rows, columns) < 3 or not there.any():
         return np.zeros_like(data), np.zeros((rows, columns), np.bool_)
-    left, right = _derivatives(rows, xy.dtype)[0], _derivatives(columns, xy.dtype)[1]
+    left, right = _derivatives(rows, data.dtype)[0], _derivatives(columns, data.dtype)[1]
     support: Array | bool = True
     if not there.all():
-        plane = bilinear_surface(np.asarray(xy, np.float64), there)
-        bent = np.where(there[..., None], xy - plane, 0).transpose(2, 0, 1)
-        data = (plane.transpose(2, 0, 1) + filled(bent.astype(np.float32), there)).astype(xy.dtype)
         near = [np.not_equal(m, 0) / (2 * _half(len(m)) + 1) for m in (left[0], right[0])]
         support = near[0] @ there @ near[1]
     change = np.empty((2, 2, *data.shape), data.dtype)  # both derivatives, down and along
@@ -90,7 +99,7 @@ def _shift_of(xy: NDArray[Float], radius: float) -> tuple[NDArray[Float], NDArra
     x, y = t[:, 0], t[:, 1]
     q = np.maximum(x * x + y * y, 1e-30)
     area = x[0] * y[1] - y[0] * x[1]
-    known = (area * area > _LEAST_SINE**2 * q[0] * q[1]) & (support >= LEAST_SUPPORT)
+    known = (area * area > _LEAST_SINE**2 * q[0] * q[1]) & (support >= least_support)
     share = np.where(known, radius**2 / 6 / np.where(known, area, 1), 0)
     bend = (x * k[:, 1] - y * k[:, 0]) / q
     return share * (bend[0] * t[1] - bend[1] * t[0]), known
