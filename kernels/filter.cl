@@ -2,10 +2,11 @@
 
 /* The adaptive filter of a lattice: cmp_cl/reference/field/filter.py has its equations.
  *
- * K coordinates are filtered alike. A filter along an axis is a table of n x TAPS weights: row i
- * has those of the nodes of the window of node i. There are FILTERS_DOWN filters along the columns
- * and FILTERS_ALONG along the rows; filter 0 changes nothing. `rows_noise` and `rows_risk` are
- * Gaussians of 2 REACH + 1 nodes whose sum is 1. */
+ * K coordinates are filtered alike. There are FILTERS_DOWN filters along the columns, tables of
+ * ROWS x TAPS weights: a row has those of the window of a node. The FILTERS_ALONG along the rows are
+ * matrices (COLUMNS, LINE): a row has the weights of a node in the values of all nodes of its row.
+ * Filter 0 changes nothing. `rows_noise` and `rows_risk` are Gaussians of 2 REACH + 1 nodes whose
+ * sum is 1. */
 
 #define TAPS 15
 #define PRODUCTS (K * (K + 1) / 2)
@@ -26,6 +27,8 @@
 #define NO_PAIR 1e30f
 #define NONE_NEAR 1e-6f /* a smaller sum of Gaussian weights is no mean */
 
+#define KNOWN_OR_1(s) ((s) == (s) ? (s) : (float8)1)
+
 __constant float DIAGONAL[7] = {5 / 231.0f,  -30 / 231.0f, 75 / 231.0f, 131 / 231.0f,
                                 75 / 231.0f, -30 / 231.0f, 5 / 231.0f};
 
@@ -44,12 +47,9 @@ __kernel void fill(__global const float *moved, __global const uchar *votes,
   const int i = get_global_id(0);
   if (i >= NODES) return;
   SKIP_IF_SETTLED
-  if (votes[i]) {
-    for (int k = 0; k < K; ++k) data[k * NODES + i] = moved[k * NODES + i];
-    return;
-  }
-  const int row = i / COLUMNS, column = i % COLUMNS;
-  for (int k = 0; k < K; ++k) data[k * NODES + i] = 0;
+  const int row = i / COLUMNS, column = i % COLUMNS, at = IN_LINE(i);
+  for (int k = 0; k < K; ++k) data[k * PLANE + at] = votes[i] ? moved[k * NODES + i] : 0.0f;
+  if (votes[i]) return;
   for (int reach = 3; reach <= 6; reach += 3) {
     float normal[6][6 + K], origin[K];
     int found = 0;
@@ -78,96 +78,92 @@ __kernel void fill(__global const float *moved, __global const uchar *votes,
         for (int b = 0; b < pivot; ++b) normal[a][b] -= share * normal[pivot][b];
         for (int k = 0; k < K; ++k) normal[a][6 + k] -= share * normal[pivot][6 + k];
       }
-    for (int k = 0; k < K; ++k) data[k * NODES + i] = origin[k] + normal[0][6 + k] / normal[0][0];
+    for (int k = 0; k < K; ++k) data[k * PLANE + at] = origin[k] + normal[0][6 + k] / normal[0][0];
     return;
   }
 }
 
-/* Apply a filter along the columns for one row. */
-void filter_down(__global const float *restrict plane, const int row, const int side,
-                 __global const float *restrict weights, float *restrict result) {
-  const int first = WINDOW_START(row, side, ROWS);
-  EACH_COLUMN result[c] = 0;
-  for (int t = 0; t <= 2 * side; ++t) {
-    const float weight = weights[row * TAPS + t];
-    __global const float *line = plane + (first + t) * COLUMNS;
-    EACH_COLUMN result[c] += weight * line[c];
+/* Apply a filter along the columns for eight nodes of a row. */
+float8 filter_down(__global const float *plane, const int row, const int column, const int side,
+                   __global const float *weights) {
+  float8 sum = 0;
+  __global const float *from = plane + WINDOW_START(row, side, ROWS) * LINE + column;
+  for (int t = 0; t <= 2 * side; ++t)
+    sum += weights[row * TAPS + t] * EIGHT_AT(from + t * LINE);
+  return sum;
+}
+
+/* Apply a filter along the row for eight of its nodes: the columns of its matrix in which their
+ * windows are. */
+#define EACH_NODE_OF_WINDOWS(j, column, side)                                       \
+  for (int j = WINDOW_START(column, side, COLUMNS),                                 \
+           end = WINDOW_START(min((column) + LANES, COLUMNS) - 1, side, COLUMNS) + 2 * (side); \
+       j <= end; ++j)
+
+float8 filter_along(const float *line, const int column, const int side,
+                    __global const float *matrix) {
+  float8 sum = 0;
+  EACH_NODE_OF_WINDOWS(j, column, side) sum += line[j] * EIGHT_AT(matrix + j * LINE + column);
+  return sum;
+}
+
+/* Sum with Gaussian weights along the row; `line` has `reach` numbers before it and behind it, which
+ * become 0 as those between COLUMNS and LINE do. */
+void average_along(float *line, const int reach, __global const float *weights,
+                   __global float *result) {
+  for (int c = 0; c < reach; ++c) line[c] = line[LINE + reach + c] = 0;
+  for (int c = COLUMNS; c < LINE; ++c) line[reach + c] = 0;
+  EACH_EIGHT {
+    float8 sum = 0;
+    for (int t = 0; t <= 2 * reach; ++t) sum += weights[t] * EIGHT_OF(line + c + t);
+    EIGHT_AT(result + c) = sum;
   }
 }
 
-/* Apply a filter along the row. */
-void filter_along(const float *restrict line, const int side, __global const float *restrict weights,
-                  float *restrict result) {
-  for (int c = side; c < COLUMNS - side; ++c) result[c] = 0;
-  for (int t = 0; t <= 2 * side; ++t) {
-    const float weight = weights[side * TAPS + t];
-    for (int c = side; c < COLUMNS - side; ++c) result[c] += weight * line[c - side + t];
-  }
-  for (int end = 0; end < 2 * side; ++end) {
-    const int c = end < side ? end : COLUMNS - 2 * side + end;
-    const int first = WINDOW_START(c, side, COLUMNS);
-    float sum = 0;
-    for (int t = 0; t <= 2 * side; ++t) sum += weights[c * TAPS + t] * line[first + t];
-    result[c] = sum;
-  }
-}
-
-/* Sum with Gaussian weights along the row; `line` has `reach` zeros before it and behind it. */
-void average_along(const float *restrict line, const int reach, __global const float *restrict weights,
-                   __global float *restrict result) {
-  float sum[COLUMNS];
-  EACH_COLUMN sum[c] = 0;
-  for (int t = 0; t <= 2 * reach; ++t) {
-    const float weight = weights[t];
-    EACH_COLUMN sum[c] += weight * line[c + t];
-  }
-  EACH_COLUMN result[c] = sum[c];
-}
-
-/* Sum with Gaussian weights along the columns, for one row. */
-void average_down(__global const float *restrict plane, const int row, const int reach,
-                  __global const float *restrict weights, float *restrict result) {
-  EACH_COLUMN result[c] = 0;
-  for (int r = max(row - reach, 0); r <= min(row + reach, ROWS - 1); ++r) {
-    const float weight = weights[r - row + reach];
-    __global const float *line = plane + r * COLUMNS;
-    EACH_COLUMN result[c] += weight * line[c];
-  }
+/* Sum with Gaussian weights along the columns, for eight nodes of a row. */
+float8 average_down(__global const float *plane, const int row, const int column, const int reach,
+                    __global const float *weights) {
+  float8 sum = 0;
+  for (int r = max(row - reach, 0); r <= min(row + reach, ROWS - 1); ++r)
+    sum += weights[r - row + reach] * EIGHT_AT(plane + r * LINE + column);
+  return sum;
 }
 
 /* The residuals of the pilot along both axes, along each axis and along each diagonal; their sizes,
  * the masks of the nodes that count and the products of the coordinates of the first, averaged
  * along the row into `near`; and sums over the row, from which the degrees of freedom of each
  * estimate and the floor of the noise come. One work-item a row. */
-__kernel void pilot(__global const float *restrict data, __global const uchar *restrict votes,
-                    __global const int *restrict counts, const int round,
-                    __global const float *restrict pilot_down, __global const float *restrict pilot_along,
-                    __global const float *restrict own_down, __global const float *restrict own_along,
-                    __global const float *restrict rows_noise, __global float *restrict residual,
-                    __global float *restrict size, __global float *restrict near, __global float *restrict sums) {
+__kernel void pilot(__global const float *data, __global const uchar *votes,
+                    __global const int *counts, const int round,
+                    __global const float *pilot_down, __global const float *pilot_along,
+                    __global const float *own_down, __global const float *own_along,
+                    __global const float *rows_noise, __global float *size,
+                    __global float *near, __global float *sums) {
   const int row = get_global_id(0);
   if (row >= ROWS) return;
   SKIP_IF_SETTLED
-  float left[ESTIMATES][K][COLUMNS], down[COLUMNS];
+  float left[ESTIMATES][K][LINE], here[K][LINE], down[K][LINE];
   for (int k = 0; k < K; ++k) {
-    __global const float *plane = data + k * NODES;
-    float here[COLUMNS], along[COLUMNS], both[COLUMNS];
-    EACH_COLUMN here[c] = plane[row * COLUMNS + c];
-    filter_down(plane, row, PILOT_DOWN, pilot_down, down);
-    filter_along(down, PILOT_ALONG, pilot_along, both);
-    filter_along(here, PILOT_ALONG, pilot_along, along);
-    EACH_COLUMN left[0][k][c] = here[c] - both[c];
-    EACH_COLUMN left[1][k][c] = here[c] - down[c];
-    EACH_COLUMN left[2][k][c] = here[c] - along[c];
+    __global const float *plane = data + k * PLANE;
+    EACH_EIGHT {
+      EIGHT_OF(here[k] + c) = EIGHT_AT(plane + row * LINE + c);
+      EIGHT_OF(down[k] + c) = filter_down(plane, row, c, PILOT_DOWN, pilot_down);
+    }
+    EACH_EIGHT {
+      const float8 value = EIGHT_OF(here[k] + c);
+      EIGHT_OF(left[0][k] + c) = value - filter_along(down[k], c, PILOT_ALONG, pilot_along);
+      EIGHT_OF(left[1][k] + c) = value - EIGHT_OF(down[k] + c);
+      EIGHT_OF(left[2][k] + c) = value - filter_along(here[k], c, PILOT_ALONG, pilot_along);
+    }
     for (int sense = 0; sense < 2; ++sense) {
       float *across = left[3 + sense][k];
-      EACH_COLUMN across[c] = 0;
+      for (int c = 0; c < LINE; ++c) across[c] = 0;
 #if ROWS >= 7 && COLUMNS >= 7
       if (row < 3 || row >= ROWS - 3) continue;
-      for (int c = 3; c < COLUMNS - 3; ++c) across[c] = here[c];
+      for (int c = 3; c < COLUMNS - 3; ++c) across[c] = here[k][c];
       for (int t = -3; t <= 3; ++t) {
         const float weight = DIAGONAL[t + 3];
-        __global const float *line = plane + (row + t) * COLUMNS + (sense ? -t : t);
+        __global const float *line = plane + (row + t) * LINE + (sense ? -t : t);
         for (int c = 3; c < COLUMNS - 3; ++c) across[c] -= weight * line[c];
       }
 #endif
@@ -187,9 +183,7 @@ __kernel void pilot(__global const float *restrict data, __global const uchar *r
   }
   float vote[COLUMNS];
   EACH_COLUMN vote[c] = votes[row * COLUMNS + c];
-  float line[COLUMNS + 2 * NOISE_REACH], mask[COLUMNS + 2 * NOISE_REACH];
-  for (int c = 0; c < NOISE_REACH; ++c)
-    line[c] = mask[c] = line[COLUMNS + NOISE_REACH + c] = mask[COLUMNS + NOISE_REACH + c] = 0;
+  float line[LINE + 2 * NOISE_REACH], mask[LINE + 2 * NOISE_REACH];
   const float row_own = own_down[row];
   for (int e = 0; e < ESTIMATES; ++e) {
     float sum[PRODUCTS];
@@ -212,28 +206,25 @@ __kernel void pilot(__global const float *restrict data, __global const uchar *r
       for (int j = 0; j < K; ++j)
         for (int k = j; k < K; ++k) sum[p++] += by_size * left[e][j][c] * left[e][k][c];
     }
-    average_along(line, NOISE_REACH, rows_noise, near + (e * ROWS + row) * COLUMNS);
+    average_along(line, NOISE_REACH, rows_noise, near + (e * ROWS + row) * LINE);
     if (e < 4)
-      average_along(mask, NOISE_REACH, rows_noise, near + (MASK_PLANE(e) * ROWS + row) * COLUMNS);
+      average_along(mask, NOISE_REACH, rows_noise, near + (MASK_PLANE(e) * ROWS + row) * LINE);
     for (int p = 0; p < PRODUCTS; ++p) sums[row * SUMS + e * PRODUCTS + p] = sum[p];
   }
   int p = PRODUCT_PLANE;
   for (int j = 0; j < K; ++j)
     for (int k = j; k < K; ++k) {
       EACH_COLUMN line[NOISE_REACH + c] = vote[c] * left[0][j][c] * left[0][k][c];
-      average_along(line, NOISE_REACH, rows_noise, near + (p++ * ROWS + row) * COLUMNS);
+      average_along(line, NOISE_REACH, rows_noise, near + (p++ * ROWS + row) * LINE);
     }
   float total = 0;
   EACH_COLUMN {
-    float square = 0, own_square = 0;
+    float square = 0;
     for (int k = 0; k < K; ++k) {
-      const float value = data[k * NODES + row * COLUMNS + c];
-      residual[k * NODES + row * COLUMNS + c] = left[0][k][c];
       square += left[0][k][c] * left[0][k][c];
-      own_square += value * value;
+      total += here[k][c] * here[k][c];
     }
-    size[row * COLUMNS + c] = vote[c] * square / K;
-    total += own_square;
+    size[row * LINE + c] = vote[c] * square / K;
   }
   sums[row * SUMS + SUMS - 1] = total;
 }
@@ -258,12 +249,12 @@ float expected_length(__global const float *sums, const int estimate) {
  * five estimates and of an upper bound; the covariance of the coordinates over its mean diagonal;
  * and the nodes whose residual is too large lose their vote. bound: the upper bound is the sum of
  * that at rest and of the variance of the points now. One work-item a row. */
-__kernel void noise(__global const float *restrict near, __global const float *restrict sums,
-                    __global const float *restrict size, __global const float *restrict own_down,
-                    __global const float *restrict own_along, __global const float *restrict rows_noise,
-                    __global const float *restrict bound_rest, __global const float *restrict variance_now,
-                    const int round, __global int *restrict counts, __global uchar *restrict votes,
-                    __global float *restrict variance, __global float *restrict chosen, __global float *restrict common) {
+__kernel void noise(__global const float *near, __global const float *sums,
+                    __global const float *size, __global const float *own_down,
+                    __global const float *own_along, __global const float *rows_noise,
+                    __global const float *bound_rest, __global const float *variance_now,
+                    const int round, __global int *counts, __global uchar *votes,
+                    __global float *variance, __global float *chosen, __global float *common) {
   const int row = get_global_id(0);
   if (row >= ROWS) return;
   SKIP_IF_SETTLED
@@ -271,10 +262,12 @@ __kernel void noise(__global const float *restrict near, __global const float *r
   for (int e = 0; e < ESTIMATES; ++e) length[e] = expected_length(sums, e);
   for (int r = 0; r < ROWS; ++r) floor_of_all += sums[r * SUMS + SUMS - 1];
   const float least_of_all = fmax(FLOOR * floor_of_all / (K * NODES), LEAST_VARIANCE);
-  float both[COLUMNS], least[COLUMNS], mean[COLUMNS], mask[COLUMNS];
+  float near_row[NOISE_PLANES][LINE], both[COLUMNS], least[COLUMNS];
+  for (int plane = 0; plane < NOISE_PLANES; ++plane)
+    EACH_EIGHT EIGHT_OF(near_row[plane] + c) =
+        average_down(near + plane * PLANE, row, c, NOISE_REACH, rows_noise);
   for (int e = 0; e < ESTIMATES; ++e) {
-    average_down(near + e * NODES, row, NOISE_REACH, rows_noise, mean);
-    average_down(near + MASK_PLANE(e) * NODES, row, NOISE_REACH, rows_noise, mask);
+    const float *mean = near_row[e], *mask = near_row[MASK_PLANE(e)];
     EACH_COLUMN {
       const float root = mean[c] / (fmax(mask[c], NONE_NEAR) * length[e]);
       const float estimate = mask[c] > NONE_NEAR ? root * root : NAN;
@@ -282,65 +275,61 @@ __kernel void noise(__global const float *restrict near, __global const float *r
       else least[c] = fmin(least[c], estimate);
     }
   }
-  float product[PRODUCTS][COLUMNS];
-  for (int p = 0; p < PRODUCTS; ++p)
-    average_down(near + (PRODUCT_PLANE + p) * NODES, row, NOISE_REACH, rows_noise, product[p]);
   EACH_COLUMN {
-    const int i = row * COLUMNS + c;
+    const int i = row * COLUMNS + c, at = row * LINE + c;
     const float bound = bound_rest[i] + variance_now[i];
     const float unbounded = fmin(both[c], LEAST_OF_FIVE * least[c]);
-    variance[i] = both[c];
-    chosen[i] = isnan(both[c]) ? NAN : fmax(fmin(unbounded, bound), LEAST_VARIANCE);
+    variance[at] = both[c];
+    chosen[at] = isnan(both[c]) ? NAN : fmax(fmin(unbounded, bound), LEAST_VARIANCE);
     float trace = 0;
-    int p = 0;
+    int p = PRODUCT_PLANE;
     for (int j = 0; j < K; ++j)
-      for (int k = j; k < K; ++k, ++p) trace += j == k ? product[p][c] : 0;
+      for (int k = j; k < K; ++k, ++p) trace += j == k ? near_row[p][c] : 0;
     p = 0;
     for (int j = 0; j < K; ++j)
       for (int k = j; k < K; ++k, ++p)
-        common[p * NODES + i] = trace > 0 ? product[p][c] * (K / trace) : (float)(j == k);
+        common[p * PLANE + at] =
+            trace > 0 ? near_row[PRODUCT_PLANE + p][c] * (K / trace) : (float)(j == k);
   }
   if (round == 3) return;
   EACH_COLUMN {
-    const int i = row * COLUMNS + c;
+    const int at = row * LINE + c;
     const float left = 1 - own_down[row] * own_along[c];
-    if (!(size[i] > REJECTED_AT * both[c] * left)) continue;
+    if (!(size[at] > REJECTED_AT * both[c] * left)) continue;
     float largest = 0;
     for (int r = max(row - 1, 0); r <= min(row + 1, ROWS - 1); ++r)
       for (int t = max(c - 1, 0); t <= min(c + 1, COLUMNS - 1); ++t)
-        largest = fmax(largest, size[r * COLUMNS + t]);
-    if (size[i] < largest) continue;
-    votes[i] = 0;
+        largest = fmax(largest, size[r * LINE + t]);
+    if (size[at] < largest) continue;
+    votes[row * COLUMNS + c] = 0;
     atomic_inc(counts + REJECTED + round);
   }
 }
 
 /* Every pair of filters: its estimate, and its loss, averaged along the row. A pair whose window
  * holds too few votes is marked. One work-item a row and a filter along the columns. */
-__kernel void smooth(__global const float *restrict data, __global const uchar *restrict votes,
-                     __global const int *restrict counts, __global const float *restrict chosen,
-                     __global const int *restrict sides_down, __global const int *restrict sides_along,
-                     __global const float *restrict filters_down, __global const float *restrict filters_along,
-                     __global const float *restrict own_down, __global const float *restrict own_along,
-                     __global const float *restrict rows_risk, __global float *restrict estimate,
-                     __global float *restrict loss, __global float *restrict near_votes,
-                     __global uchar *restrict unsupported) {
+__kernel void smooth(__global const float *data, __global const uchar *votes,
+                     __global const int *counts, __global const float *chosen,
+                     __global const int *sides_down, __global const int *sides_along,
+                     __global const float *filters_down, __global const float *filters_along,
+                     __global const float *own_down, __global const float *own_along,
+                     __global const float *rows_risk, __global float *estimate,
+                     __global float *loss, __global float *near_votes,
+                     __global float *unsupported) {
   const int row = get_global_id(0), a = get_global_id(1);
   if (row >= ROWS) return;
   const int side = sides_down[a], first = WINDOW_START(row, side, ROWS);
-  float down[K][COLUMNS], here[K][COLUMNS], twice[COLUMNS], vote[COLUMNS];
-  float line[COLUMNS + 2 * RISK_REACH];
+  float down[K][LINE], here[K][LINE], twice[LINE], vote[LINE], line[LINE + 2 * RISK_REACH];
   int before[COLUMNS + 1]; /* votes of the window's rows in the columns before */
-  for (int c = 0; c < RISK_REACH; ++c) line[c] = line[COLUMNS + RISK_REACH + c] = 0;
-  for (int k = 0; k < K; ++k) {
-    EACH_COLUMN here[k][c] = data[k * NODES + row * COLUMNS + c];
-    if (a == 0) EACH_COLUMN down[k][c] = here[k][c];
-    else filter_down(data + k * NODES, row, side, filters_down + a * ROWS * TAPS, down[k]);
-  }
-  EACH_COLUMN {
-    const float s = chosen[row * COLUMNS + c];
-    twice[c] = 2 * K * (isnan(s) ? 1.0f : s) * own_down[a * ROWS + row];
-    vote[c] = votes[row * COLUMNS + c];
+  for (int c = 0; c < LINE; ++c) vote[c] = c < COLUMNS ? votes[row * COLUMNS + c] : 0;
+  EACH_EIGHT {
+    for (int k = 0; k < K; ++k) {
+      __global const float *plane = data + k * PLANE;
+      EIGHT_OF(here[k] + c) = EIGHT_AT(plane + row * LINE + c);
+      EIGHT_OF(down[k] + c) = filter_down(plane, row, c, side, filters_down + a * ROWS * TAPS);
+    }
+    const float8 s = EIGHT_AT(chosen + row * LINE + c);
+    EIGHT_OF(twice + c) = 2 * K * own_down[a * ROWS + row] * KNOWN_OR_1(s);
   }
   const int missing = MISSING_NOW;
   if (missing != 0) {
@@ -352,21 +341,22 @@ __kernel void smooth(__global const float *restrict data, __global const uchar *
     }
   }
   for (int b = 0; b < FILTERS_ALONG; ++b) {
-    const int pair = a * FILTERS_ALONG + b;
-    const size_t place = (size_t)(pair * ROWS + row) * COLUMNS;
-    EACH_COLUMN line[RISK_REACH + c] = twice[c] * own_along[b * COLUMNS + c];
-    for (int k = 0; k < K; ++k) {
-      float found[COLUMNS];
-      if (b == 0) EACH_COLUMN found[c] = down[k][c];
-      else filter_along(down[k], sides_along[b], filters_along + b * COLUMNS * TAPS, found);
-      __global float *kept = estimate + (size_t)k * PAIRS * NODES + place;
-      EACH_COLUMN {
-        const float apart = found[c] - here[k][c];
-        kept[c] = found[c];
-        line[RISK_REACH + c] += apart * apart;
+    const int pair = a * FILTERS_ALONG + b, place = (pair * ROWS + row) * LINE;
+    __global const float *matrix = filters_along + b * COLUMNS * LINE;
+    EACH_EIGHT {
+      float8 found[K], square = EIGHT_OF(twice + c) * EIGHT_AT(own_along + b * LINE + c);
+      for (int k = 0; k < K; ++k) found[k] = 0;
+      EACH_NODE_OF_WINDOWS(j, c, sides_along[b]) {
+        const float8 weight = EIGHT_AT(matrix + j * LINE + c);
+        for (int k = 0; k < K; ++k) found[k] += weight * down[k][j];
       }
+      for (int k = 0; k < K; ++k) {
+        const float8 apart = found[k] - EIGHT_OF(here[k] + c);
+        square += apart * apart;
+        EIGHT_AT(estimate + k * PAIRS * PLANE + place + c) = found[k];
+      }
+      EIGHT_OF(line + RISK_REACH + c) = square * EIGHT_OF(vote + c);
     }
-    EACH_COLUMN line[RISK_REACH + c] *= vote[c];
     average_along(line, RISK_REACH, rows_risk, loss + place);
     if (missing != 0) EACH_COLUMN {
         const int left = WINDOW_START(c, sides_along[b], COLUMNS), size = 2 * sides_along[b] + 1;
@@ -375,82 +365,70 @@ __kernel void smooth(__global const float *restrict data, __global const uchar *
       }
   }
   if (a == 0) {
-    EACH_COLUMN line[RISK_REACH + c] = vote[c];
-    average_along(line, RISK_REACH, rows_risk, near_votes + row * COLUMNS);
+    EACH_EIGHT EIGHT_OF(line + RISK_REACH + c) = EIGHT_OF(vote + c);
+    average_along(line, RISK_REACH, rows_risk, near_votes + row * LINE);
   }
 }
 
-/* exp(x) for x <= 0 within 2e-7, as a polynomial, so that it is packed into vectors. */
-float exp_below(const float x) {
-  const float y = fmax(x * 1.44269504f, -120.0f), whole = floor(y), t = y - whole;
-  const float power =
+/* exp(x) for x <= 0 within 2e-7: 2 to a whole number, which the sum with 1.5 * 2^23 rounds to, times
+ * a polynomial. */
+float8 exp_below(const float8 x) {
+  const float8 y = x * 1.44269504f, most = y > -120.0f ? y : (float8)(-120);
+  const float8 rounded = most + 12582912.0f, t = most - (rounded - 12582912.0f);
+  const float8 power =
       1 + t * (0.69314718f +
                t * (0.24022651f +
                     t * (0.05550411f + t * (0.00961813f + t * (0.00133336f + t * 0.000154f)))));
-  return as_float((int)(whole + 127) << 23) * power;
+  return as_float8((as_int8(rounded) - as_int(12582912.0f) + 127) << 23) * power;
 }
 
-/* The mean of all pairs with weights by their risk, and its variance. One work-item a row. */
-__kernel void blend(__global const float *restrict estimate, __global const float *restrict loss,
-                    __global const float *restrict near_votes, __global const uchar *restrict unsupported,
-                    __global const int *restrict counts, __global const float *restrict variance,
-                    __global const float *restrict chosen, __global const float *restrict own_down,
-                    __global const float *restrict own_along, __global const float *restrict gain_down,
-                    __global const float *restrict gain_along, __global const float *restrict rows_risk,
-                    __global float *restrict weights, __global float *restrict values, __global float *restrict result,
-                    __global float *restrict gain) {
-  const int row = get_global_id(0);
-  if (row >= ROWS) return;
-  float risk[PAIRS][COLUMNS], least[COLUMNS], scale[COLUMNS], near[COLUMNS];
-  float sum[COLUMNS], mean_risk[COLUMNS], mean_own[COLUMNS], mean_gain[COLUMNS];
-  float value[K][COLUMNS];
-  const int missing = MISSING_NOW;
-  average_down(near_votes, row, RISK_REACH, rows_risk, near);
-  EACH_COLUMN {
-    const float s = chosen[row * COLUMNS + c];
-    scale[c] = 1 / (K * (isnan(s) ? 1.0f : s) * fmax(near[c], NONE_NEAR));
-    least[c] = NO_PAIR;
-    sum[c] = mean_risk[c] = mean_own[c] = mean_gain[c] = 0;
-    for (int k = 0; k < K; ++k) value[k][c] = 0;
-  }
+/* The mean of all pairs with weights by their risk, and its variance. One work-item for eight nodes
+ * of a row. */
+__kernel void blend(__global const float *estimate, __global const float *loss,
+                    __global const float *near_votes, __global const float *unsupported,
+                    __global const int *counts, __global const float *variance,
+                    __global const float *chosen, __global const float *own_down,
+                    __global const float *own_along, __global const float *gain_down,
+                    __global const float *gain_along, __global const float *rows_risk,
+                    __global float *weights, __global float *values, __global float *result,
+                    __global float *gain) {
+  const int row = get_global_id(0), c = LANES * get_global_id(1), at = row * LINE + c;
+  if (row >= ROWS || c >= COLUMNS) return;
+  const float8 s1 = EIGHT_AT(chosen + at), s2 = EIGHT_AT(variance + at);
+  const float8 near = average_down(near_votes, row, c, RISK_REACH, rows_risk);
+  const float8 scale = 1 / (K * KNOWN_OR_1(s1) * (near > NONE_NEAR ? near : (float8)NONE_NEAR));
+  float8 risk[PAIRS], least = NO_PAIR;
   for (int pair = 0; pair < PAIRS; ++pair) {
-    average_down(loss + pair * NODES, row, RISK_REACH, rows_risk, risk[pair]);
-    EACH_COLUMN risk[pair][c] *= scale[c];
-    if (missing != 0 && pair > 0) EACH_COLUMN {
-        const int i = row * COLUMNS + c;
-        if (unsupported[pair * NODES + i] || isnan(chosen[i]) || !(near[c] > NONE_NEAR))
-          risk[pair][c] = NO_PAIR;
-      }
-    EACH_COLUMN least[c] = fmin(least[c], risk[pair][c]);
+    risk[pair] = scale * average_down(loss + pair * PLANE, row, c, RISK_REACH, rows_risk);
+    if (MISSING_NOW != 0 && pair > 0) {
+      const float8 refused = EIGHT_AT(unsupported + pair * PLANE + at);
+      risk[pair] = refused == 0 && s1 == s1 && near > NONE_NEAR ? risk[pair] : (float8)NO_PAIR;
+    }
+    least = risk[pair] < least ? risk[pair] : least;
   }
+  float8 sum = 0, mean_risk = 0, mean_own = 0, mean_gain = 0, value[K];
+  for (int k = 0; k < K; ++k) value[k] = 0;
   for (int a = 0; a < FILTERS_DOWN; ++a)
     for (int b = 0; b < FILTERS_ALONG; ++b) {
-      const int pair = a * FILTERS_ALONG + b, place = (pair * ROWS + row) * COLUMNS;
-      const float own = own_down[a * ROWS + row], left = gain_down[a * ROWS + row];
-      EACH_COLUMN {
-        const float weight = exp_below(SHARPNESS * (least[c] - risk[pair][c]));
-        weights[place + c] = weight;
-        sum[c] += weight;
-        mean_risk[c] += weight * risk[pair][c];
-        mean_own[c] += weight * own * own_along[b * COLUMNS + c];
-        mean_gain[c] += weight * left * gain_along[b * COLUMNS + c];
-        for (int k = 0; k < K; ++k)
-          value[k][c] += weight * estimate[k * PAIRS * NODES + place + c];
-      }
+      const int pair = a * FILTERS_ALONG + b;
+      const float8 weight = exp_below(SHARPNESS * (least - risk[pair]));
+      sum += weight;
+      mean_risk += weight * risk[pair];
+      mean_own += weight * own_down[a * ROWS + row] * EIGHT_AT(own_along + b * LINE + c);
+      mean_gain += weight * gain_down[a * ROWS + row] * EIGHT_AT(gain_along + b * LINE + c);
+      for (int k = 0; k < K; ++k)
+        value[k] += weight * EIGHT_AT(estimate + (k * PAIRS + pair) * PLANE + at);
+      risk[pair] = weight;
     }
-  EACH_COLUMN {
-    const int i = row * COLUMNS + c;
-    const float share = 1 / sum[c], s1 = chosen[i], s2 = variance[i];
-    for (int k = 0; k < K; ++k) values[k * NODES + i] = value[k][c] * share;
-    const float stein = s1 * mean_risk[c] * share + 2 * (s2 - s1) * mean_own[c] * share - s2;
-    gain[i] = mean_gain[c] * share;
-    result[i] = isnan(s2) ? NAN : fmax(stein, s1 * gain[i]);
-    sum[c] = share;
-  }
-  for (int pair = 0; pair < PAIRS; ++pair) {
-    __global float *line = weights + (pair * ROWS + row) * COLUMNS;
-    EACH_COLUMN line[c] *= sum[c];
-  }
+  const float8 share = 1 / sum, noise = s1 * mean_gain * share;
+  const float8 stein = s1 * mean_risk * share + 2 * (s2 - s1) * mean_own * share - s2;
+  for (int k = 0; k < K; ++k) EIGHT_AT(values + k * PLANE + at) = value[k] * share;
+  EIGHT_AT(gain + at) = mean_gain * share;
+  EIGHT_AT(result + at) = s2 != s2 ? s2 : stein > noise ? stein : noise;
+#if STRAINED
+  for (int pair = 0; pair < PAIRS; ++pair)
+    EIGHT_AT(weights + pair * PLANE + at) = risk[pair] * share;
+#endif
 }
 
 /* What becomes of a node. A node with a vote takes its mean, a rejected one keeps its value, and one
@@ -459,15 +437,16 @@ __kernel void blend(__global const float *restrict estimate, __global const floa
 #define FINAL_OF_NODE                                                               \
   float final[K], off = 0;                                                          \
   const int rejected = measured[i] && !votes[i];                                    \
-  const float s2 = variance_before[i];                                              \
-  float after = votes[i] ? variance_after[i] : s2;                                  \
+  const int at = IN_LINE(i);                                                        \
+  const float s2 = variance_before[at];                                             \
+  float after = votes[i] ? variance_after[at] : s2;                                 \
   for (int k = 0; k < K; ++k) {                                                     \
-    const float gap = moved[k * NODES + i] - values[k * NODES + i];                 \
+    const float gap = moved[k * NODES + i] - values[k * PLANE + at];                \
     off += gap * gap / K;                                                           \
   }                                                                                 \
   if (rejected) after = fmax(off, s2);                                              \
   for (int k = 0; k < K; ++k)                                                       \
-    final[k] = (rejected || isnan(after) ? moved : values)[k * NODES + i];
+    final[k] = rejected || isnan(after) ? moved[k * NODES + i] : values[k * PLANE + at];
 
 #define NO_DISPLACEMENT                                                             \
   for (int k = 0; k < K; ++k) displacement[k * NODES + i] = raw[k * NODES + i] = NAN;
@@ -484,7 +463,7 @@ void store_covariance(const float variance, __global const float *common,
                       __global const float *points, const int i, __global float *covariance) {
   for (int p = 0; p < 6; ++p)
     covariance[p * NODES + i] =
-        isnan(variance) ? points[p * NODES + i] : variance * common[p * NODES + i];
+        isnan(variance) ? points[p * NODES + i] : variance * common[p * PLANE + IN_LINE(i)];
 }
 
 /* The displacement of each node in space without the shift by bent edges, and its covariance, both

@@ -22,11 +22,10 @@ void second_differences(__global const float *plane, __global const uchar *votes
     int count = 0;
     for (int v = -1; v <= 1; ++v)
       for (int u = -1; u <= 1; ++u) {
-        const int j = (row + v) * COLUMNS + c + u;
-        sum += (v ? 1.0f : -2.0f) * (u ? 1.0f : -2.0f) * plane[j];
-        count += votes[j];
+        sum += (v ? 1.0f : -2.0f) * (u ? 1.0f : -2.0f) * plane[(row + v) * LINE + c + u];
+        count += votes[(row + v) * COLUMNS + c + u];
       }
-    const float size = sqrt(variance[row * COLUMNS + c]);
+    const float size = sqrt(variance[row * LINE + c]);
     known[c] = count == 9 && size > 0;
     found[c] = known[c] > 0 ? sum / size : 0.0f;
   }
@@ -41,8 +40,8 @@ __kernel void roughness(__global const float *data, __global const uchar *votes,
   float sum[2 * LAGS], here[COLUMNS], below[COLUMNS], known[COLUMNS], known_below[COLUMNS];
   for (int s = 0; s < 2 * LAGS; ++s) sum[s] = 0;
   for (int k = 0; k < K; ++k) {
-    second_differences(data + k * NODES, votes, variance, row, here, known);
-    second_differences(data + k * NODES, votes, variance, row + 1, below, known_below);
+    second_differences(data + k * PLANE, votes, variance, row, here, known);
+    second_differences(data + k * PLANE, votes, variance, row + 1, below, known_below);
     EACH_COLUMN {
       sum[0] += here[c] * here[c];
       sum[1] += here[c] * below[c];
@@ -99,9 +98,8 @@ __kernel void slopes(__global const float *weights, __global const float *varian
   for (int c = 0; c < COLUMNS + 2 * STRAIN_REACH; ++c) line[c] = 0;
   for (int r = top; r <= bottom; ++r)
     EACH_COLUMN {
-      const int i = r * COLUMNS + c;
-      const float size = sqrt(variance[i] / gain[i]);
-      const int counts = votes[i] && size >= 0;
+      const float size = sqrt(variance[r * LINE + c] / gain[r * LINE + c]);
+      const int counts = votes[r * COLUMNS + c] && size >= 0;
       scale[r - top][c] = counts ? size : 0.0f;
       line[STRAIN_REACH + c] += counts;
     }
@@ -113,7 +111,7 @@ __kernel void slopes(__global const float *weights, __global const float *varian
   for (int pair = 0; pair < PAIRS; ++pair) {
     EACH_COLUMN line[STRAIN_REACH + c] = 0;
     for (int r = top; r <= bottom; ++r) {
-      __global const float *from = weights + (pair * ROWS + r) * COLUMNS;
+      __global const float *from = weights + (pair * ROWS + r) * LINE;
       EACH_COLUMN line[STRAIN_REACH + c] += scale[r - top][c] * from[c];
     }
     EACH_COLUMN mean[pair][c] = 0;

@@ -23,9 +23,11 @@ from cmp_cl.motion.memory import Memory
 from cmp_cl.motion.moments import Moment, covariance_from
 from cmp_cl.motion.nodes import put
 from cmp_cl.motion.tables import (
+    LANES,
     NOISE_GAUSSIAN,
     RISK_GAUSSIAN,
     axis_tables,
+    in_lines,
 )
 from cmp_cl.motion.track import Tracker
 from cmp_cl.opencl.device import Device, DeviceKind
@@ -108,6 +110,7 @@ class FieldPlan:
             "BEND_DOWN": down.bend.shape[2],
             "BEND_ALONG": along.bend.shape[2],
             "STRAIN_REACH": STRAIN_REACH,
+            "STRAINED": int(self._strained),
             "DOUBLE": int(self._double),
             **self._geometry.defines(double=self._double),
         }
@@ -126,10 +129,16 @@ class FieldPlan:
         tables = {
             f"{name}_{axis}": getattr(each, name)
             for axis, each in (("down", self._down), ("along", self._along))
-            for name in ("sides", "filters", "own", "gain", "pilot", "pilot_own", "bend")
+            for name in ("sides", "own", "gain", "pilot_own", "bend")
         }
+        for name in ("own_along", "gain_along"):
+            tables[name] = in_lines(tables[name])
         return {
             **tables,
+            "filters_down": self._down.filters,
+            "filters_along": in_lines(self._along.matrices),
+            "pilot_down": self._down.pilot,
+            "pilot_along": in_lines(self._along.pilot_matrix),
             "gram_mean_down": self._down.grams.mean.astype(np.float32),
             "gram_slope_down": self._down.grams.slope.astype(np.float32),
             "gram_mean_along": np.moveaxis(self._along.grams.mean, 1, 3).astype(np.float32),
@@ -157,12 +166,15 @@ class FieldPlan:
     def _work_layout(self) -> dict[str, tuple[tuple[int, ...], Any]]:
         axes = self._geometry.axes
         products = axes * (axes + 1) // 2
-        planes = {
+        of_nodes = {
             "moved": axes,
             "points": self._geometry.covariances,
             "bent": axes,
+            "by_column": 1,
+            "by_row": 1,
+        }
+        in_line = {
             "data": axes,
-            "residual": axes,
             "size": 1,
             "near": _ESTIMATES + _MASKS + products,
             "variance": 1,
@@ -170,20 +182,21 @@ class FieldPlan:
             "common": products,
             "estimate": axes * self._pairs,
             "loss": self._pairs,
+            "unsupported": self._pairs,
             "near_votes": 1,
-            "weights": self._pairs,
+            "weights": self._pairs if self._strained else 1,
             "values": axes,
             "mixed_variance": 1,
             "left_share": 1,
-            "by_column": 1,
-            "by_row": 1,
         }
+        rows, columns = self.shape
+        wide = rows, multiple(columns, LANES)
         layout: dict[str, tuple[tuple[int, ...], Any]] = {
-            name: ((count, *self.shape), np.float32) for name, count in planes.items()
+            **{name: ((count, *self.shape), np.float32) for name, count in of_nodes.items()},
+            **{name: ((count, *wide), np.float32) for name, count in in_line.items()},
         }
         layout["sums"] = (self.shape[0], _ESTIMATES * products + 1), np.float32
         layout["rough"] = (self.shape[0], _ROUGH), np.float32
-        layout["unsupported"] = (self._pairs, *self.shape), np.uint8
         for name in ("valid", "measured", "votes"):
             layout[name] = self.shape, np.uint8
         return layout
@@ -233,7 +246,7 @@ class FieldPlan:
             ),
             self._of_rows(
                 "blend",
-                1,
+                multiple(self.shape[1], LANES) // LANES,
                 *("estimate", "loss", "near_votes", "unsupported", "counts"),
                 *("variance", "chosen", *owns, "gain_down", "gain_along", "rows_risk"),
                 *("weights", "values", "mixed_variance", "left_share"),
@@ -273,7 +286,7 @@ class FieldPlan:
                 "pilot",
                 1,
                 *("data", "votes", "counts", number, "pilot_down", "pilot_along"),
-                *(*pilots, "residual", "size", "near", "sums"),
+                *(*pilots, "size", "near", "sums"),
             ),
             self._of_rows(
                 "noise",

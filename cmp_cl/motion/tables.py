@@ -18,6 +18,7 @@ from cmp_cl.filter.polynomials import (
 Single = NDArray[np.float32]
 
 TAPS = 15  # of the widest filter, as in kernels/filter.cl
+LANES = 8  # numbers of a vector, as in kernels/field.clh
 NOISE_NODES, RISK_NODES = 10, 8  # nodes on each side in the Gaussian means, as there
 
 
@@ -26,17 +27,21 @@ class AxisTables:
     """The tables along an axis of n nodes with F filters.
 
     sides: (F,) int32, the nodes on each side in their windows. filters: (F, n, TAPS), the weights
-    in the window of each node. own, gain: (F, n), of the node itself, and the sum of the squares.
-    pilot, pilot_own, pilot_side: the same for the pilot. bend: (n, 3, S), the weights of the value
-    of the line and of the first and second derivative of the parabola fitted to S nodes.
+    in the window of each node. matrices: (F, n, n), the weight of each node in the values of all.
+    own, gain: (F, n), of the node itself, and the sum of the squares.
+    pilot, pilot_matrix, pilot_own, pilot_side: the same for the pilot. bend: (n, 3, S), the weights
+    of the value of the line and of the first and second derivative of the parabola fitted to S
+    nodes.
     grams: the products of the filters behind the mean and the slope of the window of a strain.
     """
 
     sides: NDArray[np.int32]
     filters: Single
+    matrices: Single
     own: Single
     gain: Single
     pilot: Single
+    pilot_matrix: Single
     pilot_own: Single
     pilot_side: int
     bend: Single
@@ -58,9 +63,11 @@ def axis_tables(n: int) -> AxisTables:
         filters=np.stack(
             [_windows(one, side, TAPS) for one, side in zip(axis.filters, sides, strict=True)]
         ),
+        matrices=axis.filters.transpose(0, 2, 1),
         own=axis.own,
         gain=axis.gain,
         pilot=_windows(axis.pilot, pilot_side, TAPS),
+        pilot_matrix=axis.pilot.T,
         pilot_own=axis.pilot_own,
         pilot_side=pilot_side,
         bend=bend,
@@ -77,6 +84,12 @@ def gaussian(deviation: float, reach: int) -> Single:
 
 NOISE_GAUSSIAN = gaussian(NOISE_REACH, NOISE_NODES)
 RISK_GAUSSIAN = gaussian(RISK_REACH, RISK_NODES)
+
+
+def in_lines(rows: Single) -> Single:
+    """Return rows (..., n) with zeros behind them, up to a whole number of vectors."""
+    missing = -rows.shape[-1] % LANES
+    return np.pad(rows, [(0, 0)] * (rows.ndim - 1) + [(0, missing)])
 
 
 def _windows(matrix: NDArray[np.floating], side: int, taps: int | None = None) -> Single:
