@@ -194,7 +194,8 @@ class _Joining:
             colours &= bool(np.sort(raw)[-2] <= k.join_ratio * raw[best])
         turn, favourite = int(places[best, 0]), complex(places[best, 1], places[best, 2])
         at, ratio = self.flattest(part, turn, favourite)
-        agreed = abs(at - favourite) < ROUNDED
+        if abs(at - favourite) > ROUNDED:  # long cells bend a surface; lost ones are not counted
+            return 0.0, None
         away = at - offset
         same = (np.abs(away) < ROUNDED) & (quarter == turn)
         inward = _inward(units.number[unit], units.number[some], k) * DIRECTIONS[turn]
@@ -203,9 +204,8 @@ class _Joining:
         support = weight[same].sum()
         if against > k.join_against * support:
             return 0.0, None
-        bend = k.join_bend if agreed else k.join_bend**2
-        alone = ratio >= bend and support >= k.join_votes
-        if not alone and not (colours and agreed and ratio > 1):
+        alone = ratio >= k.join_bend and support >= k.join_votes
+        if not alone and not (colours and ratio > 1):
             return 0.0, None
         return ratio, Placement(turn, at)
 
