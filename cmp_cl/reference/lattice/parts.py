@@ -30,13 +30,14 @@ LEAST_CONTRAST = 32  # sixteenths of a grey level, twice: below it a ratio means
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Directed:
     """Corners with their boundaries: x, y (N,) float32; angle (N, 4), 1/65536 turn; contrast (N,),
-    twice the contrast of their cells in sixteenths of a grey level; known (N,), False without
-    angles."""
+    twice the contrast of their cells in sixteenths of a grey level; placed, known (N,), False
+    without a position, and without angles."""
 
     x: Real
     y: Real
     angle: Whole
     contrast: Whole
+    placed: Mask
     known: Mask
 
 
@@ -100,7 +101,8 @@ def directed(
 ) -> Directed:
     """Return the directions of the two boundary lines of each corner, and its contrast."""
     known: Mask = ~np.isnan(np.concatenate([xy, edges], axis=1)).any(axis=1)
-    x, y = (np.where(known, each, F(0)) for each in xy.astype(np.float32).T)
+    placed: Mask = ~np.isnan(xy).any(axis=1)
+    x, y = (np.where(placed, each, F(0)) for each in xy.astype(np.float32).T)
     turns = np.where(known[:, None], edges, 0).astype(np.float32) * F(10430.378)
     q = np.floor(turns + F(0.5)).astype(np.int64) % TURN
     opposite = (q[:, 2:] + TURN // 2) % TURN
@@ -113,17 +115,17 @@ def directed(
     level = read(plane, x[:, None] + radius * across, y[:, None] + radius * down)
     contrast = level[:, 1] + level[:, 3] - level[:, 0] - level[:, 2]
     contrast = np.maximum(contrast, LEAST_CONTRAST)
-    return Directed(x=x, y=y, angle=angle, contrast=contrast, known=known)
+    return Directed(x=x, y=y, angle=angle, contrast=contrast, placed=placed, known=known)
 
 
 def candidates(shape: tuple[int, int], corners: Directed, constants: LatticeConstants) -> Whole:
     """Return pairs (i, j) of corners near each other, (M, 2), in order of i, then of j.
 
     Corners are in square bins. The candidates of a corner are all in the bins around its own, as
-    far as it takes until these hold `link_neighbours` corners.
+    far as it takes until these hold `link_neighbours` corners, with and without boundaries.
     """
     height, width = shape
-    some = np.flatnonzero(corners.known)
+    some = np.flatnonzero(corners.placed)
     shift = 2
     while ((width * height) >> (2 * shift)) > max(len(corners.x), 1):
         shift += 1
@@ -152,6 +154,7 @@ def candidates(shape: tuple[int, int], corners: Directed, constants: LatticeCons
         pairs.append(np.stack([np.repeat(near, number), other], axis=1))
     both = np.concatenate(pairs)
     both = some[both[both[:, 0] != both[:, 1]]]
+    both = both[corners.known[both].all(axis=1)]
     ordered: Whole = both[np.lexsort((both[:, 1], both[:, 0]))]
     return ordered
 
