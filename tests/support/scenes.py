@@ -413,9 +413,7 @@ SCENES: dict[str, Case] = {
         for kind in GROUNDS
         for seed in range(2)
     },
-    "board with dots": Case(
-        functools.partial(board, mark=dots), 0.9, xfail="columns beyond squares with dots are lost"
-    ),
+    "board with dots": Case(functools.partial(board, mark=dots)),
     **{
         f"board with codes of {share}": Case(
             lambda share=share: drawn(
