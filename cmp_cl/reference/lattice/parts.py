@@ -101,7 +101,7 @@ def directed(
 ) -> Directed:
     """Return the directions of the two boundary lines of each corner, and its contrast."""
     known: Mask = ~np.isnan(np.concatenate([xy, edges], axis=1)).any(axis=1)
-    placed: Mask = ~np.isnan(xy).any(axis=1)
+    placed: Mask = np.isfinite(xy[:, 0] + xy[:, 1])
     x, y = (np.where(placed, each, F(0)) for each in xy.astype(np.float32).T)
     turns = np.where(known[:, None], edges, 0).astype(np.float32) * F(10430.378)
     q = np.floor(turns + F(0.5)).astype(np.int64) % TURN
