@@ -163,6 +163,7 @@ def drawn(seed: int) -> tuple[Board, list[str]]:
     )
     strong = {
         "spread ink": ink != 0,
+        "noise, wide": noise > 0.03 and cell >= 40 and not clutter,
         "noise": noise > 0.03,
         "clutter": clutter,
         "cells under 20 px": cell < 20,

@@ -20,7 +20,7 @@ from cmp_cl.reference import harmonic
 
 FIRST_SEED = 700_000
 RADIUS = 3  # px, of suppression
-KINDS = ("all", "spread ink", "noise", "clutter", "cells under 20 px")
+KINDS = ("all", "spread ink", "noise, wide", "noise", "clutter", "cells under 20 px")
 
 
 class Settings(NamedTuple):
@@ -29,7 +29,9 @@ class Settings(NamedTuple):
     share: least response against the reference, in 1/128; the fine one is 5/3 of it. frame_wide,
         octave_wide: least response of the ring of 8 px, one in that many; 0 leaves it out.
         octave_share: as share, in octaves. apart: px of the octave. one: whether all octaves have
-        one reference.
+        one reference. strong: least response of a strong corner, 1/128 of the reference. wide:
+        least maxima of octave 2 in wide cells, as a share of the strong ones of the frame; inf
+        leaves the check out. seen: px of octave 1.
     """
 
     share: int = 24
@@ -38,6 +40,9 @@ class Settings(NamedTuple):
     octave_share: int = 48
     apart: int = 5
     one: bool = True
+    strong: int = 64
+    wide: float = 0.6
+    seen: float = 2
 
 
 class Maxima(NamedTuple):
@@ -93,15 +98,37 @@ def decided(board: Listed, chosen: Settings) -> np.ndarray:
     frame, fine = board.octaves[0], board.fine
     clean = frame.clean & (frame.wide * (chosen.frame_wide or 1e9) >= frame.response)
     least = chosen.share * (level if chosen.one else references[0])
-    xy = frame.xy[np.where(clean, 256, 128) * frame.response >= least]
+    kept = np.where(clean, 256, 128) * frame.response >= least
+    xy = frame.xy[kept & seen(frame, board, chosen, level)]
     least = (5 * chosen.share + 1) // 3 * (level or harmonic.reference(fine.response))
-    xy = far(fine.xy[128 * fine.response >= least], xy, RADIUS)
+    kept = (128 * fine.response >= least) & seen(fine, board, chosen, level)
+    xy = far(fine.xy[kept], xy, RADIUS)
     for n, octave in enumerate(board.octaves[1:], 1):
         least = chosen.octave_share * (level if chosen.one else references[n])
         strong = 128 * octave.response >= least
         strong &= octave.wide * (chosen.octave_wide or 1e9) >= octave.response
         xy = far(octave.xy[strong], xy, chosen.apart * 2**n)
     return xy
+
+
+def seen(maxima: Maxima, board: Listed, chosen: Settings, level: int) -> np.ndarray:
+    """Return which maxima of the frame are strong, or seen in octave 1; all in small cells."""
+    strong = 128 * maxima.response >= chosen.strong * level
+    if len(board.octaves) < 3 or not level:
+        return strong | True
+    one, two = (
+        octave.xy[
+            (128 * octave.response >= chosen.share * level) & (4 * octave.wide >= octave.response)
+        ]
+        for octave in board.octaves[1:3]
+    )
+    voting = np.count_nonzero(128 * board.octaves[0].response >= chosen.strong * level)
+    if len(two) < chosen.wide * voting:
+        return strong | True
+    if not len(one) or not len(maxima.xy):
+        return strong
+    beside: np.ndarray = cKDTree(one).query(maxima.xy, p=np.inf)[0] <= 2 * chosen.seen
+    return strong | beside
 
 
 def far(added: np.ndarray, known: np.ndarray, apart: float) -> np.ndarray:
@@ -120,10 +147,12 @@ VARIED = [
     *({"octave_share": n} for n in (16, 24, 32, 40, 48, 56, 72, 80)),
     *({"apart": n} for n in (2, 3, 4, 6, 8)),
     {"one": False},
+    *({"wide": n} for n in (0.4, 0.5, 0.7, 0.8, np.inf)),
+    *({"strong": n} for n in (32, 48, 96, 128)),
+    *({"seen": n} for n in (1, 1.5, 3)),
     *({"share": 20, "octave_share": n} for n in (32, 48, 64)),
     {"octave_share": 32, "octave_wide": 0},
     {"octave_share": 32, "octave_wide": 0, "apart": 4},
-    {"octave_share": 48, "apart": 4},
 ]
 
 

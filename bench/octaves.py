@@ -61,7 +61,7 @@ def spread_ink() -> Iterator[tuple[str, list[Board]]]:
 def noisy(count: int) -> Iterator[tuple[str, list[Board]]]:
     """Yield drawn boards, those with strong noise first."""
     drawn = [boards.drawn(FIRST_SEED + n) for n in range(count)]
-    wide = [each for each, strong in drawn if "noise" in strong and each.cell >= 40]
+    wide = [each for each, strong in drawn if "noise, wide" in strong]
     small = [each for each, strong in drawn if "noise" in strong and each.cell < 40]
     yield "drawn, noisy, cells from 40 px", wide
     yield "drawn, noisy, cells under 40 px", small

@@ -235,13 +235,14 @@ __kernel void fine_maxima(__global const ushort *restrict fine_plane,
 /* Empty the lists of a frame. One work-item per list. */
 __kernel void clear_lists(__global uint *restrict counts) { counts[get_global_id(0)] = 0; }
 
-/* Clear the maxima. One work-item per row. */
+/* Clear the maps of bits. One work-item per row. */
 __kernel void clear_maxima(const uint rows, const uint step, __global uint *restrict row_counts,
-                           __global uint *restrict maxima, __global uint *restrict taken) {
+                           __global uint *restrict maxima, __global uint *restrict taken,
+                           __global uint *restrict seen) {
   const size_t row = get_global_id(1) * rows + get_global_id(0);
   row_counts[row] = 0;
-  for (uint word = 0; word < step / 32; ++word)
-    maxima[row * (step / 32) + word] = taken[row * (step / 32) + word] = 0;
+  for (size_t word = row * (step / 32); word < (row + 1) * (step / 32); ++word)
+    maxima[word] = taken[word] = seen[word] = 0;
 }
 
 /* The search for the reference: first by bins of 64 responses, then within a bin. `found` holds
@@ -252,6 +253,7 @@ typedef struct {
   ulong all, above; /* sums of squares: of all responses, of those above the bin */
   int bound[2];     /* the least responses that the noise allows */
   int kind, base, reference;
+  int strong, there; /* in octave 0: maxima for and against wide cells, see see_octaves */
 } Decision;
 
 int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
@@ -280,7 +282,7 @@ __kernel void bound_noise(__global const ulong *restrict noise, __global const u
   own->bound[0] = noise_bound(coarse_noise, amplitude, pixels, full_scale);
   own->bound[1] = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
   own->all = own->above = 0;
-  own->base = own->reference = 0;
+  own->base = own->reference = own->strong = own->there = 0;
   own->kind = KIND_OF_OCTAVE((int)octave);
   if (octave) return;
 #if FINE /* the reference comes from the fine responses if no coarse one is above its bound */
@@ -337,6 +339,7 @@ __kernel void choose_reference(__global Decision *restrict found) {
   int reference = FINE && frame.kind == 1 ? 0 : frame.reference;
   for (int n = 1; n <= OCTAVES; ++n) reference = max(reference, DECISION(p, n).reference);
   DECISION(p, 0).reference = reference ? reference : frame.reference;
+  DECISION(p, 0).strong = reference ? 0 : -1; /* -1: nothing tells how wide the cells are */
 }
 
 #endif
@@ -350,12 +353,58 @@ __kernel void choose_reference(__global Decision *restrict found) {
   const size_t word = (p * rows + y) * (step / 32) + x / 32;
 #define OF_FRAME const size_t n = get_global_id(0), p = get_global_id(1);
 
+/* True if a bit is within x - before .. x + behind, and in such rows. */
+bool any_bit(__global const uint *bits, const size_t p, const int x, const int y,
+             const int before, const int behind, const uint rows, const uint step) {
+  const int left = max(x - before, PAD), right = min(x + behind, (int)step - 1);
+  for (int j = max(y - before, 0); j <= min(y + behind, (int)rows - 1); ++j) {
+    __global const uint *row = bits + (p * rows + j) * (step / 32);
+    for (int k = left / 32; k <= right / 32; ++k) {
+      const uint from = 32 * k < left ? 0xffffffffu << left % 32 : 0xffffffffu;
+      const uint to = 32 * k + 31 > right ? 0xffffffffu >> (31 - right % 32) : 0xffffffffu;
+      if (row[k] & from & to) return true;
+    }
+  }
+  return false;
+}
+
+/* The cells of a frame are wide if its second octave has three maxima for every five strong ones of
+ * the frame. Then a corner of the frame is strong, or the first octave has it too. */
+#define IS_STRONG(r, reference) (2 * (r) >= (reference))
+#define MAY_BE_CORNER(r, decision)                                                  \
+  (OCTAVES < 2 || (decision).strong < 0 || 5 * (decision).there < 3 * (decision).strong || \
+   IS_STRONG(r, (decision).reference) || any_bit(seen, p, x, y, 3, 4, rows, step))
+
+#if OCTAVES >= 2
+
+/* Count the strong maxima of a frame and the maxima of its second octave, and mark those of its
+ * first. One work-item per maximum; dimension 1 is one of these octaves of a frame. */
+__kernel void see_octaves(__global int *restrict lists, __global const uint *restrict counts,
+                          volatile __global Decision *found, const uint rows, const uint step,
+                          const uint capacity, const int coarse_share,
+                          __global uint *restrict seen) {
+  const size_t n = get_global_id(0), p = get_global_id(1) / 3;
+  ENTRY(KIND_OF_OCTAVE(get_global_id(1) % 3))
+  const int r = entry[2 * capacity], reference = DECISION(p, 0).reference;
+  if (r <= DECISION(p, octave).bound[0] || DECISION(p, 0).strong < 0) return;
+  if (octave == 0) {
+    if (IS_STRONG(r, reference)) atomic_inc(&DECISION(p, 0).strong);
+    return;
+  }
+  if (!(entry[3 * capacity] & CLEAN) || 128 * r < coarse_share * reference) return;
+  if (octave == 1) atomic_or(seen + word, 1u << x % 32);
+  else atomic_inc(&DECISION(p, 0).there);
+}
+
+#endif
+
 /* Keep the coarse corners: their response is above the noise bound and not below a share of the
  * reference, or half of that share if it is clean. Each marks the window around it as taken. One
  * work-item per maximum. */
 __kernel void keep_coarse(__global int *restrict lists, __global const uint *restrict counts,
                           __global const Decision *restrict found, const uint rows,
                           const uint step, const uint capacity, const int coarse_share,
+                          __global const uint *restrict seen,
                           __global uint *restrict row_counts, __global uint *restrict maxima,
                           __global uint *restrict taken) {
   OF_FRAME
@@ -365,6 +414,7 @@ __kernel void keep_coarse(__global int *restrict lists, __global const uint *res
   const int clean = entry[3 * capacity] & CLEAN;
   if (r <= decision.bound[0] || (clean ? 256 : 128) * r < coarse_share * decision.reference)
     return;
+  if (!MAY_BE_CORNER(r, decision)) return;
   entry[3 * capacity] |= KEPT;
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);
@@ -383,14 +433,15 @@ __kernel void keep_coarse(__global int *restrict lists, __global const uint *res
 __kernel void keep_fine(__global int *restrict lists, __global const uint *restrict counts,
                         __global const Decision *restrict found,
                         __global const uint *restrict taken, const uint rows, const uint step,
-                        const uint capacity, const int fine_share, __global uint *restrict row_counts,
-                        __global uint *restrict maxima) {
+                        const uint capacity, const int fine_share,
+                        __global const uint *restrict seen,
+                        __global uint *restrict row_counts, __global uint *restrict maxima) {
   OF_FRAME
   ENTRY(1)
   const Decision decision = DECISION(p, 0);
   const int r = entry[2 * capacity];
   if (r <= decision.bound[1] || 128 * r < fine_share * decision.reference) return;
-  if (taken[word] >> x % 32 & 1) return;
+  if (taken[word] >> x % 32 & 1 || !MAY_BE_CORNER(r, decision)) return;
   entry[3 * capacity] |= KEPT;
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);
@@ -412,15 +463,7 @@ __kernel void keep_octave(__global int *restrict lists, __global const uint *res
   const int r = entry[2 * capacity], reach = 5 << octave;
   if (!(entry[3 * capacity] & CLEAN) || r <= DECISION(p, octave).bound[0]) return;
   if (128 * r < 48 * DECISION(p, 0).reference) return;
-  const int left = max(x - reach, PAD), right = min(x + reach - 1, (int)step - 1);
-  for (int j = max(y - reach, 0); j <= min(y + reach - 1, (int)rows - 1); ++j) {
-    __global const uint *row = maxima + (p * rows + j) * (step / 32);
-    for (int k = left / 32; k <= right / 32; ++k) {
-      const uint from = 32 * k < left ? 0xffffffffu << left % 32 : 0xffffffffu;
-      const uint to = 32 * k + 31 > right ? 0xffffffffu >> (31 - right % 32) : 0xffffffffu;
-      if (row[k] & from & to) return;
-    }
-  }
+  if (any_bit(maxima, p, x, y, reach, reach - 1, rows, step)) return;
   entry[3 * capacity] |= KEPT;
 }
 

@@ -32,6 +32,11 @@ WIDE: Ring = (8, 6)
 LEAST_SIDE = 48  # px, of a halved frame
 OCTAVE_SHARE = 48  # least response of a corner of a halved frame, 1/128 of the reference
 OCTAVE_APART = 5  # px of the halved frame: nearer to a corner found before it is that corner
+# A response of half the reference is strong. Cells are wide if the frame halved twice has 3 maxima
+# for every 5 strong ones of the frame. SEEN is in px of the frame halved once.
+STRONG = 2
+WIDE_CELLS = (3, 5)
+SEEN = 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -111,7 +116,10 @@ def corners(
     frame = octaves[0]
     level = max(reference(each.levels()) for each in octaves)
     kept = np.zeros(image.shape, np.bool_)
+    wide = has_wide_cells(octaves, rule, level)
     strong = of_frame(frame, rule, level)
+    if wide:
+        strong &= is_seen(frame.x, frame.y, frame.levels(), octaves[1], rule, level)
     kept[frame.y[strong], frame.x[strong]] = True
     found = [(frame.x[strong], frame.y[strong], frame, frame.response, False)]
 
@@ -126,6 +134,8 @@ def corners(
         least = rule.fine_share * (level or reference(fine_response[y, x]))
         strong = 128 * fine_response[y, x] >= least
         strong &= nms.largest_within(kept.astype(np.int64), nms_radius)[y, x] == 0
+        if wide:
+            strong &= is_seen(x, y, fine_response[y, x], octaves[1], rule, level)
         y, x = y[strong], x[strong]
         kept[y, x] = True
         found.append((x, y, frame, fine_response, True))
@@ -230,12 +240,39 @@ def of_frame(frame: Octave, rule: RingHarmonic, level: int) -> NDArray[np.bool_]
     return strong
 
 
-def of_octave(octave: Octave, level: int) -> NDArray[np.bool_]:
-    """Return (N,): the maxima of a halved frame that are strong enough against the reference, and
-    to which the ring of 8 px responds at least a quarter as much."""
+def of_octave(octave: Octave, level: int, share: int = OCTAVE_SHARE) -> NDArray[np.bool_]:
+    """Return (N,): the maxima of a halved frame that are at least a share of the reference, in
+    1/128, and to which the ring of 8 px responds at least a quarter as much."""
     response = octave.levels()
-    strong: NDArray[np.bool_] = 128 * response >= OCTAVE_SHARE * level
+    strong: NDArray[np.bool_] = 128 * response >= share * level
     return strong & (4 * wide_response(octave) >= response)
+
+
+def has_wide_cells(octaves: list[Octave], rule: RingHarmonic, level: int) -> bool:
+    """Return whether the cells of the frame are so wide that the frame halved twice has the
+    corners too. Without such a frame they count as small."""
+    if len(octaves) < 3 or not level:
+        return False
+    strong = np.count_nonzero(STRONG * octaves[0].levels() >= level)
+    there = np.count_nonzero(of_octave(octaves[2], level, rule.coarse_share))
+    least, of = WIDE_CELLS
+    return bool(of * there >= least * strong)
+
+
+def is_seen(
+    x: Whole, y: Whole, response: Whole, half: Octave, rule: RingHarmonic, level: int
+) -> NDArray[np.bool_]:
+    """Return (N,): whether maxima of a frame with wide cells are strong, or the halved frame has a
+    maximum within SEEN of its px in both axes.
+
+    There, noise is weaker, and independent of that of the frame; the corners of wide cells stay.
+    """
+    there = of_octave(half, level, rule.coarse_share)
+    # Twice the distances from the places of the halved frame, px of the frame.
+    apart_x = np.abs(2 * x[:, None] - (4 * half.x[there] + 1))
+    apart_y = np.abs(2 * y[:, None] - (4 * half.y[there] + 1))
+    seen: NDArray[np.bool_] = (np.maximum(apart_x, apart_y) <= 4 * SEEN).any(axis=1)
+    return seen | (STRONG * response >= level)
 
 
 def wide_response(octave: Octave) -> Whole:

@@ -57,6 +57,7 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
     decided = {
         "maxima": _bits(plan),
         "taken": _bits(plan),
+        "seen": _bits(plan),
         "row_counts": 4 * rows,
         "row_starts": 4 * rows,
         "squares": 8 * frames * (1 + plan.octaves) * BINS,
@@ -195,6 +196,7 @@ def _decide(plan: PlanBase) -> list[Launch]:
             step=step,
             **kept,
             taken=taken,
+            seen=b["seen"],
         )
     ]
     for octave in range(1 + plan.octaves):
@@ -246,11 +248,15 @@ def _decide(plan: PlanBase) -> list[Launch]:
         return plan.stage(name, items, (GROUP, 1), **lists, found=b["decision"], **arguments)
 
     limits = {"rows": rows, "step": step, "capacity": capacity}
-    share = np.int32(rule.coarse_share)
-    stages.append(of_maxima("keep_coarse", **limits, coarse_share=share, **kept, taken=taken))
+    share, seen = {"coarse_share": np.int32(rule.coarse_share)}, {"seen": b["seen"]}
+    if plan.octaves >= 2:
+        items = (plan.list_capacity, 3 * plan.frames)
+        looked = {**lists, "found": b["decision"], **limits, **share, **seen}
+        stages.append(plan.stage("see_octaves", items, (GROUP, 1), **looked))
+    stages.append(of_maxima("keep_coarse", **limits, **share, **seen, **kept, taken=taken))
     if rule.fine:
-        share = np.int32(rule.fine_share)
-        stages.append(of_maxima("keep_fine", taken=taken, **limits, fine_share=share, **kept))
+        share = {"fine_share": np.int32(rule.fine_share)}
+        stages.append(of_maxima("keep_fine", taken=taken, **limits, **share, **seen, **kept))
     items = (plan.list_capacity, plan.frames)
     for octave in range(1, plan.octaves + 1):
         number = {"number": np.uint32(octave)}

@@ -391,21 +391,74 @@ int bound_of_octave(__global const ulong *noise, const uint n, const uint rows,
  * in a map of pixels of the octave, shifted by half a pixel: a maximum at x is near those at
  * x - 4 .. x + 5. */
 #define LEAST_SHARE 48 /* of the reference, in 1/128 */
-#define BEFORE 4
-#define BEHIND 5
 #define MARK_AT(x, n) (((x) + (1 << (n) >> 1)) >> (n))
 
-int is_marked(__global const uint *marks, const int x, const int y, const int last,
-              const uint width) {
-  const uint first = (uint)(PAD + x - BEFORE);
-  for (int line = 0; line < BEFORE + BEHIND + 1; ++line) { /* the nearest rows first */
+/* Whether a mark is within x - before .. x + before + 1, and in such rows. The nearest rows come
+ * first. */
+int is_marked(__global const uint *marks, const int x, const int y, const int before,
+              const int last, const uint width) {
+  const uint first = (uint)(PAD + x - before);
+  for (int line = 0; line <= 2 * before + 1; ++line) {
     const int row = y + (line % 2 ? line / 2 + 1 : -(line / 2));
     if (row < 0 || row > last) continue;
     __global const uint *word = marks + (uint)row * width + first / 32;
     const ulong both = (ulong)word[1] << 32 | word[0];
-    if (both >> first % 32 & ((1ul << (BEFORE + BEHIND + 1)) - 1)) return 1;
+    if (both >> first % 32 & ((2ul << (2 * before + 1)) - 1)) return 1;
   }
   return 0;
+}
+
+/* Count the maxima of a list that are above a bound and at least a share of the reference, in 1/128,
+ * and to which the wide ring responds if `wide`. Mark them unless `marks` is 0. */
+uint count_maxima(__global const int *lists, __global const uint2 *spans, const uint kind,
+                  const uint bands, const uint capacity, const int bound, const int share,
+                  const int reference, const int wide, __global uint *marks, const uint width) {
+  uint count = 0;
+  for (uint band = 0; band < bands; ++band) {
+    __global const int *list = LIST_OF(band, kind);
+    for (uint k = 0; k < SMALLER(SPAN_OF(band, kind).y, capacity); ++k) {
+      const int r = list[2 * capacity + k];
+      if (r <= bound || 128 * r < share * reference) continue;
+      if (wide && !(list[3 * capacity + k] & CLEAN)) continue;
+      ++count;
+      const uint x = PAD + (uint)list[k];
+      if (marks) marks[(uint)list[capacity + k] * width + x / 32] |= 1u << x % 32;
+    }
+  }
+  return count;
+}
+
+/* In a frame with wide cells, remove the maxima of a list of the frame that are not strong and that
+ * the first octave does not have: their response becomes 0. The cells are wide if the second octave
+ * has three maxima for every five strong ones of the frame. */
+#define STRONG_SHARE 64 /* of the reference, in 1/128 */
+void remove_unseen(__global int *lists, __global const uint2 *spans, const int *bounds,
+                   const uint rows, const uint columns, const uint step, const uint bands,
+                   const uint capacity, const int reference, const int coarse_share,
+                   __global uint *marks) {
+#if OCTAVES >= 2
+  if (!reference) return;
+  const uint bands_2 = bands_of(2, rows, bands);
+  const uint strong = count_maxima(lists, spans, 0, bands, capacity, bounds[0], STRONG_SHARE,
+                                   reference, 0, 0, 0);
+  const uint there = count_maxima(lists, spans, KIND_OF_OCTAVE(2), bands_2, capacity, bounds[2],
+                                  coarse_share, reference, 1, 0, 0);
+  if (5 * there < 3 * strong) return;
+  const Octave smaller = octave_of(1, rows, columns, step, 1);
+  const uint width = smaller.step / 32;
+  for (uint k = 0; k < smaller.rows * width; ++k) marks[k] = 0;
+  count_maxima(lists, spans, KIND_OF_OCTAVE(1), bands_of(1, rows, bands), capacity, bounds[1],
+               coarse_share, reference, 1, marks, width);
+  for (uint kind = 0; kind <= FINE; ++kind)
+    for (uint band = 0; band < bands; ++band) {
+      __global int *list = LIST_OF(band, kind);
+      for (uint k = 0; k < SMALLER(SPAN_OF(band, kind).y, capacity); ++k)
+        if (2 * list[2 * capacity + k] < reference &&
+            !is_marked(marks, (list[k] - 1) >> 1, (list[capacity + k] - 1) >> 1, 1,
+                       (int)smaller.rows - 1, width))
+          list[2 * capacity + k] = 0;
+    }
+#endif
 }
 
 /* Add the corners of octave n to those of the frame and of the octaves before. Return how many
@@ -441,7 +494,7 @@ uint add_octave(const uint n, const Octave octave, __global uint2 *spans, __glob
     __global int *list = LIST_OF(band, kind);
     uint kept = 0;
     for (uint k = 0; k < SPAN_OF(band, kind).y; ++k) {
-      if (is_marked(marks, list[k], list[capacity + k], (int)octave.rows + 1, width)) continue;
+      if (is_marked(marks, list[k], list[capacity + k], 4, (int)octave.rows + 1, width)) continue;
       if (kept < k) copy_entries(list + k, capacity, 1, list + kept, capacity);
       ++kept;
     }
@@ -489,6 +542,7 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
   int reference = reference_of(lists, spans, 0, bands, capacity, coarse_bound);
 #if OCTAVES
   int bounds[OCTAVES + 1];
+  bounds[0] = coarse_bound;
   for (uint n = 1; n <= OCTAVES; ++n) {
     const uint own = bands_of(n, rows, bands);
     bounds[n] =
@@ -496,6 +550,8 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
     const int other = reference_of(lists, spans, KIND_OF_OCTAVE(n), own, capacity, bounds[n]);
     reference = LARGER(reference, other);
   }
+  remove_unseen(lists, spans, bounds, rows, columns, step, bands, capacity, reference, coarse_share,
+                maxima);
 #endif
 #if FINE
   const int fine_bound =

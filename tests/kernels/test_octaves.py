@@ -57,6 +57,21 @@ def test_strict_bounds_of_noise_and_of_the_wide_ring_are_the_oracles(detector_in
     assert len(assert_corners_equal(detector_in_form(image, config), image)) > 0
 
 
+@pytest.mark.parametrize("smooth", [1, 2, 3])
+def test_noise_between_wide_cells_is_no_corner(detector_in_form, smooth):
+    image, truth = images.board(*SHAPE, 60, angle=0.3, blur=1.5)
+    noise = cv2.GaussianBlur(np.random.default_rng(3).normal(size=SHAPE), (0, 0), smooth)
+    dim = np.linspace(0.4, 1, SHAPE[1]) * image + 12 * noise / noise.std()
+    image = dim.clip(0, 255).astype(np.uint8)
+    found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
+    inside, near = (((xy > 15) & (xy < (289, 247))).all(axis=1) for xy in (truth, found.xy))
+    apart = np.linalg.norm(truth[:, None] - found.xy, axis=2)
+    assert apart[inside].min(axis=1).max() < 6
+    assert apart[:, near].min(axis=0).max() < 6
+    once = DetectorConfig(detection=RingHarmonic(octaves=1))
+    assert len(assert_corners_equal(detector_in_form(image, once), image)) > len(found) + 2
+
+
 @pytest.mark.parametrize("cell", [40, 50])
 def test_squares_that_ink_joins_have_their_corners_in_a_halved_frame(detector_in_form, cell):
     image, truth = ink(cell, 0.08)
