@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     __version__: str
 
 # OpenCV reads it when it is imported; its own limit, 2**30, is gigabytes for a hostile file.
-os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 28))
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 27))
 
 _HOMES = {
     "config": "AdaptiveMean BinaryRings DetectorConfig EdgeLines EdgeStep Fit Midlines "

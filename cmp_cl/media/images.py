@@ -27,6 +27,11 @@ VIDEO_SUFFIXES = frozenset(  # a GIF is read as a video: it may have several fra
     | {".webm", ".wmv", ".y4m"}
 )
 _OF_16_BITS = frozenset({".jp2", ".pgm", ".png", ".pnm", ".tif", ".tiff"})
+_SIGNATURES = re.compile(  # of these formats; no other reader of OpenCV gets the bytes of a file
+    rb"\x89PNG|\xff\xd8|BM|P[1-6]|II[*+]\0|MM\0[*+]|RIFF....WEBP|\0\0\0\x0cjP  |\xffO\xffQ",
+    re.DOTALL,
+)
+_WITHOUT_ALPHA = re.compile(rb"\xff\xd8|BM|P")
 _MOST_PAGES = 1 << 20  # those of libtiff
 _BLOCK = 1 << 26  # px of the pages that are decoded at once: OpenCV repeats all earlier ones
 
@@ -58,7 +63,7 @@ def read_image(path: str | PathLike[str]) -> GreyImage:
 
     It reads the first of several pages, rotates the image as its EXIF tag says, and puts what is
     transparent on white. Raises ImageError if the file cannot be read, is damaged, has more pixels
-    than OpenCV's limit (2**28, unless the variable OPENCV_IO_MAX_IMAGE_PIXELS is set before cmp_cl
+    than OpenCV's limit (2**27, unless the variable OPENCV_IO_MAX_IMAGE_PIXELS is set before cmp_cl
     is imported), or is not an image of 8 or 16 bits.
     """
     return next(read_pages(path))
@@ -118,7 +123,7 @@ def decoded(
     """
     pages: Sequence[GreyImage] = ()
     try:
-        if data.size:
+        if _SIGNATURES.match(data[:12].tobytes()):
             how = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
             pages = cv2.imdecodemulti(data, how, range=(first, first + count))[1]  # type: ignore[assignment]
     except cv2.error as error:
@@ -140,15 +145,16 @@ def decoded(
 
 def _over_white(grey: GreyImage, data: NDArray[np.uint8], page: int) -> GreyImage:
     """Return a page over a white ground, if its file is a PNG, a WebP or a TIFF with alpha."""
-    if data[:2].tobytes() in (b"\xff\xd8", b"BM") or data[:1].tobytes() == b"P" or grey.all():
-        return grey  # a JPEG, a BMP, a PNM; nothing that is transparent is grey 0
+    if _WITHOUT_ALPHA.match(data[:2].tobytes()) or grey.all():
+        return grey  # nothing that is transparent is grey 0
     full = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED, range=(page, page + 1))[1]
     if not full or full[0].ndim != 3 or full[0].shape != (*grey.shape, 4):
         return grey
     white = np.iinfo(grey.dtype).max
-    alpha = full[0][..., 3] / np.float32(white)
-    over: GreyImage = np.rint(grey * alpha + white * (1 - alpha)).astype(grey.dtype)
-    return over
+    for row, pixels in zip(grey, full[0], strict=True):  # a whole image of floats is too large
+        alpha = pixels[:, 3] / np.float32(white)
+        row[:] = np.rint(row * alpha + white * (1 - alpha))
+    return grey
 
 
 def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
