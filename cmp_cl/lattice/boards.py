@@ -34,18 +34,23 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
         units = units_of(parts, xy, dataclasses.replace(k, least_part=LEAST_FACES))
     votes = plan.votes(units)
     taken = np.zeros(len(xy), np.bool_)
-    for main in range(int(units.part.max(initial=-1)) + 1):
-        own = units.corner[units.part == main]
-        if 2 * np.count_nonzero(taken[own]) > len(own):
-            continue
-        placed = joined(units, votes, len(xy), k, main)
+    left = list(range(int(units.part.max(initial=-1)) + 1))
+    while left:
+        main, *left = left
+        placed = joined(units, votes, len(xy), k, main, left)
         placed.part[taken] = -1
         board = plan.settle(numbers_of(placed))
         owner = board.owner[board.owner >= 0]
         if np.count_nonzero(board.there) < k.least_board:
             continue
         taken[owner] = True
+        left = [part for part in left if _is_free(taken[units.corner[units.part == part]])]
         yield from _apart(plan, board)
+
+
+def _is_free(taken: Mask) -> bool:
+    """Return whether no more than half of a part's corners are taken."""
+    return 2 * int(np.count_nonzero(taken)) <= len(taken)
 
 
 def numbers_of(placed: Placed) -> NDArray[np.int32]:

@@ -74,9 +74,12 @@ def units_of(parts: Parts, xy: NDArray[np.float32], k: LatticeConstants) -> Unit
     )
 
 
-def joined(units: Units, votes: Votes, corners: int, k: LatticeConstants, main: int = 0) -> Placed:
-    """Return the main part with every other that is sure where it belongs, the surest first."""
-    return _Joining(units, votes, corners, k).run(main)
+def joined(
+    units: Units, votes: Votes, corners: int, k: LatticeConstants, main: int, others: Iterable[int]
+) -> Placed:
+    """Return the main part with each of the others that is sure where it belongs, the surest
+    first."""
+    return _Joining(units, votes, corners, k).run(main, others)
 
 
 class _Joining:
@@ -92,11 +95,11 @@ class _Joining:
         )
         self.disputed: list[complex] = []
         self.used = Occupied(units.number[each] for each in self.members)
-        self.energy: dict[tuple[int, int, int], dict[complex, float]] = {}
+        self.ratios: dict[tuple[int, int, complex, int], float] = {}
 
-    def run(self, main: int) -> Placed:
+    def run(self, main: int, others: Iterable[int]) -> Placed:
         self.place(main, Placement(0, 0j))
-        left = [p for p in range(len(self.members)) if p != main]
+        left = list(others)
         while left:
             found = [(self.sure(p), p) for p in left]
             best = max(
@@ -192,51 +195,42 @@ class _Joining:
         if len(order) > 1:
             colours &= bool(score[order[1]] <= k.join_ratio * score[best])
             colours &= bool(np.sort(raw)[-2] <= k.join_ratio * raw[best])
-        turn, favourite = int(places[best, 0]), complex(places[best, 1], places[best, 2])
-        at, ratio = self.flattest(part, turn, favourite)
-        if abs(at - favourite) > ROUNDED:  # long cells bend a surface; lost ones are not counted
-            return 0.0, None
+        turn, at = int(places[best, 0]), complex(places[best, 1], places[best, 2])
         away = at - offset
         same = (np.abs(away) < ROUNDED) & (quarter == turn)
         inward = _inward(units.number[unit], units.number[some], k) * DIRECTIONS[turn]
         explained = (away * inward.conj()).real >= k.join_inward * np.abs(away)
         against = weight[~same & ((quarter != turn) | ~explained)].sum()
         support = weight[same].sum()
-        if against > k.join_against * support:
+        alone = support >= k.join_votes
+        if against > k.join_against * support or not (alone or colours):
             return 0.0, None
-        alone = ratio >= k.join_bend and support >= k.join_votes
-        if not alone and not (colours and ratio > 1):
+        ratio = self.ratio(part, turn, at)
+        if not (alone and ratio >= k.join_bend) and not (colours and ratio > 1):
             return 0.0, None
         return ratio, Placement(turn, at)
 
-    def flattest(self, part: int, turn: int, start: complex) -> tuple[complex, float]:
-        """Return the offset of least bending energy, downhill from a start, and by what factor the
-        second has more; 0 if none is least."""
+    def ratio(self, part: int, turn: int, offset: complex) -> float:
+        """Return by what factor the surface bends more at the second best offset; 0 if this one is
+        not the best: long cells bend a surface, but lost ones are not counted."""
         units, placed = self.units, self.placed
         some = self.members[part]
         there = placed.there
         there[units.corner[some]] = False
-        known = self.energy.setdefault((part, turn, int(np.count_nonzero(there))), {})
-        of_corner = np.zeros(len(there), np.int64)
-        of_corner[units.corner] = np.arange(len(units.corner))
-        corner = np.flatnonzero(there)
-        others = of_corner[corner]
-        fixed = Side(units.at[others], placed.number[corner], units.rim[others])
-        moved = Side(units.at[some], units.number[some] * DIRECTIONS[turn], units.rim[some])
-        tear, at = None, start
-        for _ in range(4):
-            new = [each for each in at + SHIFTS if each not in known]
-            if new:
-                tear = tear or Tear.between(fixed, moved, self.k)
-                known.update(zip(new, tear.energies(np.array(new)), strict=True))
-            energy = np.array([known[each] for each in at + SHIFTS])
+        known = part, turn, offset, int(np.count_nonzero(there))
+        if known not in self.ratios:
+            of_corner = np.zeros(len(there), np.int64)
+            of_corner[units.corner] = np.arange(len(units.corner))
+            corner = np.flatnonzero(there)
+            others = of_corner[corner]
+            fixed = Side(units.at[others], placed.number[corner], units.rim[others])
+            moved = Side(units.at[some], units.number[some] * DIRECTIONS[turn], units.rim[some])
+            energy = Tear.between(fixed, moved, self.k).energies(offset + SHIFTS)
             energy = np.where(energy > 0, energy, np.inf)
-            least = int(energy.argmin())
-            if SHIFTS[least] == 0:
-                first, second = np.sort(energy)[:2]
-                return at, float(second / first) if np.isfinite(first) else 0.0
-            at = complex(at + SHIFTS[least])
-        return at, 0.0
+            first, second = np.sort(energy)[:2]
+            best = SHIFTS[energy.argmin()] == 0 and np.isfinite(first)
+            self.ratios[known] = float(second / first) if best else 0.0
+        return self.ratios[known]
 
 
 class Occupied:
@@ -248,9 +242,7 @@ class Occupied:
         self.map = np.zeros((2 * self.reach + 1, 2 * self.reach + 1), np.bool_)
 
     def _places(self, number: Numbers) -> tuple[Whole, Whole]:
-        row, column = (
-            np.rint(each).astype(np.int64) + self.reach for each in (number.imag, number.real)
-        )
+        row, column = (each + self.reach for each in _row_and_column(number))
         return row.clip(0, 2 * self.reach), column.clip(0, 2 * self.reach)
 
     def add(self, number: Numbers) -> None:
@@ -264,10 +256,21 @@ class Occupied:
 
 def _inward(number: Numbers, all_numbers: Numbers, k: LatticeConstants) -> Numbers:
     """Return the unit sum of the steps from each node to the part's nodes near it."""
-    steps = all_numbers[None] - number[:, None]
-    total = np.where(np.abs(steps) <= k.span, steps, 0).sum(axis=1)
+    low = complex(all_numbers.real.min(), all_numbers.imag.min()) - k.span * (1 + 1j)
+    row, column = _row_and_column(all_numbers - low)
+    count = np.zeros((row.max() + k.span + 1, column.max() + k.span + 1))
+    np.add.at(count, (row, column), 1)
+    around = np.arange(-k.span, k.span + 1)
+    steps = (around + 1j * around[:, None]).ravel()
+    steps = steps[np.abs(steps) <= k.span]
+    near = _row_and_column((number - low)[:, None] + steps)
+    total = count[near] @ steps
     unit: Numbers = total / np.maximum(np.abs(total), 1e-9)
     return unit
+
+
+def _row_and_column(number: Numbers) -> tuple[Whole, Whole]:
+    return np.rint(number.imag).astype(np.int64), np.rint(number.real).astype(np.int64)
 
 
 class Side(NamedTuple):
@@ -294,8 +297,7 @@ class Tear(NamedTuple):
         middle = moved.at.mean()
         sides = []
         for (z, _, _), other in ((fixed, moved), (moved, fixed)):
-            distance = _distances(z, other.at[other.rim]).min(axis=1, initial=np.inf) / cell
-            chosen = np.flatnonzero(distance < distance.min(initial=np.inf) + k.tear_deep_cells)
+            chosen = _nearest(z, other.at[other.rim], k.tear_deep_cells * cell)
             if len(chosen) > k.tear_most:
                 chosen = chosen[np.linspace(0, len(chosen) - 1, k.tear_most).astype(np.int64)]
             sides.append(chosen)
@@ -317,27 +319,49 @@ class Tear(NamedTuple):
         origin = self.fixed.mean()
         first = self.fixed - origin
         system = np.zeros((count + TREND, count + TREND))
-        system[:count, :count] = _distances(first, first) ** 3 + self.rough * np.eye(count)
+        system[:count, :count] = _cubes(first, first) + self.rough * np.eye(count)
         system[:count, count:] = _trend(first)
         system[count:, :count] = system[:count, count:].T
         position = np.zeros((count + TREND, 2))
         position[:count] = np.stack([self.fixed_at.real, self.fixed_at.imag], axis=1)
         second = (self.moved - origin) + offsets[:, None]
-        beside = np.concatenate(
-            [np.abs(first[:, None] - second[:, None, :]) ** 3, _trend(second).transpose(0, 2, 1)],
-            axis=1,
-        )
-        own = _distances(self.moved, self.moved) ** 3 + self.rough * np.eye(len(self.moved))
+        beside = np.empty((len(offsets), len(self.moved), count + TREND))
+        beside[..., :count] = _cubes(second, first)
+        beside[..., count:] = _trend(second)
+        own = _cubes(self.moved, self.moved) + self.rough * np.eye(len(self.moved))
         try:
             inverse = np.linalg.inv(system)
-            across = beside.transpose(0, 2, 1) @ inverse
+            across = beside @ inverse
             left = np.stack([self.moved_at.real, self.moved_at.imag], axis=1) - across @ position
-            w = np.linalg.solve(own - across @ beside, left)
+            w = np.linalg.solve(own - across @ beside.transpose(0, 2, 1), left)
         except np.linalg.LinAlgError:
             return np.full(len(offsets), np.inf)
         of_first = (position * (inverse @ position)).sum()
         energy: Float = of_first + (left * w).sum(axis=(1, 2))
         return energy
+
+
+def _nearest(z: Numbers, others: Numbers, reach: float) -> Whole:
+    """Return the indices of the points that are by less than `reach` farther from some others than
+    the nearest one, px."""
+    if not len(z) or not len(others):
+        return np.arange(0)
+    beyond = _from_box(z, others)
+    most = float(np.abs(z[beyond.argmin()] - others).min()) + reach
+    some = np.flatnonzero(beyond <= most)
+    squares = _squares(z[some], others[_from_box(others, z) <= most]).min(axis=1)
+    chosen: Whole = some[np.sqrt(squares) < np.sqrt(squares.min()) + reach]
+    return chosen
+
+
+def _from_box(z: Numbers, others: Numbers) -> Float:
+    """Return the distances of points from the upright rectangle around some others."""
+    x, y = (
+        np.maximum(np.maximum(other.min() - own, own - other.max()), 0)
+        for own, other in ((z.real, others.real), (z.imag, others.imag))
+    )
+    away: Float = np.hypot(x, y)
+    return away
 
 
 def _trend(number: Numbers) -> Float:
@@ -346,10 +370,17 @@ def _trend(number: Numbers) -> Float:
     return np.stack([np.ones(x.shape), x, y, x * x, y * y, x * y], axis=-1)
 
 
-def _distances(a: Numbers, b: Numbers) -> Float:
-    """Return the distances of all pairs, (A, B)."""
-    dx, dy = a.real[:, None] - b.real, a.imag[:, None] - b.imag
-    return np.sqrt(dx * dx + dy * dy)
+def _squares(a: Numbers, b: Numbers) -> Float:
+    """Return the squared distances of all pairs, (..., A, B)."""
+    x, y = a.real[..., None] - b.real, a.imag[..., None] - b.imag
+    squares: Float = x * x + y * y
+    return squares
+
+
+def _cubes(a: Numbers, b: Numbers) -> Float:
+    """Return the cubed distances of all pairs, (..., A, B)."""
+    squares = _squares(a, b)
+    return squares * np.sqrt(squares)
 
 
 def _cell_of(z: Numbers, number: Numbers) -> float:
