@@ -447,28 +447,6 @@ def test_threads_wait_for_one_another(detector):
 EVERYTHING = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
 
 
-def test_more_corners_than_the_capacity_are_found_all_the_same(device):
-    image = images.salt_and_pepper((400, 80), 0.9)
-    config = DetectorConfig(
-        detection=BinaryRings(contrast=None, criteria=EVERYTHING), nms_radius=1, max_corners=1
-    )
-    with (
-        Detector(shape=image.shape, config=config, device=device) as small,
-        Detector(
-            shape=image.shape, config=config.replace(max_corners=65536), device=device
-        ) as large,
-    ):
-        before = small.memory
-        corners = assert_corners_equal(small, image)
-        assert small.regrown == 1
-        assert len(corners) > 100
-        assert small.memory > before
-        assert_same_bytes(large(image), corners)
-        assert_same_bytes(small(image), corners)
-        assert small.regrown == 1
-        assert small.memory <= large.memory * 2
-
-
 def test_a_batch_and_a_stream_enlarge_the_lists_too(device):
     image = images.salt_and_pepper((400, 80), 0.9)
     calm = np.full_like(image, 128)
@@ -614,13 +592,6 @@ def test_changing_a_field_changes_the_corners_of_some_image(detector_for, change
             if not np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True):
                 return
     pytest.fail("no corner has changed")
-
-
-def test_the_papers_configuration_finds_midlines_and_cusps(detector_for):
-    config = DetectorConfig.paper(40)
-    corners = assert_corners_equal(detector_for(BOARD, config), BOARD)
-    assert len(corners) > 20
-    assert {Method.MIDLINE, Method.CUSP} & set(corners.method)
 
 
 def test_a_region_selects_which_of_two_boards_is_numbered(detector_for):

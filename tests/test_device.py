@@ -161,9 +161,3 @@ def test_the_users_own_setting_of_workers_is_kept(asked, monkeypatch, name):
     assert list_devices() == []
     assert asked == [os.environ.get("POCL_AFFINITY")]
     assert os.environ[name] == "0"
-
-
-def test_a_process_with_some_of_the_cores_shares_them(asked, monkeypatch):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {2, 3}, raising=False)
-    assert list_devices() == []
-    assert asked == [None]

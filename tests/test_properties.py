@@ -69,7 +69,6 @@ def test_any_image_gives_what_the_oracle_gives(detector_for, seed, dtype, config
     assert_corners_equal(detector, image)
 
 
-@pytest.mark.exhaustive
 @several
 @hypothesis.given(seed=seeds, config=configs, turn=st.sampled_from(TURNS))
 def test_rotating_an_image_rotates_its_maps(detector_for, seed, config, turn):

@@ -27,7 +27,6 @@ from cmp_cl.space import (
     triangulate_points,
     undistort,
 )
-from cmp_cl.synthetic import default_rig, random_scene, render_stereo
 
 K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
 
@@ -252,14 +251,6 @@ def test_the_bumblebee_pairs_show_squares_of_30_mm():
     lengths = np.concatenate(found)
     assert lengths.mean() == pytest.approx(30, abs=0.05)
     assert lengths.std() < 0.14
-
-
-def test_a_rendered_pair_lies_where_it_was_rendered():
-    rig = StereoRig(*default_rig((300, 200)))
-    scene = random_scene(5, markers=20, shape=(300, 200))
-    left, right, truth = render_stereo(scene, rig)
-    points = rig.triangulate(grid_of(left.truth), grid_of(right.truth))
-    np.testing.assert_allclose(points.xyz, truth, atol=2e-4)  # mm, of float32 pixels
 
 
 def test_the_largest_deviation_is_the_root_of_the_largest_eigenvalue():

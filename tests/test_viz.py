@@ -16,9 +16,7 @@ from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.grid import NodeStatus
 from cmp_cl.series import SeriesWriter, read_series
 from cmp_cl.viz import (
-    METHOD_COLOURS,
     STATUS_COLOURS,
-    Moment,
     Quantity,
     Viewer,
     corner_overlay,
@@ -71,17 +69,6 @@ def test_the_centre_of_a_mark_is_the_corner():
         assert distance[near].max() > 10  # the circle
         centre = np.array([rows[near].mean(), columns[near].mean()])
         np.testing.assert_allclose(centre, expected, atol=0.15)
-
-
-def test_colours_and_legend_tell_methods_and_statuses_apart():
-    for colours, kind in ((METHOD_COLOURS, Method), (STATUS_COLOURS, NodeStatus)):
-        assert len(set(colours.values())) == len(colours) == len(kind)
-    xy = [[100 + 120 * method, 200] for method in Method]
-    picture = corner_overlay(np.full((400, 900), 128, np.uint8), corners_at(xy, list(Method)))
-    for method in Method:
-        marked = (picture == METHOD_COLOURS[method]).all(axis=2)
-        assert marked[:-36].any(), method.name
-        assert marked[-36:].any(), f"{method.name} in the legend"
 
 
 def test_an_image_of_any_depth_is_stretched_to_be_seen_and_left_as_it_was():
@@ -211,21 +198,6 @@ def test_the_frame_that_moves_most_is_on_the_sheet_with_the_curves_of_all(record
     assert not [title for title in titles if "over time" in title]  # two frames make no curve
     save_figure(tmp_path / "a picture.png", figure)
     assert cv2.imread(str(tmp_path / "a picture.png")).std() > 20
-
-
-@needs_matplotlib
-def test_arrows_on_the_image_go_from_rest_to_now():
-    rest, now = lattice(), lattice() + np.array([3, -4])
-    now[1, 1] = np.nan
-    moment = Moment(rest=rest, shift=now - rest, sigma=np.full((4, 5), np.nan), unit="px", index=0)
-    image = np.full((100, 140), 128, np.uint8)
-    figure = sheet_figure(moment, view=(image, grid_of(rest), grid_of(now)), rows=[("a", "1 mm")])
-    arrows = figure.axes[0].collections[0]
-    assert arrows.N == 19
-    assert (arrows.angles, arrows.scale_units, arrows.scale) == ("xy", "xy", 1)
-    np.testing.assert_allclose([arrows.U, arrows.V], np.repeat([[3], [-4]], 19, axis=1), atol=1e-5)
-    np.testing.assert_allclose(arrows.get_array(), 5, atol=1e-5)
-    assert figure.axes[0].child_axes[0].get_ylabel() == "displacement / px"
 
 
 # the command

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -241,25 +240,6 @@ def test_a_stopped_run_keeps_what_it_has(run, recording, monkeypatch, name, time
     # The first signal lets the frame be finished, the second does not.
     assert np.load("press.npz")["index"].tolist() == ([0, 1] if times == 1 else [0])
     assert [signal.getsignal(getattr(signal, stop)) for stop in STOPS] == before
-
-
-def test_a_run_stopped_before_its_first_frame_keeps_an_older_series(
-    run, recording, press, monkeypatch
-):
-    enter = SeriesWriter.__enter__
-
-    def stopped(series):
-        signal.raise_signal(signal.SIGINT)
-        return enter(series)
-
-    monkeypatch.setattr(SeriesWriter, "__enter__", stopped)
-    older = ["press.npz", "old.mp4", "old.png"]
-    options = ["--plot", "old"]
-    for name in older:
-        Path(name).write_text("old")
-    assert run("run", recording, *STEREO, *options) == (130, "", "cmp-cl: interrupted\n")
-    assert [Path(name).read_text() for name in older] == ["old"] * len(older)
-    assert not [entry for entry in Path().iterdir() if entry.name.startswith(".")]
 
 
 # Cameras and pairs

@@ -23,12 +23,10 @@ from cmp_cl import (
     Midlines,
     RapidCriteria,
     RingHarmonic,
-    SpectralCriteria,
     reference,
 )
 from cmp_cl.corners import Refusal
 from cmp_cl.stages.form import Form
-from cmp_cl.stages.moments import moments
 
 EIGHT, DEEP = images.eight_bits(), images.sixteen_bits()
 WIDE = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
@@ -130,22 +128,6 @@ def test_every_image_gives_the_oracles_corners(detector_in_form, name, depth):
                 assert_corners_equal(detector_in_form(image, config), image)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"criteria": SpectralCriteria(correlation=0)},
-        {"criteria": RapidCriteria(sector_threshold=16)},
-        {"outer_radius": 4},
-    ],
-    ids=str,
-)
-@pytest.mark.parametrize("name", ["centroid", "edge lines", "edge step"])
-def test_positions_after_every_kind_of_response_are_the_oracles(detector_in_form, name, changes):
-    config = rings(refinement=REFINEMENTS[name], contrast=None, **changes)
-    image = EIGHT["texture"]
-    assert len(assert_corners_equal(detector_in_form(image, config), image)) > 5
-
-
 @pytest.mark.parametrize("name", ["edge lines", "edge step"])
 def test_every_number_of_corners_equals_the_oracle(device_in_form, name):
     """A mask leaves that many corners, so that the last vector of eight is full or not."""
@@ -200,23 +182,6 @@ def test_discs_that_leave_the_image_equal_the_oracle(detector_in_form, cell):
     distance = np.minimum(stepped, np.array(image.shape[::-1]) - 1 - stepped).min(axis=1)
     assert (distance < 0.6 * cell).any()
     assert (distance > 0.6 * cell).any()
-
-
-@pytest.mark.parametrize("radius", [4.5, 6.45, 9.0, 40.0])
-def test_the_table_of_moments_holds_the_integrals_of_the_model(radius):
-    """The integrals hold at the angles of the table, and between them by linear interpolation."""
-    table = moments(radius).astype(np.float64)
-    place = np.array([9.0, 20.0, 31.5, 40.5, 55.0]) * (len(table) // 64)
-    below = place.astype(int)
-    between = (table[below] + table[np.ceil(place).astype(int)]) / 2
-    half = np.arcsin((2 * place / (len(table) - 1) - 1) / np.sqrt(2)) + np.pi / 4
-    half = np.stack([np.cos(half), np.sin(half)], axis=1)
-    exact = reference.edge_step.moments(half, radius)
-    exact[..., 0] /= half**4
-    exact[..., 1:3] /= half[..., None] ** 2
-    slope, place = np.sqrt(exact[..., 0]), np.sqrt(exact[..., 3])
-    size = np.stack([slope * slope, *2 * [slope * place], *3 * [place * place]], axis=-1)
-    assert (np.abs(between[..., :6] - exact) < 0.002 * size).all()
 
 
 @pytest.mark.parametrize("name", ["edge step", "edge lines", "midlines"])

@@ -11,7 +11,7 @@ from cmp_cl import Corners, Detector, DetectorConfig
 from cmp_cl.grid.grid import Grid, NodeStatus, Sides
 from cmp_cl.motion.memory import Memory
 from cmp_cl.motion.nodes import put
-from cmp_cl.motion.track import Tracker, can_track, colour_of
+from cmp_cl.motion.track import Tracker, colour_of
 from cmp_cl.opencl.program import programs_of
 from cmp_cl.reference.field import track as oracle
 from cmp_cl.stages.refine import (
@@ -302,12 +302,3 @@ def drawn_at(xy):
     level = level.reshape(SIZE[0], 4, SIZE[1], 4).mean(axis=(1, 3))
     noise = np.random.default_rng(1).normal(0, 1.5, SIZE)
     return np.rint(cv2.GaussianBlur(level, (0, 0), 0.8) + noise).astype(np.uint8)
-
-
-def test_only_a_pattern_with_all_its_sides_in_view_is_tracked():
-    whole = grid_of(lattice(9, 9))
-    open_ended = dataclasses.replace(whole, border=Sides(True, True, True, False))
-    assert can_track(whole, slow=False)
-    assert not can_track(open_ended, slow=False)
-    assert can_track(open_ended, slow=True)
-    assert not can_track(dataclasses.replace(whole, border=None), slow=False)
