@@ -2,8 +2,6 @@
 
 import dataclasses
 import gc
-import os
-import time
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
@@ -45,10 +43,8 @@ from cmp_cl.errors import (
     ImageError,
     KernelBuildError,
 )
-from cmp_cl.stages.plan import Overflow
 
 EIGHT = images.eight_bits()
-SCENE = images.scene().image
 BOARD, TRUTH = board(*images.SHAPE, 12)
 FRAMES = [EIGHT[name] for name in ("scene", "board", "texture", "black", "worn scene")]
 
@@ -301,14 +297,6 @@ def test_a_mask_limits_where_candidates_are_centred(detector_for, device):
     assert 0 < len(corners) < len(detector_for(image)(image))
     for one, other in zip(detector.batch([image] * 3), [corners] * 3, strict=True):
         assert_same_bytes(one, other)
-    mine = mask.copy()
-    with Detector(shape=mask.shape, device=device, mask=mine) as other:
-        mine[:] = False
-        plan = other._plans.lend()
-        plan.corner_capacity = 64
-        other._grow(plan, Overflow(0, 100))
-        plan.queue.finish()
-        assert_same_bytes(other(image), corners)
 
 
 @pytest.mark.parametrize(
@@ -396,37 +384,6 @@ def test_streams_that_are_begun_and_dropped_keep_nothing(device):
             assert_same_bytes(result, detector(FRAMES[0]))
         for result in second:
             assert_same_bytes(result, detector(FRAMES[1]))
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
-@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
-def test_after_a_fork_a_detector_raises_an_error(detector):
-    """OpenCL does not survive a fork; the child gets an error and does not hang."""
-    detector(BOARD)
-    read, write = os.pipe()
-    child = os.fork()
-    if child == 0:
-        try:
-            detector(BOARD)
-            os.write(write, b"corners")
-        except BaseException as error:
-            os.write(write, f"{type(error).__name__}: {error}".encode())
-        finally:
-            os._exit(0)
-    os.close(write)
-    deadline = time.monotonic() + 20
-    while os.waitpid(child, os.WNOHANG)[0] == 0:
-        if time.monotonic() > deadline:
-            os.kill(child, 9)
-            os.waitpid(child, 0)
-            pytest.fail("the child hangs")
-        time.sleep(0.01)
-    with os.fdopen(read, "rb") as pipe:
-        message = pipe.read().decode()
-    assert message.startswith("DeviceError")
-    assert "fork" in message
-    assert "spawn" in message
-    assert len(detector(BOARD)) > 20
 
 
 def test_threads_wait_for_one_another(detector):

@@ -9,7 +9,7 @@ from corner_images import board, corner, noise
 from cmp_cl import reference
 from cmp_cl.config import DetectorConfig, EdgeLines, EdgeStep, Fit, Midlines, RingHarmonic
 from cmp_cl.corners import Corners, Method, Refusal
-from cmp_cl.reference import edge_lines, edge_step, edges, midlines, refine
+from cmp_cl.reference import edge_step, edges, midlines, refine
 
 RNG = np.random.default_rng(11)
 PLACES = [
@@ -91,22 +91,6 @@ def test_a_step_brings_edge_lines_nearer_to_the_truth():
     assert errors[EdgeStep] < errors[EdgeLines] / 2 < 0.02
 
 
-def test_sigma_of_lines_is_that_of_their_crossing():
-    """Points off two lines by known distances: the variance of the crossing by hand."""
-    points = rays([0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi])
-    off = np.array([0.1, -0.2, 0.1])
-    for boundary, normal in ((0, (0, 1)), (2, (0, 1))):
-        points.point[0, :, boundary] += off[:, None] * normal
-    straight = np.polyfit(
-        points.point[0, :, [0, 2], 0].reshape(-1), points.point[0, :, [0, 2], 1].reshape(-1), 1
-    )
-    fitted = np.polyval(straight, points.point[0, :, [0, 2], 0].reshape(-1))
-    squares = np.sum((points.point[0, :, [0, 2], 1].reshape(-1) - fitted) ** 2)
-    variance = squares / 8 / 6  # 12 points less 2 lines of 2 parameters; 6 points a line
-    expected = math.sqrt(edge_lines.LINES_ERROR**2 + variance)
-    np.testing.assert_allclose(edge_lines.lines_sigma(points), expected, rtol=1e-3)
-
-
 @pytest.mark.parametrize("refinement", [EdgeLines(), EdgeStep(cell=11)], ids=["lines", "step"])
 def test_sigma_grows_with_noise(refinement):
     rng = np.random.default_rng(4)
@@ -163,14 +147,11 @@ def at_centre(image: np.ndarray, refinement: object) -> refine.Refined:
     "image",
     [
         np.full((21, 21), 9, np.uint8),
-        np.full((1, 1), 9, np.uint8),
-        np.tile(np.array([0, 255], np.uint8), (21, 10)),
         np.tile(np.repeat(np.array([0, 255], np.uint8), 3), (21, 4)),
         np.tile(np.arange(0, 210, 10, dtype=np.uint8), (21, 1)),
-        np.where(noise((21, 21)) < 128, 0, 255).astype(np.uint8),
         noise((21, 21), seed=5),
     ],
-    ids=["flat", "pixel", "comb", "stripes", "ramp", "saturated noise", "noise"],
+    ids=["flat", "stripes", "ramp", "noise"],
 )
 def test_no_position_is_nan(image, refinement):
     result = at_centre(image, refinement)
@@ -178,15 +159,6 @@ def test_no_position_is_nan(image, refinement):
     assert np.linalg.norm(result.xy - np.array(image.shape[::-1]) // 2) < 2.5
     if result.method[0] == Method.KEPT:
         assert (result.xy == np.array(image.shape[::-1]) // 2 + 0.25).all()
-
-
-def test_parallel_centrelines_of_a_perfect_board_fall_back_to_cusps():
-    y, x = np.mgrid[-20:21, -20:21]
-    image = np.where(x * y > 0, 40, np.where(x * y < 0, 200, 120)).astype(np.uint8)
-    for fit in Fit:
-        result = at_centre(image, Midlines(fit=fit))
-        assert result.method[0] == Method.CUSP
-        np.testing.assert_allclose(result.xy, [[20, 20]], atol=1e-12)
 
 
 def rays(angles: list[float]) -> edges.EdgePoints:
@@ -209,21 +181,6 @@ def test_the_midpoints_of_rays_meet_where_the_rays_do():
     shift, method, why, _ = midlines.midlines(rays([-0.5, 0.9, 2.64, 4.04]), Fit.LINEAR, 2.0)
     assert (method[0], why[0]) == (Method.CUSP, Refusal.ANGLE)
     np.testing.assert_allclose(shift, [[0, 0]], atol=1e-9)
-
-
-def test_boundaries_across_twelve_o_clock_are_matched_between_rings():
-    """The line passes twelve o'clock on one side at 3 px and on the other at 5 px."""
-    image = corner(20.45, 20, -math.atan2(0.45, 4))
-    start = np.array([[20, 20]])
-    points = edges.edge_points(image, start, 1.0)
-    assert points.valid.all()
-    upper = points.point[0, :, :, 1].argmin(axis=1)
-    assert len(set(upper)) == 1
-    result = refine.refine(image, start, start + 0.0, EdgeLines(), 1.0)
-    length = np.linalg.norm(points.direction[0], axis=1)
-    assert (length > 2.9).all()  # three unit vectors, all alike
-    assert math.dist(result.xy[0], (20.45, 20)) < 0.06
-    assert math.dist(at_centre(image, Midlines()).xy[0], (20.45, 20)) < 0.5
 
 
 def model(x: float, y: float, angles: tuple[float, float]) -> np.ndarray:
@@ -263,8 +220,8 @@ def columns_of_step(
 
 def step_by_least_squares(
     image: np.ndarray, start: int, x: np.ndarray, angles: tuple[float, float], radius: float
-) -> tuple[np.ndarray, float, float]:
-    """Return step, tr rho^2 and ac with a general solver.
+) -> tuple[np.ndarray, float]:
+    """Return the step and the trace of its covariance with a general solver.
 
     Terms without the image are summed over 16 x 16 points per pixel, for an integral.
     """
@@ -301,10 +258,9 @@ def step_by_least_squares(
     r, w = residual.reshape(square), weight.reshape(square)
     pair = np.where((w[:, :-1] > 0) & (w[:, 1:] > 0), w[:, :-1], 0)
     alike = (pair * r[:, :-1] * r[:, 1:]).sum()
-    explained = 2 * right[2:] @ fitted[2:] - fitted[2:] @ matrix[2:, 2:] @ fitted[2:]
     rho2 = ((weight * residual**2).sum() - alike) / weight.sum()
     variance = np.trace(np.linalg.inv(held)[:2, :2]) * rho2
-    return fitted[:2], variance, (alike - explained) / weight.sum() / c**2
+    return fitted[:2], variance
 
 
 @pytest.mark.parametrize("cell", [6, 9, 12])
@@ -316,15 +272,9 @@ def test_a_step_is_weighted_least_squares(cell, light):
     image = (rough + noise(rough.shape, seed=cell) // 4).astype(np.uint16)
     start, shift = np.array([[20, 20]]), np.array([[0.04, -0.05]])
     radius = min(max(0.75 * cell, 4.5), 9)
-    step, variance, correlation = step_by_least_squares(image, 20, shift[0], angles, radius)
-    normals = [np.array([[-math.sin(angle), math.cos(angle)]]) for angle in angles]
-    terms = edge_step._step_terms(image, start, shift, *normals, radius)
-    np.testing.assert_allclose(terms[0], [step], rtol=1e-3)
-    assert terms[1][0]
-    np.testing.assert_allclose(terms[2], variance, rtol=1e-3)
-    np.testing.assert_allclose(terms[3], correlation, rtol=1e-3)
+    step, variance = step_by_least_squares(image, 20, shift[0], angles, radius)
     points = rays([*angles, angles[0] + math.pi, angles[1] + math.pi])
-    refinement = EdgeStep(cell=cell)
-    found = edge_step.edge_step(image, start, shift, points, refinement, 1.0)
-    np.testing.assert_allclose(found.position, shift + terms[0])
-    np.testing.assert_allclose(found.variance, edge_step.STEP_ERROR**2 + terms[2][0] / 2, rtol=1e-8)
+    found = edge_step.edge_step(image, start, shift, points, EdgeStep(cell=cell), 1.0)
+    np.testing.assert_allclose(found.position, shift + step, rtol=1e-3)
+    expected = edge_step.STEP_ERROR**2 + variance / 2
+    np.testing.assert_allclose(found.variance, expected, rtol=1e-3)

@@ -10,7 +10,6 @@ from cmp_cl import Corners, Detector, reference
 from cmp_cl.corners import HarmonicMaps, Maps
 
 FLOATS = ("spectrum_12", "spectrum_23", "correlation", "phase")
-RAPID = ("inner_transitions", "outer_transitions", "sector_difference", "ring_difference")
 
 
 def assert_maps_equal(
