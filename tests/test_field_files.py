@@ -90,18 +90,3 @@ def test_vtp_holds_the_surface(tmp_path, space):
         assert sorted(row[quad] - row[quad].min()) == [0, 0, 1, 1]
         assert sorted(column[quad] - column[quad].min()) == [0, 0, 1, 1]
         assert (np.abs(np.diff(row[quad])) + np.abs(np.diff(column[quad])) == 1).all()
-
-
-@pytest.mark.parametrize("suffix", ["npz", "csv", "vtp"])
-def test_a_field_without_a_valid_node_is_a_file_too(tmp_path, suffix):
-    nothing = np.full((3, 4, 3), np.nan)
-    path = tmp_path / f"none.{suffix}"
-    field_of(nothing, nothing).with_strain().save(path)
-    if suffix == "vtp":
-        assert len(read_vtp(path)["Points"]) == 0
-    elif suffix == "csv":
-        with open(path, newline="") as file:
-            assert [row["position_x_mm"] for row in csv.DictReader(file)] == ["nan"] * 12
-    else:
-        with np.load(path) as data:
-            np.testing.assert_array_equal(data["displacement"], nothing)

@@ -4,12 +4,10 @@ import dataclasses
 import re
 import textwrap
 
-import cv2
 import numpy as np
 import pytest
 from gels import NODES, RIG, SPLIT, pressed
 from lattices import drawn
-from stereo_data import grid_of, project
 from videos import write_video
 
 import cmp_cl
@@ -179,42 +177,6 @@ def test_both_the_filtered_and_the_raw_values_are_there_and_named():
         assert np.nanmedian(filtered["sigma"]) < np.nanmedian(raw["sigma"])
 
 
-def views_of_a_board(rig: StereoRig) -> list[np.ndarray]:
-    """Return the left and the right view of a flat board at the point that both cameras look at."""
-    cells = np.indices((7, 10)).sum(axis=0) % 2
-    sheet = cv2.copyMakeBorder(
-        np.kron(cells, np.full((40, 40), 180)).astype(np.float32), *[40] * 4, 0, value=120
-    )
-    sheet = cv2.GaussianBlur(sheet, (0, 0), 2) + 40
-    ends = np.array([[-120, -90, 510], [120, -90, 500], [120, 90, 520], [-120, 90, 530]], float)
-    height, width = sheet.shape
-    there = np.float32([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
-    return [
-        cv2.warpPerspective(
-            sheet,
-            cv2.getPerspectiveTransform(there, seen.astype(np.float32)),
-            (480, 360),
-            flags=cv2.INTER_AREA,
-            borderValue=160,
-        ).astype(np.uint8)
-        for seen in project(rig, ends)
-    ]
-
-
-def test_views_that_are_swapped_or_mirrored_are_refused():
-    rotation, centre = cv2.Rodrigues(np.array([0, 0.12, 0.0]))[0], np.array([0, 0, 515.0])
-    camera = [[680, 0, 240], [0, 680, 180], [0, 0, 1]]
-    rig = StereoRig(camera, [], camera, [], rotation, centre - rotation @ centre)
-    left, right = views_of_a_board(rig)
-    split = cmp_cl.BinocularSplit.halves(960, 360)
-    with measure.TwoViews(np.hstack([left, right]), rig, split) as against_rest:
-        assert np.median(against_rest.rest.error) < 0.05
-        assert (against_rest.rest.error < 1).all()
-    for views, how in (((right, left), "swapped"), ((left[:, ::-1], right[:, ::-1]), "mirrored")):
-        with pytest.raises(GridError, match=f"but with .* {how} to 0.0"):
-            measure.TwoViews(np.hstack(views), rig, split)
-
-
 def test_views_that_may_show_different_parts_of_a_pattern_are_refused():
     camera = [[600, 0, 120], [0, 600, 100], [0, 0, 1]]
     rig = StereoRig(camera, [], camera, [], np.eye(3), np.array([-4.0, 0, 0]))
@@ -238,20 +200,6 @@ def test_a_pattern_is_found_without_its_cell():
     assert cell == pytest.approx(measure.cell_of(grid))
     with pytest.raises(GridError, match="of 12 x 12 corners"):
         measure.find_pattern(np.zeros_like(view), shape=(12, 12))
-
-
-def test_two_views_are_numbered_alike():
-    row, column = np.indices((3, 4))
-    left = grid_of(np.stack([column * 10.0, row * 10.0], axis=-1))
-    right = measure.align_views(left, left.turned(2))
-    np.testing.assert_array_equal(right.xy, left.xy)
-    with pytest.raises(GridError, match="alike"):
-        measure.align_views(left, dataclasses.replace(left, parity=1))
-    across = grid_of(np.stack([-row * 10.0, column * 10.0], axis=-1))
-    with pytest.raises(GridError, match="alike"):
-        measure.align_views(left, across)
-    with pytest.raises(GridError, match="shows no node"):
-        measure.align_views(left, grid_of(np.full((3, 4, 2), np.nan)))
 
 
 # a moving pattern without a border in view

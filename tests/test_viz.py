@@ -71,15 +71,6 @@ def test_the_centre_of_a_mark_is_the_corner():
         np.testing.assert_allclose(centre, expected, atol=0.15)
 
 
-def test_an_image_of_any_depth_is_stretched_to_be_seen_and_left_as_it_was():
-    deep = np.full((600, 1200), 1000, np.uint16)
-    deep[:, :600] = 4000
-    before = deep.copy()
-    picture = corner_overlay(deep, corners_at([], Method.KEPT))
-    assert set(np.unique(picture[:1200])) == {64, 255}
-    np.testing.assert_array_equal(deep, before)
-
-
 def lattice(rows=4, columns=5, step=20.0):
     row, column = np.indices((rows, columns))
     return np.stack([30 + step * column, 25 + step * row], axis=-1)
@@ -240,12 +231,6 @@ def test_an_animation_has_every_frame_on_one_scale(tmp_path, suffix):
     assert len(pictures) == 5
     green = np.array([each[..., 1].sum() for each in pictures])  # from white at 0 to dark red
     assert np.diff(green).max() < -100_000
-
-
-def test_without_matplotlib_the_extra_is_named(recorded, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(ConfigError, match=r"cmp-cl\[plot\]"):
-        map_figure(recorded.moment(0), Quantity.DISPLACEMENT)
 
 
 # videos and the live view

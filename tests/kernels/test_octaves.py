@@ -99,8 +99,3 @@ def test_an_octave_keeps_to_the_mask_and_a_batch_equals_the_loop(detector_in_for
     for one, frame in zip(detector.batch(frames), frames, strict=True):
         assert_same_bytes(one, detector(frame))
     assert_maps_equal(detector, image)
-
-
-def test_a_frame_too_small_to_halve_has_one_octave(detector_in_form):
-    image = images.board(95, 120, 15)[0]
-    assert (assert_corners_equal(detector_in_form(image, OCTAVES), image).octave == 0).all()
