@@ -93,6 +93,8 @@ def test_a_node_that_one_side_lacks_is_missing():
         assert points.source[node] == NodeStatus.MISSING
         assert np.isnan(points.xyz[node]).all()
         assert np.isnan(points.error[node])
+    nothing = grid_of(np.full_like(left, np.nan))
+    assert not rig.triangulate(nothing, grid_of(right)).valid.any()
 
 
 @pytest.mark.parametrize("depth", [20, 200])
