@@ -106,12 +106,12 @@ void between(const REAL *one, const REAL *two, const REAL *offset, REAL *middle)
 /* The point at which the rays of two image points (x, y, 1) meet best, in the frame of the left
  * camera. */
 #if MEDIA
-/* turned: the second one in that frame. tangents: of both rays in air. */
+/* turned: the second one in that frame. tangents, passed: of both rays, see window.clh. */
 void meet_behind(__global const REAL *left, __global const REAL *right, const REAL *one,
-                 const REAL *turned, REAL *point, REAL *tangents) {
+                 const REAL *turned, REAL *point, REAL *tangents, REAL *passed) {
   REAL from_one[3], from_two[3], first[3], second[3], offset[3];
-  tangents[0] = refract(left, one, from_one, first);
-  tangents[1] = refract(right, turned, from_two, second);
+  tangents[0] = refract(left, one, passed, from_one, first);
+  tangents[1] = refract(right, turned, passed + 3, from_two, second);
   for (int k = 0; k < 3; ++k) offset[k] = from_two[k] - from_one[k];
   between(first, second, offset, point);
   for (int k = 0; k < 3; ++k) point[k] += from_one[k];
@@ -187,10 +187,11 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
   /* One Gauss-Newton step */
   REAL jacobian[12];
 #if MEDIA
-  REAL tangents[2];
-  meet_behind(left, right, one, turned, point, tangents);
-  const REAL depth_left = project_behind(left, point, tangents[0], seen, jacobian);
-  const REAL depth_right = project_behind(right, point, tangents[1], seen + 2, jacobian + 6);
+  REAL tangents[2], passed[6];
+  meet_behind(left, right, one, turned, point, tangents, passed);
+  const REAL depth_left = project_behind(left, point, tangents[0], passed, seen, jacobian);
+  const REAL depth_right =
+      project_behind(right, point, tangents[1], passed + 3, seen + 2, jacobian + 6);
 #else
   meet(right, one, two, point);
   const REAL depth_left = project(left, point, seen, jacobian);

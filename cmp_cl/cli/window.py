@@ -47,6 +47,14 @@ def add_window(parser: argparse.ArgumentParser) -> None:
         "--pitch", metavar="LENGTH", type=positive_number, help="side of its squares"
     )
     window.add_argument(
+        "--index-sigma",
+        metavar="NUMBER",
+        type=positive_number,
+        default=0.01,
+        help="standard deviation of the last layer's index, if no --step measures it; default: "
+        "0.01",
+    )
+    window.add_argument(
         "--step",
         nargs="+",
         metavar=("LENGTH", "IMAGE"),
@@ -140,7 +148,13 @@ def through_window(
         step = float(length)
         stepped = align([rest[0], now[0]])[1], align([rest[1], now[1]])[1]
     found = calibrate_window(
-        rig, rest, pitch=arguments.pitch, media=arguments.window, stepped=stepped, step=step
+        rig,
+        rest,
+        pitch=arguments.pitch,
+        media=arguments.window,
+        index_sigma=arguments.index_sigma,
+        stepped=stepped,
+        step=step,
     )
     _report(found, rest, arguments)
     return found
@@ -158,11 +172,13 @@ def _report(rig: StereoRig, rest: tuple[Grid, Grid], arguments: argparse.Namespa
     print(
         f"window: normal ({normal}) (+- {np.degrees(max(tilt, other)):.2g} degrees), "
         f"{window.distance:.3f} {rig.unit} (+- {distance:.2g}) from the left camera"
-        + (f", index behind it {window.index:.4f} (+- {index:.2g})" if index > 0 else "")
+        f", index behind it {window.index:.4f} (+- {index:.2g}"
+        + ("" if arguments.step else "; --step measures it")
+        + ")"
     )
     print(
-        f"the pattern at rest lies {behind.mean():.3f} {rig.unit} deep in the last layer, of index "
-        f"{window.index:.4g}; its squares measure {sides.mean():.4f} with a standard deviation "
+        f"the pattern at rest lies {behind.mean():.3f} {rig.unit} deep in the last layer; "
+        f"its squares measure {sides.mean():.4f} with a standard deviation "
         f"of {sides.std():.4f}"
     )
     thickness = arguments.window[-1][0]

@@ -30,7 +30,7 @@ class InSpace:
         window = self._rig.window
         return {
             "MEDIA": 0 if window is None else len(window.layers) + 1,
-            "NEAR": "1e-7" if double else "1e-3f",
+            "NEAR": "1e-5" if double else "1e-3f",
             "EXACT": "1e-9" if double else "1e-3f",
             "TINY": "1e-300" if double else "1e-30f",
         }

@@ -39,19 +39,23 @@ class Bias:
         # (N, 3, 3, 3, 3): axes of the two displacements and of the covariance, in turns
         self._form = (change @ rig.covariance @ change.transpose(0, 2, 1)).reshape(-1, 3, 3, 3, 3)
 
-    def sigma(self, displacement: Array) -> Array:
-        """Return it along the most uncertain axis, (R, C), NaN where unknown.
+    def covariance(self, displacement: Array) -> Array:
+        """Return that of displacements (R, C, 3), in the unit of the rig: (R, C, 3, 3), NaN where
+        unknown. All nodes and frames share this error; it is no noise, and does not average out.
 
-        displacement: (R, C, 3), in the unit of the rig. All nodes and frames share this error; it
-        is no noise, and does not average out.
+        The variance along a unit vector n is n^T C n.
         """
         u = np.asarray(displacement, np.float64)
         if u.shape != self._shape:
             raise FieldError(f"displacement must be {self._shape}, not {u.shape}")
         flat = u.reshape(-1, 3)
         half = np.einsum("njakb,nj->nakb", self._form, flat)
-        covariance = np.einsum("nakb,nk->nab", half, flat)
-        return largest_deviation(covariance).reshape(self._shape[:2])
+        covariance: Array = np.einsum("nakb,nk->nab", half, flat).reshape(*u.shape, 3)
+        return covariance
+
+    def sigma(self, displacement: Array) -> Array:
+        """Return the standard deviation along the most uncertain axis, (R, C), as `covariance`."""
+        return largest_deviation(self.covariance(displacement))
 
 
 def _by_rig(rig: StereoRig, xyz: Array) -> Array:

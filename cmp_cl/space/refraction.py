@@ -6,8 +6,10 @@ least. Each kind of difference is weighted by its own scatter.
 """
 
 import dataclasses
+import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from numbers import Real
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +66,7 @@ def calibrate_window(
     *,
     pitch: float,
     media: Sequence[tuple[float, float]],
+    index_sigma: float = 0.01,
     stepped: tuple[Grid, Grid] | None = None,
     step: float | None = None,
 ) -> StereoRig:
@@ -73,26 +76,30 @@ def calibrate_window(
     pattern at rest.
     pitch: side of its squares, in the unit of the rig.
     media: (thickness, index) of all that lies between the cameras and the pattern beside air; the
-        last one is the medium that holds the pattern, such as the gel. All but the thickness of
-        that one are taken as exact; that one is only where the search begins.
+        last one is the medium that holds the pattern, such as the gel. The thickness of that one is
+        only where the search begins; the other layers are taken as exact.
+    index_sigma: standard deviation of the index of the last medium, unless a step measures it.
     stepped, step: the grids of a second moment, at which a stage has pressed a flat punch into the
         pattern by a known length, which is taken as exact. Then the index of the last medium is
-        found too. Nodes that moved
-        as far as most of those that moved farthest, to 2 %, are under the punch.
+        found too. Nodes that moved as far as most of those that moved farthest, to 2 %, are under
+        the punch.
 
     The surface of the pattern may be of any form. The rig's covariance has 26 parameters, see
-    `StereoRig`; it includes what the error of the cameras does to the window. Cameras without a
-    covariance count as exact.
+    `StereoRig`; it includes what the errors of the cameras and of the index do to the window.
+    Cameras without a covariance count as exact.
 
     Raises CalibrationError if an argument is malformed, the pattern does not lie behind the window,
     or the views do not fix a parameter.
     """
     _check(rig, rest, stepped, step)
     check_positive("pitch", pitch, CalibrationError)
+    if not (isinstance(index_sigma, Real) and 0 <= cast(float, index_sigma) < math.inf):
+        raise CalibrationError(f"index_sigma must be a number from 0, not {index_sigma!r}")
     window = _start(rig, rest, listed("media", media, object, CalibrationError))
     rig = dataclasses.replace(rig, window=window)
-    first = 2 * ESTIMATED + POSE  # parameters of the cameras
-    free = np.arange(first, first + WINDOW - (stepped is None))
+    size = 2 * ESTIMATED + POSE  # parameters of the cameras
+    free = np.arange(size, size + WINDOW - (stepped is None))
+    given = np.delete(np.arange(size + WINDOW), free)
     covariance = np.zeros((len(free), len(free)))
     for _ in range(_STEPS):
         before = _surface(rig, rest)
@@ -115,13 +122,16 @@ def calibrate_window(
         raise CalibrationError(
             "the search for the window does not end; check the pitch, the layers and the rig"
         )
-    by_cameras = -inverse @ normal[free, :first]
-    whole = np.zeros((first + WINDOW, first + WINDOW))
-    cameras = np.zeros((first, first)) if rig.covariance is None else rig.covariance[:first, :first]
-    whole[:first, :first] = cameras
-    whole[free, :first] = by_cameras @ cameras
-    whole[:first, free] = whole[free, :first].T
-    whole[np.ix_(free, free)] = covariance + by_cameras @ cameras @ by_cameras.T
+    whole = np.zeros((size + WINDOW, size + WINDOW))
+    if rig.covariance is not None:
+        whole[:size, :size] = rig.covariance[:size, :size]
+    if stepped is None:
+        whole[-1, -1] = index_sigma**2
+    known = whole[np.ix_(given, given)]
+    by_given = -inverse @ normal[np.ix_(free, given)]
+    whole[np.ix_(free, given)] = by_given @ known
+    whole[np.ix_(given, free)] = known @ by_given.T
+    whole[np.ix_(free, free)] = covariance + by_given @ known @ by_given.T
     _check_sigma(np.sqrt(np.diag(whole)[free]), rig)
     mean = float(np.nanmean(np.concatenate([s.ravel() for s in sides(before.points)])))
     if abs(mean / pitch - 1) > _LARGEST_SCALE:

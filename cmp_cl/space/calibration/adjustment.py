@@ -128,7 +128,8 @@ def covariance(
     """Return the covariance of the free parameters of the cameras, (n, n).
 
     free: (C, P). stiffness: of the springs, 0 for a flat board. The variance of a corner is that of
-    the residuals. Returns None if the views do not determine a parameter.
+    the residuals; for a flat board it is increased if the errors of a view are shared, see
+    `_shared_variance`. Returns None if the views do not determine a parameter.
     """
     matrix = _reduced(_equations(lens, looks, state, free, state.board, stiffness), 0.0)[0]
     unit = np.sqrt(np.diag(matrix))
@@ -141,7 +142,10 @@ def covariance(
     inverse = ((axes / values) @ axes.T)[:count, :count] / np.outer(unit[:count], unit[:count])
     shown = len(np.unique(np.concatenate([look.nodes for look in looks])))
     unknown = count + (3 * shown - POSE - 1 if stiffness else 0)
-    found: Array = inverse * _variance(lens, looks, state, unknown)
+    variance = _variance(lens, looks, state, unknown)
+    if not stiffness:
+        variance = max(variance, _shared_variance(lens, looks, state, free, inverse))
+    found: Array = inverse * variance
     return found
 
 
@@ -230,6 +234,31 @@ def _variance(lens: Lens, looks: Sequence[Look], state: State, unknown: int) -> 
     offs = np.concatenate([residuals(lens, look, state) for look in looks])
     degrees = offs.size - unknown - POSE * len({look.moment for look in looks})
     return float(np.square(offs).sum()) / max(degrees, 1)
+
+
+def _shared_variance(
+    lens: Lens, looks: Sequence[Look], state: State, free: NDArray[np.bool_], inverse: Array
+) -> float:
+    """Return the variance of a corner that the differences between the views show, px^2.
+
+    inverse: of the normal equations of the free parameters, (n, n).
+
+    The corners of one view may have errors in common, of the lens or of the print. With A_m and g_m
+    the normal equations of the cameras by view m, A = sum A_m, and independent corners of variance
+    v, the mean of g_m^T A^-1 g_m is v tr(B - B^2) with B = A^-1 A_m; common errors make it larger.
+    """
+    count = int(np.count_nonzero(free))
+    found = expected = 0.0
+    for moment in {look.moment for look in looks}:
+        own = [dataclasses.replace(look, moment=0) for look in looks if look.moment == moment]
+        there = dataclasses.replace(state, poses=state.poses[moment : moment + 1])
+        both, right = _equations(lens, own, there, free, state.board, 0.0)[:2]
+        by_pose = both[:count, count:] @ np.linalg.inv(both[count:, count:])
+        share = inverse @ (both[:count, :count] - by_pose @ both[count:, :count])
+        slope = right[:count] - by_pose @ right[count:]
+        found += float(slope @ inverse @ slope)
+        expected += float(np.trace(share - share @ share))
+    return found / expected
 
 
 def _placed(look: Look, state: State) -> Array:
