@@ -46,8 +46,11 @@ def calibrated(seen, size=SIZE, **settings):
     return calibrate(seen, spacing=20, sizes=dict.fromkeys(seen, size), **settings)
 
 
-def rig_views(count=12, noise=0.05, seed=3, tilt=0.5, board=None):
-    """Return views of a board of 3 mm squares in the two cameras of the toed-in rig."""
+def rig_views(count=12, noise=0.05, seed=3, tilt=0.5, board=None, shared=False):
+    """Return views of a board of 3 mm squares in the two cameras of the toed-in rig.
+
+    shared: neighbours have nearly the same noise.
+    """
     rng = np.random.default_rng(seed)
     board = flat_board(7, 10) * 3 / 20 if board is None else board
     seen = {"left": [], "right": []}
@@ -55,7 +58,10 @@ def rig_views(count=12, noise=0.05, seed=3, tilt=0.5, board=None):
         rotation = cv2.Rodrigues(rng.uniform(-tilt, tilt, 3))[0]
         place = board @ rotation.T + [*rng.uniform(-3, 3, 2), 50 + rng.uniform(-6, 6)]
         for name, xy in zip(seen, project(toed_in_rig(), place), strict=True):
-            seen[name].append(grid_of(xy + rng.normal(0, noise, xy.shape), noise))
+            error = rng.normal(0, noise, xy.shape)
+            seen[name].append(
+                grid_of(xy + (3 * cv2.blur(error, (3, 3)) if shared else error), noise)
+            )
     return seen
 
 
@@ -213,10 +219,12 @@ def test_views_that_determine_nothing_are_refused():
         calibrated({"a": seen["a"], "b": other})
 
 
-def test_the_sigma_of_the_focal_length_is_that_of_its_error():
+@pytest.mark.parametrize("shared", [False, True])
+def test_the_sigma_of_the_focal_length_is_that_of_its_error(shared):
     deviations = []
     for seed in range(20):
-        found = rig_of({"left": rig_views(count=6, seed=seed, tilt=0.3)["left"]})
+        seen = rig_views(count=6, seed=seed, tilt=0.3, shared=shared)
+        found = rig_of({"left": seen["left"]})
         off = found.cameras["left"].matrix[0, 0] - toed_in_rig().K1[0, 0]
         deviations.append(off / found.focal_sigma["left"])
     # From 20 calibrations, the ratio has a standard error of 16 %.

@@ -66,7 +66,8 @@ def drawn(rng):
 
 
 def fitted(rig, rest, **changes):
-    return calibrate_window(rig, rest, **{"pitch": PITCH, "media": MEDIA, **changes})
+    given = {"pitch": PITCH, "media": MEDIA, "index_sigma": 0.0}
+    return calibrate_window(rig, rest, **(given | changes))
 
 
 def errors(window):
@@ -86,21 +87,36 @@ def test_the_window_is_found_from_equal_squares_of_any_surface(surface):
         assert found.window.layers == ((5.0, 1.49),)
 
 
+def pressed_by_1_mm(rig, rest, rng):
+    """Return by how much a rig errs along the normal, and how much it says it may, mm."""
+    pair = [rig.triangulate(*views(xyz, rng, noise=0)) for xyz in (rest, rest - NORMAL)]
+    field = displacement(*pair, raw=True)
+    shared = Bias(rig, field.position).covariance(field.displacement)
+    return (field.displacement + NORMAL) @ NORMAL, np.sqrt(NORMAL @ shared @ NORMAL)
+
+
 def test_a_press_is_right_to_a_percent_and_its_bias_sigma_covers_it():
-    rng, scores, covered = np.random.default_rng(2), [], []
-    for _ in range(8):
+    rng, windows, presses = np.random.default_rng(2), [], []
+    for _ in range(12):
         rest = pattern(tilt=rng.normal(0, 0.02, 2))
         found = fitted(drawn(rng), views(rest, rng))
-        scores.append(errors(found.window)[:3] / np.sqrt(np.diag(found.covariance)[22:25]))
-        field = displacement(
-            *(found.triangulate(*views(xyz, rng, noise=0)) for xyz in (rest, rest - NORMAL)),
-            raw=True,
-        )
-        off = (field.displacement + NORMAL) @ NORMAL
+        windows.append(errors(found.window)[:3] / np.sqrt(np.diag(found.covariance)[22:25]))
+        off, sigma = pressed_by_1_mm(found, rest, rng)
         assert np.abs(off).max() < 0.01
-        covered.append(np.abs(off) < 1.96 * Bias(found, field.position).sigma(field.displacement))
-    assert np.mean(covered) > 0.9
-    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.4
+        presses.append(off / sigma)
+    for scores in (windows, presses):
+        assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.4
+
+
+def test_an_index_that_is_given_errs_by_what_it_is_said_to():
+    rng, rest = np.random.default_rng(3), pattern()
+    media = MEDIA[0], (GEL, 1.42)  # by .01 too much
+    for sigma, low, high in ((0.01, 0.9, 1.1), (0.02, 0.45, 0.55), (0.0, 4.0, np.inf)):
+        found = fitted(RIG, views(rest, rng), media=media, index_sigma=sigma)
+        off, stated = pressed_by_1_mm(found, rest, rng)
+        assert low < np.median(np.abs(off) / stated) < high
+    with pytest.raises(CalibrationError, match="index_sigma must be a number from 0"):
+        fitted(RIG, views(rest, rng), index_sigma=-0.1)
 
 
 def test_errors_that_neighbours_share_make_a_window_less_certain():

@@ -286,7 +286,7 @@ def _with_neighbours(inverse: Array, scores: Array, block: NDArray[np.intp]) -> 
     """
     sums = np.zeros((_BLOCKS**2, scores.shape[1]))
     np.add.at(sums, block, scores)
-    scattered = inverse @ sums.T @ sums @ inverse
+    scattered = inverse @ sums.T @ sums @ inverse / (1 - len(inverse) / len(sums))
     larger = np.sqrt(np.maximum(np.diag(scattered) / np.diag(inverse), 1))
     covariance: Array = inverse * np.outer(larger, larger)
     return covariance
