@@ -265,8 +265,8 @@ def refraction(folder: Path) -> str:
             f"## A window and a gel\n\n{conditions(table)}",
             as_air(folder),
             *(f"{words}\n\n{_refracted(parts[name])}" for name, words in names.items()),
-            "Cameras and window calibrated on noisy views of drawn rigs. A press of 1 mm errs along "
-            "the normal by:\n",
+            "Cameras and window calibrated on noisy views of drawn rigs. Along the normal, a press "
+            "of 1 mm errs by:\n",
             *(_of_drawn(str(index), rows) for index, rows in parts["drawn"].groupby("changed")),
         ]
     )
