@@ -21,6 +21,7 @@
 #define CENTROID 0
 #define SAME_PX 0.5f            /* a corner so near is the same */
 #define VARIANCE_OF_EXCESS 1000 /* px^2 per squared excess, as in cmp_cl/stages/refine.py */
+#define VARIANCE_OF_RANGE 3000
 #define LEAST_RANGE 0.0025f
 
 #define NEAR_CELLS 0.3f /* from the prediction, of the smaller local step */
@@ -83,7 +84,7 @@
 float grown_variance(const float correlation, const float4 quantile) {
   const float excess = fmax(correlation - quantile.z, 0.0f); /* 0 if there are none */
   const float spread = fmax(quantile.y - quantile.x - LEAST_RANGE, 0.0f);
-  return VARIANCE_OF_EXCESS * (excess * excess + spread * spread);
+  return VARIANCE_OF_EXCESS * excess * excess + VARIANCE_OF_RANGE * spread * spread;
 }
 
 /* The standard deviation of corner n. */

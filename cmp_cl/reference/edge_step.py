@@ -95,7 +95,7 @@ def edge_step(
         refusal=np.select([accepted, solvable], [Refusal.NONE, Refusal.SHIFT], Refusal.FLAT).astype(
             np.uint8
         ),
-        variance=np.where(accepted, of_step, of_refused) + 1000 * spread**2,
+        variance=np.where(accepted, of_step, of_refused) + 3000 * spread**2,
         doubtful=accepted & (excess > DOUBT),
         margin=margin,
     )

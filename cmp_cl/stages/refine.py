@@ -24,7 +24,10 @@ RING_SAMPLES = 32
 STEP_RADIUS = (0.75, 4.5, 9.0)  # of EDGE_STEP's disc: cells, and its least and largest px
 DOUBTFUL_EXCESS = 0.010  # excess of the residual's autocorrelation over the frame's median
 VARIANCE_OF_EXCESS = 1000  # px^2 per squared excess, fitted on rendered scenes and on boards
-LEAST_RANGE = np.float32(0.0025)  # of the lesser autocorrelations, in a good frame
+# px^2 per squared range of the lesser autocorrelations, and their range in a good frame. Both were
+# fitted on boards, as drawn and enlarged, by bench/fit_sigma.py.
+VARIANCE_OF_RANGE = np.float32(3000)
+LEAST_RANGE = np.float32(0.0025)
 
 
 def files(plan: PlanBase) -> list[str]:
@@ -282,5 +285,7 @@ def _excess(
     least, low, middle = (ordered[rank] for rank in ranks)
     excess = np.maximum(correlation - middle, 0)
     spread = np.maximum(low - least - LEAST_RANGE, 0)
-    more: NDArray[np.float32] = VARIANCE_OF_EXCESS * (excess * excess + spread * spread)
+    more: NDArray[np.float32] = (
+        VARIANCE_OF_EXCESS * excess * excess + VARIANCE_OF_RANGE * spread * spread
+    )
     return excess, more
