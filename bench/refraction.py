@@ -67,7 +67,7 @@ def nodes(scene: Scene) -> np.ndarray:
 
 def measured(rig: StereoRig, views: list[list[Grid]], truth: list[np.ndarray]) -> Row:
     """Return what a rig makes of the views at rest and now."""
-    field = displacement(*(rig.triangulate(*pair) for pair in views), raw=True)
+    field = displacement(*(rig.triangulate(*pair) for pair in views)).raw
     true = truth[1] - truth[0]
     deepest = np.unravel_index(np.argmax(np.linalg.norm(true, axis=2)), true.shape[:2])
     pressed = np.linalg.norm(true, axis=2) > 0.3
@@ -151,7 +151,7 @@ def drawn(*, quick: bool) -> Iterator[Row]:
         still = seen(true, rest, rng)
         fitted = calibrate_window(rig, still, pitch=PITCH, media=media, index_sigma=index_sigma)
         pair = [fitted.triangulate(*seen(true, xyz)) for xyz in (rest, now)]
-        field = displacement(*pair, raw=True)
+        field = displacement(*pair).raw
         off = (field.displacement - (now - rest)) @ NORMAL
         deepest = np.unravel_index(np.argmax(np.linalg.norm(now - rest, axis=2)), off.shape)
         shared = Bias(fitted, field.position).covariance(field.displacement)[deepest]

@@ -170,7 +170,7 @@ def trials_of(
     at_rest = Pose(rng.uniform(-0.3, 0.3, 2), rng.normal() * 0.03, 1 + rng.normal() * 0.02)
     rest = drawn(at_rest, surround, rng)
     try:
-        view = OneView(rest, shape=(NODES, NODES), config=config, device=device, raw=True)
+        view = OneView(rest, shape=(NODES, NODES), config=config, device=device)
     except GridError:
         yield from ["not tracked"] * count
         return

@@ -245,16 +245,18 @@ float expected_length(__global const float *sums, const int estimate) {
   return sqrt(2 / freedom) * exp(lgamma(freedom / 2 + 0.5f) - lgamma(freedom / 2));
 }
 
-/* The variance of the noise, NaN where unknown; that with which filters are chosen, the least of
- * five estimates and of an upper bound; the covariance of the coordinates over its mean diagonal;
- * and the nodes whose residual is too large lose their vote. bound: the upper bound is the sum of
- * that at rest and of the variance of the points now. One work-item a row. */
+/* The variance of the noise, NaN where unknown; that with which filters are chosen, the least of it
+ * and of an upper bound and, if the values may bend sharply, of five estimates; the covariance of
+ * the coordinates over its mean diagonal; and the nodes whose residual is too large lose their vote.
+ * bound: the upper bound is the sum of that at rest and of the variance of the points now. One
+ * work-item a row. */
 __kernel void noise(__global const float *near, __global const float *sums,
                     __global const float *size, __global const float *own_down,
                     __global const float *own_along, __global const float *rows_noise,
                     __global const float *bound_rest, __global const float *variance_now,
-                    const int round, __global int *counts, __global uchar *votes,
-                    __global float *variance, __global float *chosen, __global float *common) {
+                    const int bends, const int round, __global int *counts,
+                    __global uchar *votes, __global float *variance, __global float *chosen,
+                    __global float *common) {
   const int row = get_global_id(0);
   if (row >= ROWS) return;
   SKIP_IF_SETTLED
@@ -278,7 +280,7 @@ __kernel void noise(__global const float *near, __global const float *sums,
   EACH_COLUMN {
     const int i = row * COLUMNS + c, at = row * LINE + c;
     const float bound = bound_rest[i] + variance_now[i];
-    const float unbounded = fmin(both[c], LEAST_OF_FIVE * least[c]);
+    const float unbounded = bends ? fmin(both[c], LEAST_OF_FIVE * least[c]) : both[c];
     variance[at] = both[c];
     chosen[at] = isnan(both[c]) ? NAN : fmax(fmin(unbounded, bound), LEAST_VARIANCE);
     float trace = 0;

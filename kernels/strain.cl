@@ -76,20 +76,19 @@ float2 shared_with_neighbours(__global const float *sums) {
   return clamp((float2)(both + apart, both - apart) / (2 * v), 0.0f, MOST_SHARED);
 }
 
-/* The variances of the slopes of the filtered displacement over whole windows, per node step and
- * coordinate; NaN where they are unknown. The weights of the pairs of filters, times the deviation
- * of the noise, are replaced by their mean over the votes of the window. A slope is then one
- * combination of the nodes, and its variance a quadratic form of these weights. Its matrices are
- * the products of the filters behind the mean and behind the slope of a window along an axis:
- * planes 0 of gram_*; planes 1 hold the products of nodes that are neighbours. One work-item a
- * row. */
+/* The variances of the slopes of the filtered values over whole windows, per node step and
+ * coordinate: along the rows and along the columns, NaN where they are unknown. The weights of the
+ * pairs of filters, times the deviation of the noise, are replaced by their mean over the votes of
+ * the window. A slope is then one combination of the nodes, and its variance a quadratic form of
+ * these weights. Its matrices are the products of the filters behind the mean and behind the slope
+ * of a window along an axis: planes 0 of gram_*; planes 1 hold the products of nodes that are
+ * neighbours. One work-item a row. */
 __kernel void slopes(__global const float *weights, __global const float *variance,
                      __global const float *gain, __global const uchar *votes,
                      __global const float *sums, __global const float *gram_mean_down,
                      __global const float *gram_slope_down,
                      __global const float *gram_mean_along,
-                     __global const float *gram_slope_along, __global float *by_column,
-                     __global float *by_row) {
+                     __global const float *gram_slope_along, __global float *result) {
   const int row = get_global_id(0);
   if (row >= ROWS) return;
   const int top = max(row - STRAIN_REACH, 0), bottom = min(row + STRAIN_REACH, ROWS - 1);
@@ -148,7 +147,7 @@ __kernel void slopes(__global const float *weights, __global const float *varian
         EACH_COLUMN total[c] += along_too[c] * mean[a * FILTERS_ALONG + b][c];
       }
     }
-    EACH_COLUMN (turn ? by_row : by_column)[row * COLUMNS + c] = total[c] < 0 ? 0 : total[c];
+    EACH_COLUMN result[(turn * ROWS + row) * COLUMNS + c] = total[c] < 0 ? 0 : total[c];
   }
 }
 
@@ -190,14 +189,13 @@ float scaled_to_one(__global const float *covariance, const int i, float3 *resul
 }
 
 /* Green-Lagrange strain E11 E22 E12 and its covariance, xx xy xz yy yz zz; NaN where there is none.
- * rest: the position at rest, from the middle of the lattice. by_column, by_row: as in `slopes`.
+ * rest: the position at rest, from the middle of the lattice. by_slopes: as in `slopes`.
  * One work-item a node. */
 __kernel void strain(__global const float *rest, __global const float *displacement,
                      __global const uchar *valid, __global const float *covariance,
-                     __global const float *by_column, __global const float *by_row,
-                     __global const float *rest_covariance,
-                     __global const float *rest_by_column, __global const float *rest_by_row,
-                     __global float *result, __global float *result_covariance) {
+                     __global const float *by_slopes, __global const float *rest_covariance,
+                     __global const float *rest_by_slopes, __global float *result,
+                     __global float *result_covariance) {
   const int i = get_global_id(0);
   if (i >= NODES) return;
   const int row = i / COLUMNS, column = i % COLUMNS;
@@ -277,8 +275,8 @@ __kernel void strain(__global const float *rest, __global const float *displacem
   float3 alike[3], rest_alike[3];
   const float mean = scaled_to_one(covariance, i, alike);
   const float rest_mean = scaled_to_one(rest_covariance, i, rest_alike);
-  const float from[2] = {by_column[i], by_row[i]};
-  const float rest_from[2] = {rest_by_column[i], rest_by_row[i]};
+  const float from[2] = {by_slopes[i], by_slopes[NODES + i]};
+  const float rest_from[2] = {rest_by_slopes[i], rest_by_slopes[NODES + i]};
   float by_step[2], rest_by_step[2], found[6] = {0, 0, 0, 0, 0, 0};
   for (int step = 0; step < 2; ++step) { /* without a filter, the errors count as independent */
     const float more = own[step] / whole[step];

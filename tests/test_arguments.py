@@ -10,7 +10,6 @@ from cmp_cl import (
     ConfigError,
     DetectorConfig,
     FieldError,
-    GridError,
     ImageError,
     StereoRig,
     build_grid,
@@ -21,7 +20,6 @@ from cmp_cl import (
     series,
 )
 from cmp_cl.field import surface_normals
-from cmp_cl.filter import filter_grid
 from cmp_cl.grid import align, refine_markers
 from cmp_cl.measure import OneView, TwoViews, trusted
 from cmp_cl.media.cameras import CameraSettings, Source
@@ -107,7 +105,6 @@ def test_what_names_no_file_is_refused(call, error, path):
 @pytest.mark.parametrize(
     ("call", "name", "error"),
     [
-        (filter_grid, "values", GridError),
         (lambda values: StereoRig(values, [], np.eye(3), [], np.eye(3), [1, 0, 0]), "K1", None),
         (lambda values: PlaneScale(values, "mm"), "matrix", FieldError),
         (surface_normals, "positions", FieldError),

@@ -33,7 +33,6 @@ def test_npz_holds_the_field(tmp_path, space):
         for name in ("position", "displacement", "sigma", "status", "source", *saved.strains()):
             np.testing.assert_array_equal(data[name], getattr(saved, name))
         assert data["unit"] == saved.unit
-        assert data["filtered"] == (saved.raw is not None)
         if saved.raw is not None:
             np.testing.assert_array_equal(data["raw_displacement"], saved.raw.displacement)
 

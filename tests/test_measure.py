@@ -46,13 +46,11 @@ def test_the_ten_lines_of_the_docstring_turn_a_video_into_fields(tmp_path, monke
     assert np.sqrt(np.mean(off**2)) < 0.1 * np.linalg.norm(truth, axis=2).max()
 
 
-@pytest.mark.parametrize("raw", [False, True])
-def test_two_views_have_the_field_that_displacement_returns(film, raw):
-    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES, raw=raw, strain=True) as against_rest:
+def test_two_views_have_the_field_that_displacement_returns(film):
+    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES, strain=True) as against_rest:
         measured = against_rest(film[4])
-        other = cmp_cl.displacement(against_rest.rest, measured.points, raw=raw).with_strain()
+        other = cmp_cl.displacement(against_rest.rest, measured.points).with_strain()
     found = measured.field
-    assert (found.raw is None) == raw
     np.testing.assert_array_equal(found.status, other.status)
     np.testing.assert_allclose(found.displacement, other.displacement, rtol=0, atol=1e-5)
     np.testing.assert_allclose(found.sigma, other.sigma, rtol=2e-3)
@@ -155,26 +153,16 @@ def test_a_view_is_measured_against_the_view_at_rest():
         against_rest(rest)
 
 
-def test_both_the_filtered_and_the_raw_values_are_there_and_named():
-    views = [(pressed(severity).frame, pressed(severity).left.image) for severity in (0.0, 0.4)]
-    for k, kind, name, extra in (
-        (0, measure.TwoViews, "displacement", (RIG, SPLIT)),
-        (1, measure.OneView, "displacement", ()),
-    ):
-        with (
-            kind(views[0][k], *extra, shape=NODES) as filtering,
-            kind(views[0][k], *extra, shape=NODES, raw=True) as plain,
-        ):
-            filtered, raw = filtering(views[1][k]).arrays, plain(views[1][k]).arrays
-        assert filtering.constants["filtered"]
-        assert not plain.constants["filtered"]
-        assert "raw_rest" not in plain.constants
-        assert f"raw_{name}" not in raw
-        np.testing.assert_array_equal(filtering.constants["raw_rest"], plain.constants["rest"])
-        np.testing.assert_array_equal(filtered[f"raw_{name}"], raw[name])
-        np.testing.assert_array_equal(filtered["raw_sigma"], raw["sigma"])
-        assert (filtered[name] != raw[name])[np.isfinite(raw[name])].any()
-        assert np.nanmedian(filtered["sigma"]) < np.nanmedian(raw["sigma"])
+def test_values_before_the_filter_are_there_too_and_less_certain():
+    rest, now = (pressed(severity).left.image for severity in (0.0, 0.4))
+    with measure.OneView(rest, shape=NODES) as view:
+        arrays, constants = view(now).arrays, view.constants
+    moved = arrays["xy"] - constants["xy_rest"]
+    np.testing.assert_allclose(arrays["raw_displacement"], moved, rtol=0, atol=1e-4)
+    np.testing.assert_array_equal(constants["raw_rest"], constants["xy_rest"])
+    for name, values in (("displacement", arrays), ("rest", constants)):
+        assert (values[name] != values[f"raw_{name}"])[np.isfinite(values[name])].any()
+    assert np.nanmedian(arrays["sigma"]) < np.nanmedian(arrays["raw_sigma"])
 
 
 def test_views_that_may_show_different_parts_of_a_pattern_are_refused():
@@ -220,7 +208,7 @@ def shifts_of(frames: list[float | None], *, track: bool) -> tuple[list[float], 
     """
     shifts, ambiguous = [], []
     config = cmp_cl.DetectorConfig.for_cell(12)
-    with measure.OneView(moved_by(0), config=config, track=track, raw=True) as view:
+    with measure.OneView(moved_by(0), config=config, track=track) as view:
         for cells in frames:
             seen = np.full((180, 200), 90, np.uint8) if cells is None else moved_by(cells)
             measured = view(seen)

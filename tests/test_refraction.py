@@ -90,7 +90,7 @@ def test_the_window_is_found_from_equal_squares_of_any_surface(surface):
 def pressed_by_1_mm(rig, rest, rng):
     """Return by how much a rig errs along the normal, and how much it says it may, mm."""
     pair = [rig.triangulate(*views(xyz, rng, noise=0)) for xyz in (rest, rest - NORMAL)]
-    field = displacement(*pair, raw=True)
+    field = displacement(*pair).raw
     shared = Bias(rig, field.position).covariance(field.displacement)
     return (field.displacement + NORMAL) @ NORMAL, np.sqrt(NORMAL @ shared @ NORMAL)
 

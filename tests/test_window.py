@@ -192,7 +192,7 @@ def test_the_bias_of_a_field_is_what_an_error_of_the_rig_does_to_it():
         [grid_of(view.reshape(20, 20, 2)) for view in rig.project(xyz.reshape(-1, 3))]
         for xyz in (rest, now)
     ]
-    right = displacement(*(rig.triangulate(*pair) for pair in views), raw=True)
+    right = displacement(*(rig.triangulate(*pair) for pair in views)).raw
     steps = {16: 1e-4, 17: 1e-4, 19: 0.02, 22: 1e-3, 23: 1e-3, 24: 0.05, 25: 1e-3}
     for number, step in steps.items():
         error = np.zeros(26)
@@ -203,7 +203,7 @@ def test_the_bias_of_a_field_is_what_an_error_of_the_rig_does_to_it():
             T=rig.T + error[19:22],
             window=GEL.moved(error[22:]),
         )
-        moved = displacement(*(wrong.triangulate(*pair) for pair in views), raw=True)
+        moved = displacement(*(wrong.triangulate(*pair) for pair in views)).raw
         off = np.linalg.norm(moved.displacement - right.displacement, axis=2)
         known = dataclasses.replace(rig, covariance=np.outer(error, error))
         stated = Bias(known, right.position).sigma(right.displacement)

@@ -273,7 +273,7 @@ def _boards(arguments: argparse.Namespace, files: Mapping[str, list[Path]], devi
                         region=region,
                         device=device,
                     )
-                    grid, found.sizes[name] = trusted(board), size
+                    grid, found.sizes[name] = trusted(board, device=device), size
                 except (GridError, ImageError) as error:
                     which = f" ({name})" if arguments.stereo else ""
                     found.left_out.append(f"{shown(path)}{which}: {one_line(error)}")

@@ -104,7 +104,6 @@ def add_parser(commands: Any) -> None:
         help="largest time between the frames of --left and --right that are paired, ms; default: "
         f"half the interval between frames, or {sources.PAIR_WITHIN:g} if that is unknown",
     )
-    group.add_argument("--raw", action="store_true", help="do not apply the lattice filter")
     group.add_argument("--config", metavar="TOML", help="settings of the detector")
     add_full_scale(group)
     parser.epilog = "docs/formats.md lists the arrays of a series."
@@ -179,7 +178,6 @@ class _Settings:
             "full_scale": full_scale,
             "device": self.device,
             "track": asked.track,
-            "raw": asked.raw,
             "strain": asked.strain,
         }
         try:

@@ -3,8 +3,9 @@
 import dataclasses
 import functools
 import math
+from collections.abc import Callable
 from os import PathLike
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +22,6 @@ _STRAIN = ("strain", "strain_sigma", "principal", "principal_sigma", "direction"
 _IN_FILES = ("position", "displacement", "sigma", "position_sigma", *_STRAIN)
 
 
-class Smoothed(Protocol):
-    """What a field must know of the lattice filter, for the sigma of its strain."""
-
-    def slope_variance(self, *, smoothed: bool) -> Array:
-        """Return the variances of the slopes, (R, C, 2) in `unit` squared, see `Filtered`."""
-
-
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class DisplacementField:
     """The position of each of R x C nodes at rest, and its displacement; D = 2 or 3 coordinates.
@@ -41,8 +35,8 @@ class DisplacementField:
     source: (R, C) uint8 of `NodeStatus`: of those at rest and now, the less direct one.
     unit: name of the unit of length.
     raw: the field before the lattice filter; None if this one is not filtered.
-    lattice: what the lattice filter found for the position and the displacement, for the sigma of
-        a strain; None if unknown.
+    slopes: returns the variances of the slopes of the position and of the displacement, (R, C, 2)
+        each, for the sigma of a strain, None if they are unknown.
 
     strain: (R, C, 3) float64, Green-Lagrange strain E11, E22, E12, see `field.green_lagrange`; None
         if it was not asked for. In the plane, 1 and 2 are x and y; in space, 1 runs along the rows
@@ -62,7 +56,7 @@ class DisplacementField:
     source: NDArray[np.uint8]
     unit: str
     raw: "DisplacementField | None" = None
-    lattice: tuple[Smoothed, Smoothed] | None = None
+    slopes: Callable[[], tuple[Array, Array]] | None = None
     strain: Array | None = None
     strain_covariance: Array | None = None
 
@@ -128,17 +122,14 @@ class DisplacementField:
     def with_strain(self) -> Self:
         """Return the same field with its strain, fitted over 5 x 5 nodes, and its covariance.
 
-        Noise and the filter's weights are taken as constant within these nodes. Without `lattice`
-        the errors of the nodes are taken as independent.
+        Noise and the filter's weights are taken as constant within these nodes. Without `slopes`
+        the errors of the nodes are taken as independent. Raises FieldError for a field before the
+        lattice filter.
         """
         if self.strain is not None:
             return self
         unknown = np.full((*self.status.shape, 2), np.nan)
-        of_rest, of_change = (
-            (unknown, unknown)
-            if self.lattice is None
-            else (each.slope_variance(smoothed=self.raw is not None) for each in self.lattice)
-        )
+        of_rest, of_change = (unknown, unknown) if self.slopes is None else self.slopes()
         strain, covariance = strain_of(
             self.position,
             self.position + self.displacement,

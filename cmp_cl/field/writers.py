@@ -30,8 +30,7 @@ def save(path: str | PathLike[str], arrays: Arrays, unit: str) -> None:
     suffix = suffix_of(path, ConfigError)
     if suffix == ".npz":
         with whole_file(path) as file:
-            filtered = np.array("raw_position" in arrays)
-            np.savez(file, **arrays, unit=np.array(unit), filtered=filtered)  # type: ignore[arg-type]
+            np.savez(file, **arrays, unit=np.array(unit))  # type: ignore[arg-type]
     elif suffix == ".csv":
         units = dict.fromkeys((begin + name for begin in ("", "raw_") for name in _LENGTHS), unit)
         columns = dict(node_columns(arrays, units))

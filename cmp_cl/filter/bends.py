@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.filter.holes import filled
-from cmp_cl.filter.lattice import bilinear_surface
 from cmp_cl.filter.polynomials import LEAST_SUPPORT, polynomial
+from cmp_cl.filter.surface import bilinear_surface
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]

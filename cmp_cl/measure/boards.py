@@ -49,12 +49,14 @@ def find_board(
     return grid
 
 
-def trusted(grid: Grid, max_sigma: float = MAX_SIGMA) -> Grid:
+def trusted(
+    grid: Grid, max_sigma: float = MAX_SIGMA, *, device: Device | str | None = None
+) -> Grid:
     """Return the filtered grid of a board with only the nodes that calibration may use.
 
     It leaves out nodes that were not detected, and nodes whose corner has a sigma above max_sigma,
-    px. The sigma of the others is that of their filtered positions. Raises GridError if grid is of
-    another type, or max_sigma is not above 0.
+    px. The sigma of the others is that of their filtered positions. device: as in `OneView`. Raises
+    GridError if grid is of another type, or max_sigma is not above 0.
     """
     check_kind("grid", grid, Grid, GridError)
     check_kind("max_sigma", max_sigma, Real, GridError)
@@ -67,7 +69,7 @@ def trusted(grid: Grid, max_sigma: float = MAX_SIGMA) -> Grid:
         status=np.where(good, grid.status, NodeStatus.MISSING).astype(np.uint8),
         sigma=np.where(good, grid.sigma, np.float32(np.nan)),
     )
-    return filter_positions(kept)[0]
+    return filter_positions(kept, device=device)
 
 
 def square_sides(points: Points3D) -> NDArray[np.float64]:

@@ -101,7 +101,7 @@ class Measured:
         """Return the arrays for `SeriesWriter.append`, by name.
 
         displacement, sigma, status and source of the field; raw_displacement and raw_sigma before
-        the lattice filter, if it is on; its strain, if it has one, see
+        the lattice filter; its strain, if it has one, see
         `DisplacementField.strains`; bias_sigma, if there is one; and the detected positions,
         (R, C, 2) float32, px: xy of one view, left and right of two.
         """
@@ -151,13 +151,13 @@ class _Begun:
 class Measurement(Closing):
     """Measures frames against the frame at rest. Use it in a with statement.
 
-    constants: arrays that a series holds once: rest (R, C, 2) or (R, C, 3), unit, filtered (bool,
-    whether the lattice filter is on), raw_rest (rest before that filter, if it is on), and the
-    detected positions at rest, (R, C, 2), px: xy_rest, or left_rest and right_rest.
+    constants: arrays that a series holds once: rest (R, C, 2) or (R, C, 3), raw_rest (rest before
+    the lattice filter), unit, and the detected positions at rest, (R, C, 2), px: xy_rest, or
+    left_rest and right_rest.
     unit: unit of the displacements.
     nodes: number of nodes of the pattern.
     tally: how the frames so far got their numbers.
-    raw, strain, profile: as in `OneView`.
+    strain, profile: as in `OneView`.
 
     A frame gets its numbers from the frame before, if its nodes are found where they were expected;
     else they are found anew. One frame in AUDITED that were tracked is numbered anew all the same,
@@ -173,9 +173,9 @@ class Measurement(Closing):
     _rig: StereoRig | None = None
     _bias: Bias | None = None
 
-    def __init__(self, *, raw: bool, strain: bool, profile: bool) -> None:
+    def __init__(self, *, device: Device, strain: bool, profile: bool) -> None:
         self.tally = Tally()
-        self._raw, self._strain, self._profile = raw, strain, profile
+        self._device, self._strain, self._profile = device, strain, profile
         # One frame at a time; a stream may be collected, and so end, within a call.
         self._lock = threading.RLock()
         self._stack = contextlib.ExitStack()
@@ -316,7 +316,7 @@ class Measurement(Closing):
         raise NotImplementedError
 
     def _between(self, grids: Sequence[Grid]) -> DisplacementField:
-        """Return the displacement from rest to the moment of these grids, computed on the host."""
+        """Return the displacement from rest to the moment of these grids, without the plan."""
         raise NotImplementedError
 
     def _begin(self, frame: GreyImage) -> "_Begun":
@@ -397,8 +397,6 @@ class Measurement(Closing):
             field = self._between([grid() for grid in settled.grids])
         else:
             field = self._plan.field(settled.arrays)
-            if self._raw and field.raw is not None:
-                field = field.raw
         return Measured(
             field=field.with_strain() if self._strain else field,
             ambiguous=settled.ambiguous,
@@ -454,7 +452,6 @@ class OneView(Measurement):
         printing errors decide.
     full_scale: the camera's largest grey level; None is that of the configuration or of the type.
     device: a Device, a text for `select_device`, or None for the default device.
-    raw: leave out the lattice filter, see `cmp_cl.displacement`.
     strain: give every field its strain, see `DisplacementField.with_strain`.
     profile: record the times of the kernels of the last frame, see `times`.
 
@@ -476,13 +473,12 @@ class OneView(Measurement):
         full_scale: int | None = None,
         device: Device | str | None = None,
         track: bool = False,
-        raw: bool = False,
         strain: bool = False,
         profile: bool = False,
     ) -> None:
-        super().__init__(raw=raw, strain=strain, profile=profile)
+        super().__init__(device=select_device(device), strain=strain, profile=profile)
         search = Search(
-            device=select_device(device),
+            device=self._device,
             shape=shape,
             config=config,
             full_scale=full_scale,
@@ -500,7 +496,7 @@ class OneView(Measurement):
             self._plan_for(search.device, rest, moment, geometry)
         self.unit = self._scale.unit
         self.nodes = at_rest.status.size
-        still = displacement(at_rest, at_rest, scale=self._scale, raw=raw)
+        still = displacement(at_rest, at_rest, scale=self._scale, device=self._device)
         self.constants = _constants(still) | {"xy_rest": at_rest.xy}
         if cell is not None:
             self.constants["homography"] = self._scale.matrix
@@ -514,7 +510,7 @@ class OneView(Measurement):
         return (frame,)
 
     def _between(self, grids: Sequence[Grid]) -> DisplacementField:
-        return displacement(self.rest_grid, grids[0], scale=self._scale, raw=self._raw)
+        return displacement(self.rest_grid, grids[0], scale=self._scale, device=self._device)
 
 
 class TwoViews(Measurement):
@@ -546,18 +542,17 @@ class TwoViews(Measurement):
         full_scale: int | None = None,
         device: Device | str | None = None,
         track: bool = False,
-        raw: bool = False,
         strain: bool = False,
         profile: bool = False,
     ) -> None:
         check_kind("rig", rig, StereoRig, ConfigError)
         check_kind("split", split, BinocularSplit, ConfigError)
-        super().__init__(raw=raw, strain=strain, profile=profile)
+        super().__init__(device=select_device(device), strain=strain, profile=profile)
         self._rig: StereoRig = rig
         self._split = split
         check_two("regions", regions)
         search = Search(
-            device=select_device(device),
+            device=self._device,
             shape=shape,
             config=config,
             full_scale=full_scale,
@@ -577,7 +572,7 @@ class TwoViews(Measurement):
             self._bias = Bias(rig, self.rest.xyz)
         self.unit = rig.unit
         self.nodes = self.rest.status.size
-        still = displacement(self.rest, self.rest, raw=raw)
+        still = displacement(self.rest, self.rest, device=self._device)
         positions = {"left_rest": left.rest.xy, "right_rest": right.rest.xy}
         self.constants = _constants(still) | positions
 
@@ -667,19 +662,17 @@ class TwoViews(Measurement):
         return views
 
     def _between(self, grids: Sequence[Grid]) -> DisplacementField:
-        return displacement(self.rest, self._rig.triangulate(*grids), raw=self._raw)
+        return displacement(self.rest, self._rig.triangulate(*grids), device=self._device)
 
 
 def _constants(still: DisplacementField) -> dict[str, NDArray[Any]]:
     """Return the arrays that a series holds once, from the field of the frame at rest."""
-    constants: dict[str, NDArray[Any]] = {
+    assert still.raw is not None
+    return {
         "rest": still.position,
+        "raw_rest": still.raw.position,
         "unit": np.array(still.unit),
-        "filtered": np.array(still.raw is not None),
     }
-    if still.raw is not None:
-        constants["raw_rest"] = still.raw.position
-    return constants
 
 
 def _fit(points: Points3D) -> int:

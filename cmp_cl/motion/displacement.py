@@ -1,34 +1,37 @@
 """The displacement of each node, from two grids of one camera, or from points in space."""
 
-import dataclasses
+import functools
 from typing import overload
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.field.field import DisplacementField
-from cmp_cl.filter import Filtered, filter_grid, noise_of_change
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
-from cmp_cl.motion.moments import Moment, covariance_from
+from cmp_cl.motion.moments import AtRest, Moment, field_of
 from cmp_cl.motion.scale import PlaneScale
+from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.points import Points3D, PointStatus
-
-Array = NDArray[np.float64]
 
 
 @overload
 def displacement(
-    rest: Grid, now: Grid, *, scale: PlaneScale | None = None, raw: bool = False
+    rest: Grid,
+    now: Grid,
+    *,
+    scale: PlaneScale | None = None,
+    device: Device | str | None = None,
 ) -> DisplacementField: ...
 @overload
-def displacement(rest: Points3D, now: Points3D, *, raw: bool = False) -> DisplacementField: ...
+def displacement(
+    rest: Points3D, now: Points3D, *, device: Device | str | None = None
+) -> DisplacementField: ...
 def displacement(
     rest: Grid | Points3D,
     now: Grid | Points3D,
     *,
     scale: PlaneScale | None = None,
-    raw: bool = False,
+    device: Device | str | None = None,
 ) -> DisplacementField:
     """Return the displacement of each node between two moments, now - rest, by its number.
 
@@ -36,16 +39,16 @@ def displacement(
         two cameras give one in space, (R, C, 3). The field has the rows and columns of the grid at
         rest; nodes beyond them have no displacement.
     scale: from the image to the plane; None means px. For grids only.
-    raw: leave out the filter.
+    device: a Device, a text for `select_device`, or None for the default device.
 
     The displacement and the position at rest are filtered over the lattice, see
-    `cmp_cl.filter.filter_grid`, and the shift by bent edges is subtracted. The standard deviations
-    are estimated from the lattice, and include wear. If the lattice is too small, they are those
-    of the corners or points, and the two moments are assumed independent. In the plane, both axes
-    have the same.
+    `cmp_cl.motion.filter`, and the shift by bent edges is subtracted; `raw` has them before. The
+    standard deviations are estimated from the lattice, and include wear. If the lattice is too
+    small, they are those of the corners or points, and the two moments are assumed independent. In
+    the plane, both axes have the same. To measure a recording, see `cmp_cl.measure`.
 
     Raises FieldError if an argument is of another type, if the shapes or the units differ, or if
-    now does not have all rows and columns of the grid at rest.
+    now does not have all rows and columns of the grid at rest; DeviceError.
     """
     if isinstance(rest, Grid):
         check_kind("now", now, Grid, FieldError)
@@ -54,7 +57,7 @@ def displacement(
         check_kind("rest", rest, Points3D, FieldError)
         check_kind("now", now, Points3D, FieldError)
         before, after = _in_space(rest, now, scale)  # type: ignore[arg-type]
-    return _between(before, after, raw=raw)
+    return _between(before, after, select_device(device))
 
 
 def _in_the_plane(rest: Grid, now: Grid, scale: PlaneScale | None) -> tuple[Moment, Moment]:
@@ -76,45 +79,24 @@ def _in_space(rest: Points3D, now: Points3D, scale: None) -> tuple[Moment, Momen
     return Moment.in_space(rest), Moment.in_space(now)
 
 
-def _between(rest: Moment, now: Moment, *, raw: bool) -> DisplacementField:
+def _between(rest: Moment, now: Moment, device: Device) -> DisplacementField:
     """Return the field between two moments of the same nodes."""
     status = np.where(now.valid, rest.status, now.status)
-    valid = status == PointStatus.VALID
     source = np.maximum(rest.source, now.source)
     source[(rest.source == NodeStatus.MISSING) | (now.source == NodeStatus.MISSING)] = (
         NodeStatus.MISSING
     )
+    at_rest, valid = AtRest(rest, device), status == PointStatus.VALID
     moved = np.where(valid[..., None], now.at - rest.at, np.nan)
-    at_rest = rest.filtered
-    change = filter_grid(
-        moved,
-        measured=np.isin(source, MEASURED),
-        bends=True,
-        most_noise=noise_of_change(at_rest, rest.own, now.own),
-    )
-    change_by_images = rest.covariance + now.covariance
-
-    def chosen(filtered: Filtered, sigma: Array, by_images: Array) -> Array:
-        found = covariance_from(filtered, sigma, by_images)
-        return np.where(valid[..., None, None], found, np.nan)
-
-    unfiltered = DisplacementField(
-        position=np.where(valid[..., None], rest.at, np.nan),
-        displacement=moved,
-        covariance=chosen(change, change.noise, change_by_images),
-        position_covariance=chosen(at_rest, at_rest.noise, rest.covariance),
+    measured = valid & np.isin(source, MEASURED)
+    change = at_rest.change(moved, measured, now.own, rest.covariance + now.covariance)
+    return field_of(
+        at_rest,
         status=status,
         source=source,
-        unit=rest.unit,
-        lattice=(at_rest, change),
-    )
-    if raw:
-        return unfiltered
-    return dataclasses.replace(
-        unfiltered,
-        position=np.where(valid[..., None], at_rest.values - rest.bend, np.nan),
+        moved=moved,
         displacement=change.values - (now.bend - rest.bend),
-        covariance=chosen(change, change.sigma, change_by_images),
-        position_covariance=chosen(at_rest, at_rest.sigma, rest.covariance),
-        raw=unfiltered,
+        covariance=change.covariance,
+        raw_covariance=change.raw_covariance,
+        slopes=functools.partial(at_rest.slopes_with, moved, measured, now.own),
     )

@@ -18,9 +18,8 @@ Array = NDArray[np.float64]
 class InSpace:
     """Two cameras. radii: the edge radius of the left and of the right grid, px, NaN if unknown."""
 
-    views, axes, covariances = 2, 3, 6
-    file, kernel, finish = "space", "space", "finish_in_space"
-    finished = ("common", "points")  # what the last kernel takes of the covariance
+    views, axes = 2, 3
+    file = kernel = "space"
 
     def __init__(self, rig: StereoRig, radii: Sequence[float]) -> None:
         self._rig, self._radii = rig, radii
@@ -58,9 +57,8 @@ class InSpace:
 class InPlane:
     """One camera. radius: the edge radius of its grid, px, NaN if unknown."""
 
-    views, axes, covariances = 1, 2, 1
-    file, kernel, finish = "flat", "in_plane", "finish_in_plane"
-    finished = ("points",)
+    views, axes = 1, 2
+    file, kernel = "flat", "in_plane"
 
     def __init__(self, scale: PlaneScale, radius: float) -> None:
         self._scale, self._radius = scale, radius

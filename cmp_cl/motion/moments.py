@@ -1,15 +1,20 @@
-"""The nodes at one moment, in the plane or in space."""
+"""The nodes at one moment, in the plane or in space, and the field between two."""
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.filter import Filtered, bend_shift, filter_at_rest
+from cmp_cl.errors import FieldError
+from cmp_cl.field import DisplacementField
+from cmp_cl.filter import bend_shift
 from cmp_cl.grid.grid import MEASURED, Grid
+from cmp_cl.motion.filter import Filtered, filter_at_rest, filter_change, most_at_rest
 from cmp_cl.motion.scale import PlaneScale
+from cmp_cl.opencl.device import Device
 from cmp_cl.points import Points3D, PointStatus
 
 Array = NDArray[np.float64]
@@ -57,27 +62,134 @@ class Moment:
         )
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Return the numbers of rows and columns."""
+        rows, columns = self.status.shape
+        return rows, columns
+
+    @property
     def valid(self) -> NDArray[np.bool_]:
         """Return (R, C) bool, True where there is a position."""
         return np.equal(self.status, PointStatus.VALID)
 
     @property
     def own(self) -> Array:
-        """Return the standard deviation per axis from the images, (R, C)."""
-        variance: Array = np.trace(self.covariance, axis1=2, axis2=3) / self.at.shape[2]
-        return np.sqrt(variance)
+        """Return the variance per axis from the images, (R, C), NaN where unknown."""
+        mean: Array = np.trace(self.covariance, axis1=2, axis2=3) / self.at.shape[2]
+        return np.where(mean > 0, mean, np.nan)
+
+
+class AtRest:
+    """The nodes at rest, and what the lattice filter makes of them on a device.
+
+    slopes: whether the variances of slopes will be used.
+    """
+
+    def __init__(self, moment: Moment, device: Device, *, slopes: bool = False) -> None:
+        self.moment, self._device, self._slopes = moment, device, slopes
+
+    def _filter(self, *, slopes: bool) -> Filtered:
+        measured = np.isin(self.moment.source, MEASURED)
+        return filter_at_rest(
+            self.moment.at, measured, self.moment.covariance, self._device, slopes=slopes
+        )
 
     @functools.cached_property
     def filtered(self) -> Filtered:
-        """Return what the lattice filter finds for the positions of a pattern at rest."""
-        return filter_at_rest(self.at, measured=np.isin(self.source, MEASURED))
+        """Return the filtered positions."""
+        return self._filter(slopes=self._slopes)
+
+    @property
+    def position(self) -> Array:
+        """Return them without the shift by bent edges, (R, C, D)."""
+        return self.filtered.values - self.moment.bend
+
+    @property
+    def most(self) -> Array:
+        """Return the share of the positions at rest in the largest variance of the noise of a
+        displacement, (R, C)."""
+        return most_at_rest(self.filtered.noise, self.moment.own)
+
+    @functools.cached_property
+    def slopes(self) -> Array:
+        """Return the variances of the slopes of the positions, (R, C, 2)."""
+        found = self.filtered.slopes
+        if found is None:
+            found = self._filter(slopes=True).slopes
+        assert found is not None
+        return found
+
+    def change(
+        self,
+        moved: Array,
+        measured: NDArray[np.bool_],
+        own: NDArray[np.floating],
+        by_images: Array | None = None,
+        *,
+        slopes: bool = False,
+    ) -> Filtered:
+        """Filter the displacement `moved`, (R, C, D).
+
+        measured: (R, C), the nodes that may influence others. own: (R, C), the variance per axis
+        now, from the images. by_images: the covariance of `moved` from the images.
+        """
+        if by_images is None:
+            by_images = np.zeros((*moved.shape, moved.shape[2]))
+        return filter_change(
+            moved, measured, by_images, self.most + own, self._device, slopes=slopes
+        )
+
+    def slopes_with(
+        self, moved: Array, measured: NDArray[np.bool_], own: NDArray[np.floating]
+    ) -> tuple[Array, Array]:
+        """Return the variances of the slopes of the positions, and of a displacement; the arguments
+        are those of `change`."""
+        found = self.change(moved, measured, own, slopes=True).slopes
+        assert found is not None
+        return self.slopes, found
 
 
-def covariance_from(filtered: Filtered, sigma: Array, by_images: Array) -> Array:
-    """Return the covariance from the lattice, or from the images where that is unknown, (R, C, D,
-    D). In the plane, both axes have the same variance."""
-    lattice = filtered.covariance_of(sigma)
-    if lattice.shape[2] == 2:
-        lattice = np.square(sigma)[..., None, None] * np.eye(2)
-    known = np.isfinite(lattice).all(axis=(2, 3), keepdims=True)
-    return np.where(known, lattice, by_images)
+def field_of(
+    at_rest: AtRest,
+    *,
+    status: NDArray[np.uint8],
+    source: NDArray[np.uint8],
+    moved: Array,
+    displacement: Array,
+    covariance: Array,
+    raw_covariance: Array,
+    slopes: Callable[[], tuple[Array, Array]],
+) -> DisplacementField:
+    """Return the field with these displacements, and before the filter.
+
+    moved, displacement: (R, C, D), before the filter and after it, without the shift by bent edges.
+    covariance, raw_covariance: their covariances. slopes: as in `DisplacementField`.
+    """
+    there = (status == PointStatus.VALID)[..., None]
+    rest, found = at_rest.moment, at_rest.filtered
+    raw = DisplacementField(
+        position=np.where(there, rest.at, np.nan),
+        displacement=moved,
+        covariance=np.where(there[..., None], raw_covariance, np.nan),
+        position_covariance=np.where(there[..., None], found.raw_covariance, np.nan),
+        status=status,
+        source=source,
+        unit=rest.unit,
+        slopes=_no_slopes,
+    )
+    return dataclasses.replace(
+        raw,
+        position=np.where(there, at_rest.position, np.nan),
+        displacement=displacement,
+        covariance=np.where(there[..., None], covariance, np.nan),
+        position_covariance=np.where(there[..., None], found.covariance, np.nan),
+        raw=raw,
+        slopes=slopes,
+    )
+
+
+def _no_slopes() -> tuple[Array, Array]:
+    raise FieldError(
+        "the error of a strain is known after the lattice filter; take the strain of the filtered "
+        "field, or cmp_cl.field.green_lagrange without an error"
+    )

@@ -97,16 +97,15 @@ def pressed():
 
 
 def test_the_error_of_filtered_positions_on_a_bent_perfect_print_is_a_third_lower(pressed):
-    rest, now, truth = pressed
-    shifted = filter_positions(dataclasses.replace(now, edge_radius=math.nan), rest=rest)[0]
-    better, raw = filter_positions(now, rest=rest)
+    _, now, truth = pressed
+    shifted = filter_positions(dataclasses.replace(now, edge_radius=math.nan))
+    better = filter_positions(now)
     assert rms(better.xy - truth) < 0.67 * rms(shifted.xy - truth)
-    np.testing.assert_array_equal(raw.xy, now.xy)
 
 
 def test_sigma_holds_for_positions_on_a_perfect_print(pressed):
-    rest, now, truth = pressed
-    found = filter_positions(now, rest=rest)[0]
+    _, now, truth = pressed
+    found = filter_positions(now)
     within = np.abs(found.xy - truth) <= 2 * found.sigma[..., None]
     assert 0.9 <= within.mean() <= 0.98  # 0.95 of normal errors
 
@@ -146,6 +145,6 @@ def test_points_in_space_contain_the_shift_and_displacements_are_free_of_it():
         *(dataclasses.replace(each, bend_shift=None) for each in (at_rest, points))
     )
     np.testing.assert_allclose(
-        blind.displacement - field.displacement, points.bend_shift - at_rest.bend_shift, atol=1e-9
+        blind.displacement - field.displacement, points.bend_shift - at_rest.bend_shift, atol=1e-6
     )
     np.testing.assert_array_equal(field.raw.displacement, blind.raw.displacement)

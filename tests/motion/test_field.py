@@ -169,12 +169,12 @@ def expected(rig, rest, now, complete):
     status = np.where(points.status == space.VALID, at_rest.status, points.status)
     valid = status == space.VALID
     measured = valid & np.isin(np.maximum(now[0].status, now[1].status), MEASURED)
-    quiet = lattice_filter.filter_grid(at_rest.xyz, at_rest.valid)
+    quiet = lattice_filter.filter_positions(at_rest.xyz, at_rest.valid)
     before = np.trace(at_rest.covariance, axis1=2, axis2=3) / 3
     after = np.trace(points.covariance, axis1=2, axis2=3) / 3
     most = np.sqrt(before + after + 9 * np.maximum(quiet.noise**2 - before, 0))
     moved = np.where(valid[..., None], points.xyz - at_rest.xyz, np.nan)
-    found = lattice_filter.filter_whole(moved, measured, most)
+    found = lattice_filter.filter_displacements(moved, measured, most)
     change = points.bent - np.where(np.isfinite(at_rest.bend_shift), at_rest.bend_shift, 0)
     return status, moved, found, np.where(valid[..., None], found.values - change, np.nan)
 
@@ -248,10 +248,10 @@ def expected_in_plane(rest, now, complete):
         )
         for whole, seen in ((rest, rest), (complete, now))
     )
-    quiet = lattice_filter.filter_grid(before[0], rest.valid)
+    quiet = lattice_filter.filter_positions(before[0], rest.valid)
     most = np.sqrt(before[1] + after[1] + 9 * np.maximum(quiet.noise**2 - before[1], 0))
     moved = after[0] - before[0]
-    found = lattice_filter.filter_whole(moved, now.valid, most)
+    found = lattice_filter.filter_displacements(moved, now.valid, most)
     displaced = np.where(now.valid[..., None], found.values - (after[2] - before[2]), np.nan)
     return moved, found, displaced
 
@@ -289,13 +289,7 @@ def test_the_strain_is_the_oracles(run, case, views, kernels):
     field = run(seen_by, rest, now, complete=complete, strain=kernels)[2].with_strain()
     shape = field.status.shape
     filters = tuple(
-        np.stack(
-            [
-                lattice_filter.axis_filter(n, *f)
-                for f in lattice_filter.PAIRED_BENDING
-                if n > 2 * f[0]
-            ]
-        )
+        np.stack([lattice_filter.axis_filter(n, *f) for f in lattice_filter.PAIRED if n > 2 * f[0]])
         for n in shape
     )
     votes = field.valid & ~found.refused
@@ -304,7 +298,7 @@ def test_the_strain_is_the_oracles(run, case, views, kernels):
     slopes = strains.slope_variances(
         found.weights, found.sigma / np.sqrt(found.gain), votes, filters, correlations
     )
-    still = tuple(np.moveaxis(quiet.lattice[0].slope_variance(smoothed=True), 2, 0))
+    still = tuple(np.moveaxis(quiet.slopes()[0], 2, 0))
     strain, covariance = strains.strain(
         quiet.position,
         np.where(field.valid[..., None], field.displacement, np.nan),

@@ -1,8 +1,7 @@
 """The adaptive lattice filter, node by node, in float64.
 
-1. Nodes that were not measured, and those rejected below, have no vote. To find the components,
-   each vote grows by a node; a component is connected along rows, columns and diagonals. Each is
-   filtered by itself, in the smallest rectangle around its votes.
+1. Nodes that were not measured, and those rejected below, have no vote. Of positions the bilinear
+   surface that fits the votes best is subtracted, and added at the end.
 2. A hole gets the value of the quadratic surface through the votes within 3 nodes, or within 6 if
    those are fewer than 8. The weights are exp(-r^2 / (2 (reach / 2)^2)), and a ridge of 1e-3 on
    the slopes and 1e-2 on the curvatures pulls the surface slightly towards a constant.
@@ -22,12 +21,11 @@
    quarters of its window are measured; the pair that changes nothing is always in. The result is
    the mean of the E with weights w proportional to exp(-(risk - least risk) 2 pi 1.5^2 / 3).
 7. Its variance is s2 max(sum w risk - 1, sum w V), V the sum of the squares of the pair's weights.
-8. If the values may bend sharply, (3, 3) is among the filters, and the pairs are chosen with s1 in
-   place of s2. s1 is 1.29 times the least of s2 and of the same estimates from the pilot along one
-   axis alone or along one diagonal alone, but at most s2. Along a diagonal the pilot is (3, 5), and
-   is used only where its window fits. Then the variance is
-   max(s1 sum w risk + 2 (s2 - s1) sum w H - s2, s1 sum w V). If an upper bound of the noise is
-   known, s1 is at most its square.
+8. If the values may bend sharply, as displacements, the pairs are chosen with s1 in place of
+   s2. s1 is 1.29 times the least of s2 and of the same estimates from the pilot along one axis
+   alone or along one diagonal alone, but at most s2. Along a diagonal the pilot is (3, 5), and
+   is used only where its window fits. Then the variance is max(s1 sum w risk + 2 (s2 - s1) sum
+   w H - s2, s1 sum w V). If an upper bound of the noise is known, s1 is at most its square.
 9. If a refinement assumes straight edges within the radius r, bent edges shift its corner. For each
    of the corner's two lines, a parabola along it and a straight line across it are fitted to 5 x 5
    nodes. With the slope t and the second derivative d at the node, by the node's number, and n the
@@ -46,30 +44,17 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 LEAST_OF_FIVE = 1.29
-PAIRED = ((0, 0), (2, 1), (2, 3), (4, 3), (7, 3))
-PAIRED_BENDING = ((0, 0), (2, 1), (2, 3), (3, 3), (4, 3), (7, 3))
+PAIRED = ((0, 0), (2, 1), (2, 3), (3, 3), (4, 3), (7, 3))  # half width in nodes, degree
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Filtered:
-    """The fields of `cmp_cl.grid.Filtered`, and a margin.
+    """A filtered lattice.
 
-    margin: (R, C), the smallest relative distance from its bound of a quantity that rejects or
-        accepts a node of the component. If it is tiny, float32 may decide otherwise.
-    """
-
-    values: Floats
-    sigma: Floats
-    noise: Floats
-    refused: Bools
-    margin: Floats
-
-
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Whole:
-    """A lattice that was filtered without a search for parts, as kernels/filter.cl does.
-
-    values: (R, C, K). sigma, noise, refused, margin: as in `Filtered`. common: (R, C, K, K), the
+    values: (R, C, K); a rejected node keeps its own value. sigma, noise: (R, C), standard
+    deviations of the values and of those before the filter, NaN where unknown. refused: (R, C), the
+    rejected nodes. margin: the smallest relative distance from its bound of a quantity that rejects
+    or accepts a node; if it is tiny, float32 may decide otherwise. common: (R, C, K, K), the
     covariance of the coordinates from the residuals of the votes around, over its mean diagonal.
     weights: (A, B, R, C), of the pairs. gain: (R, C), the share of the variance that they leave.
     """
@@ -84,113 +69,27 @@ class Whole:
     gain: Floats
 
 
-def filter_whole(values: Floats, measured: Bools, most_noise: Floats) -> Whole:
-    """Filter displacements (R, C, K), NaN where missing, as one part without its bilinear surface.
+def filter_positions(values: Floats, measured: Bools) -> Filtered:
+    """Filter positions (R, C, K), NaN where missing.
 
     A node with a value that is not measured has no vote and gets the mean of its neighbours; a hole
-    is filled like one without a vote. most_noise: (R, C), NaN where unknown.
+    is filled like one without a vote.
     """
+    votes = np.isfinite(values).all(axis=2) & measured
+    surface = _plane(values, votes)
+    found = _filtered(values - surface, measured, None)
+    return dataclasses.replace(found, values=found.values + surface)
+
+
+def filter_displacements(values: Floats, measured: Bools, most_noise: Floats) -> Filtered:
+    """Filter displacements, see 8 and `filter_positions`. most_noise: (R, C), NaN where unknown."""
+    return _filtered(values, measured, most_noise)
+
+
+def _filtered(values: Floats, measured: Bools, most: Floats | None) -> Filtered:
     there = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
     votes = there & measured
-    found = _component(values, votes, most_noise, bends=True, plane=False)
-    kept, s2, smooth, variance, margin = found[:5]
-    residual, weights, gain = found[5:]
-    gone = votes & ~kept
-    off = ((values - smooth) ** 2).mean(axis=2)
-    variance = np.where(kept, variance, s2)
-    variance = np.where(gone, np.maximum(off, s2), variance)
-    changed = there & ~gone & np.isfinite(variance)
-    common = np.zeros((*there.shape, values.shape[2], values.shape[2]))
-    for r, c in np.ndindex(*there.shape):
-        near = np.where(kept, _near(there.shape, r, c, 2.0), 0)
-        sums = np.einsum("rc,rci,rcj->ij", near, residual, residual)
-        mean = np.trace(sums) / len(sums)
-        common[r, c] = sums / mean if mean > 0 else np.eye(len(sums))
-    rows, columns = (sum(n >= 2 * side + 1 for side, _ in PAIRED_BENDING) for n in there.shape)
-    return Whole(
-        values=np.where(changed[..., None], smooth, values),
-        sigma=np.where(there, np.sqrt(variance), np.nan),
-        noise=np.where(there, np.sqrt(s2), np.nan),
-        refused=gone,
-        margin=margin,
-        common=common,
-        weights=weights.reshape(rows, columns, *there.shape),
-        gain=gain,
-    )
-
-
-def filter_grid(
-    values: Floats,
-    measured: Bools | None = None,
-    *,
-    bends: bool = False,
-    most_noise: Floats | None = None,
-) -> Filtered:
-    """Filter values (R, C, K), NaN where missing.
-
-    measured: (R, C), None means all. bends: see 8. most_noise: (R, C), NaN where unknown.
-    """
-    there = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
-    votes = there if measured is None else there & measured
-    result = np.where(there[..., None], values, np.nan)
-    sigma, noise = np.full(there.shape, np.nan), np.full(there.shape, np.nan)
-    margin = np.full(there.shape, np.inf)
-    refused = np.zeros(there.shape, np.bool_)
-    for part in _components(votes):
-        rows, columns = np.nonzero(votes & part)
-        box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
-        here = there[box] & part[box]
-        kept, s2, smooth, variance, near, *_ = _component(
-            values[box],
-            votes[box] & part[box],
-            None if most_noise is None else most_noise[box],
-            bends=bends,
-        )
-        gone = votes[box] & part[box] & ~kept
-        off = ((values[box] - smooth) ** 2).mean(axis=2)
-        variance = np.where(kept, variance, s2)
-        variance = np.where(gone, np.maximum(off, s2), variance)
-        changed = here & ~gone & np.isfinite(variance)
-        result[box] = np.where(changed[..., None], smooth, result[box])
-        sigma[box] = np.where(here, np.sqrt(variance), sigma[box])
-        noise[box] = np.where(here, np.sqrt(s2), noise[box])
-        refused[box] |= gone
-        margin[box] = np.where(here, near, margin[box])
-    return Filtered(values=result, sigma=sigma, noise=noise, refused=refused, margin=margin)
-
-
-def _components(votes: Bools) -> list[Bools]:
-    """Label the parts of the votes by flood fill, after each vote has grown by a node."""
-    rows, columns = votes.shape
-    grown = np.zeros_like(votes)
-    for r, c in zip(*np.nonzero(votes), strict=True):
-        grown[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2] = True
-    parts = []
-    left = grown.copy()
-    while left.any():
-        part = np.zeros_like(votes)
-        stack = [tuple(int(n) for n in np.argwhere(left)[0])]
-        left[stack[0]] = False
-        while stack:
-            r, c = stack.pop()
-            part[r, c] = True
-            for i in range(max(r - 1, 0), min(r + 2, rows)):
-                for j in range(max(c - 1, 0), min(c + 2, columns)):
-                    if left[i, j]:
-                        left[i, j] = False
-                        stack.append((i, j))
-        parts.append(part)
-    return parts
-
-
-def _component(
-    given: Floats, votes: Bools, most: Floats | None, *, bends: bool, plane: bool = True
-) -> tuple[Bools, Floats, Floats, Floats, float, Floats, Floats, Floats]:
-    """Return the kept votes, s2, the filtered values (R, C, K), their variance, the margin, the
-    residual of the pilot, the weights of the pairs, and the share of the variance that they
-    leave."""
-    surface = _plane(given, votes) if plane else np.zeros(given.shape)
-    data = np.where(votes[..., None], given - surface, 0)
+    data = np.where(votes[..., None], values, 0)
     if not votes.all():
         data = _filled(data, votes)
     margin = math.inf
@@ -204,13 +103,39 @@ def _component(
         kept = kept & ~gone
         data = _filled(np.where(kept[..., None], data, 0), kept)
         residual, s2, own = _noise(data, kept)
-    chosen = _least_noise(data, kept, s2) if bends else s2
+    chosen = s2
     if most is not None:
+        chosen = _least_noise(data, kept, s2)
         chosen = np.where(np.isnan(most), chosen, np.minimum(chosen, most**2))
-    values, variance, weights, gain = _mixture(
-        data, kept, s2, chosen, PAIRED_BENDING if bends else PAIRED
+    smooth, variance, weights, gain = _mixture(data, kept, s2, chosen)
+    gone = votes & ~kept
+    off = ((values - smooth) ** 2).mean(axis=2)
+    variance = np.where(kept, variance, s2)
+    variance = np.where(gone, np.maximum(off, s2), variance)
+    changed = there & ~gone & np.isfinite(variance)
+    rows, columns = (sum(n >= 2 * side + 1 for side, _ in PAIRED) for n in there.shape)
+    return Filtered(
+        values=np.where(changed[..., None], smooth, values),
+        sigma=np.where(there, np.sqrt(variance), np.nan),
+        noise=np.where(there, np.sqrt(s2), np.nan),
+        refused=gone,
+        margin=margin,
+        common=_common(residual, kept),
+        weights=weights.reshape(rows, columns, *there.shape),
+        gain=gain,
     )
-    return kept, s2, values + surface, variance, margin, residual, weights, gain
+
+
+def _common(residual: Floats, kept: Bools) -> Floats:
+    """Return the covariance of the coordinates around each node, over its mean diagonal."""
+    count = residual.shape[2]
+    common = np.zeros((*kept.shape, count, count))
+    for r, c in np.ndindex(*kept.shape):
+        near = np.where(kept, _near(kept.shape, r, c, 2.0), 0)
+        sums = np.einsum("rc,rci,rcj->ij", near, residual, residual)
+        mean = np.trace(sums) / count
+        common[r, c] = sums / mean if mean > 0 else np.eye(count)
+    return common
 
 
 def _plane(values: Floats, votes: Bools) -> Floats:
@@ -300,17 +225,13 @@ def _rejected(residual: Floats, s2: Floats, own: Floats, votes: Bools) -> tuple[
 
 
 def _mixture(
-    data: Floats,
-    votes: Bools,
-    s2: Floats,
-    chosen: Floats,
-    paired: tuple[tuple[int, int], ...],
+    data: Floats, votes: Bools, s2: Floats, chosen: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the values, their variance, the weights (P, R, C), and the share of the variance."""
     rows, columns, _ = data.shape
     estimates, risks, gains, owns = [], [], [], []
-    for h_row, p_row in paired:
-        for h_column, p_column in paired:
+    for h_row, p_row in PAIRED:
+        for h_column, p_column in PAIRED:
             if rows < 2 * h_row + 1 or columns < 2 * h_column + 1:
                 continue
             a, b = axis_filter(rows, h_row, p_row), axis_filter(columns, h_column, p_column)

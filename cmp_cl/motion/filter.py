@@ -1,0 +1,448 @@
+"""The adaptive lattice filter: positions that use the neighbours too, and their error.
+
+On a worn print the visible corner is not at the material point. The image of one corner cannot show
+that, but its neighbours in the lattice can. Each node becomes a mixture of local polynomials along
+its row and its column. Stein's unbiased risk estimate chooses their widths and degrees at each
+node, so that there are no parameters to set. cmp_cl/reference/field/filter.py has the equations,
+kernels/filter.cl the kernels.
+"""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from cmp_cl.filter import bilinear_surface
+from cmp_cl.filter.polynomials import STRAIN_REACH
+from cmp_cl.motion.memory import Layout, Memory
+from cmp_cl.motion.tables import (
+    LANES,
+    NOISE_GAUSSIAN,
+    RISK_GAUSSIAN,
+    axis_tables,
+    in_lines,
+)
+from cmp_cl.opencl.device import Device, DeviceKind
+from cmp_cl.opencl.launches import GROUP, Launch, multiple
+from cmp_cl.opencl.program import Kernels, Programs, programs_of
+
+ROUNDS = 3  # rounds of the search for outliers
+_ESTIMATES, _MASKS = 5, 4  # of the noise, as in kernels/filter.cl
+_ROUGH = 6  # sums over a row, in kernels/strain.cl
+_PAIRS_OF_AXES = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of a symmetric matrix
+_OPENED = 3.0  # largest ratio of the wear of a strained print to its wear at rest
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Filtered:
+    """A filtered lattice of R x C nodes with K coordinates, 2 or 3.
+
+    values: (R, C, K), in the unit of the input, NaN where that is NaN. A node that was rejected,
+        because it lies more than six standard deviations from what its neighbours predict, keeps
+        its own value and has no influence on them.
+    covariance: (R, C, K, K), of the values; where the lattice is too small to show it, that by the
+        images. In the plane, both axes have the same variance.
+    raw_covariance: the same for the values before the filter.
+    noise: (R, C), the standard deviation before the filter, by coordinate, NaN where unknown.
+    slopes: (R, C, 2), the variances by coordinate of the slopes per step along a row and along a
+        column, over all 5 x 5 values around a node; None unless they were asked for.
+    """
+
+    values: Array
+    covariance: Array
+    raw_covariance: Array
+    noise: Array
+    slopes: Array | None
+
+
+def filter_at_rest(
+    values: Array, measured: Bools, by_images: Array, device: Device, *, slopes: bool = False
+) -> Filtered:
+    """Filter positions.
+
+    values: (R, C, K), NaN where missing. measured: (R, C), the nodes that may influence others;
+    the rest get the prediction of their neighbours. by_images: (R, C, K, K), their covariance by
+    the images alone. slopes: whether to compute `Filtered.slopes`.
+    """
+    there: Bools = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
+    surface = np.zeros(values.shape)
+    if (there & measured).any():
+        surface = bilinear_surface(values, there & measured)
+    found = _filtered(values - surface, measured, by_images, None, device, slopes=slopes)
+    return dataclasses.replace(found, values=found.values + surface)
+
+
+def filter_change(
+    moved: Array,
+    measured: Bools,
+    by_images: Array,
+    most: Array,
+    device: Device,
+    *,
+    slopes: bool = False,
+) -> Filtered:
+    """Filter displacements, which may bend sharply, as at the edge of a contact.
+
+    The noise is also estimated along single directions, the axes and the diagonals, to tell it from
+    such a bend. A deformation is filtered as one array of displacements, not as two of positions:
+    wear that travels with the material cancels in their difference.
+
+    most: (R, C), the largest variance of the noise, see `most_of_change`. A residual beyond it is
+    taken for shape and kept. The others: as in `filter_at_rest`.
+    """
+    return _filtered(moved, measured, by_images, most, device, slopes=slopes)
+
+
+def most_at_rest(noise: Array, own: Array) -> Array:
+    """Return the share of the positions at rest in the largest variance of the noise of a
+    displacement, (R, C), NaN where unknown; that of the images now is added to it.
+
+    noise: (R, C), the standard deviation that the lattice shows at rest. own: (R, C), the variance
+    by the images, NaN where unknown. What they do not explain is wear. Wear moves with the material,
+    but strain may open it: in the difference it is assumed to be at most three times its size at
+    rest. A print without wear at rest has only the noise of its images.
+    """
+    most: Array = own + _OPENED**2 * np.maximum(np.square(noise) - own, 0)
+    return most
+
+
+def _filtered(
+    values: Array,
+    measured: Bools,
+    by_images: Array,
+    most: Array | None,
+    device: Device,
+    *,
+    slopes: bool,
+) -> Filtered:
+    """Filter values on a device; most: None for positions, else see `filter_change`."""
+    rows, columns, axes = values.shape
+    if not rows * columns:
+        nothing = np.empty((rows, columns, axes, axes))
+        return Filtered(
+            values=values,
+            covariance=nothing,
+            raw_covariance=nothing,
+            noise=np.empty((rows, columns)),
+            slopes=np.empty((rows, columns, 2)) if slopes else None,
+        )
+    programs = programs_of(device.handle)
+    queue = cl.CommandQueue(programs.context)
+    results = Memory(queue, LatticeFilter.layout((rows, columns), axes))
+    plan = LatticeFilter(
+        queue,
+        programs,
+        device,
+        shape=(rows, columns),
+        axes=axes,
+        results=results,
+        bends=most is not None,
+        slopes=slopes,
+    )
+    there: Bools = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
+    votes = there & measured
+    inputs = plan.inputs.arrays
+    inputs["moved"][:] = planes(np.where(there[..., None], values, 0))
+    inputs["points"][:] = flat(by_images)
+    inputs["bound_rest"][:] = np.nan if most is None else most
+    inputs["valid"][:] = there
+    inputs["measured"][:] = inputs["votes"][:] = votes
+    results.arrays["counts"][:] = (there.size - np.count_nonzero(votes), *ROUNDS * [0])
+    plan.inputs.upload()
+    results.upload()
+    for each in plan.launches:
+        cl.enqueue_nd_range_kernel(queue, each.kernel, each.items, each.group)
+    results.download()
+    queue.finish()
+    arrays = results.arrays
+    found = Filtered(
+        values=nodes(arrays["displacement"]),
+        covariance=matrices(arrays["covariance"]),
+        raw_covariance=matrices(arrays["raw_covariance"]),
+        noise=np.where(there, np.sqrt(arrays["variance"][:, :columns]), np.nan).astype(np.float64),
+        slopes=nodes(arrays["slopes"]) if slopes else None,
+    )
+    for memory in (plan, results):
+        memory.release()
+    return found
+
+
+class LatticeFilter:
+    """Buffers and bound kernels that filter lattices of one shape.
+
+    shape: (R, C). axes: K, 2 or 3. bends: whether the values may bend sharply, see
+    `filter_change`. slopes: whether the variances of slopes are computed.
+    inputs: what the launches start from. moved: K planes (R, C), 0 where there is no value.
+    points: their covariance by the images, 6 planes or 1. bent: K planes, subtracted at the end.
+    own, bound_rest: (R, C), of which the sum is the largest variance of the noise. valid, measured,
+    votes: (R, C), the nodes with a value, and those that have a vote, twice.
+    results: holds the arrays of `layout`; in counts, the number of nodes without a vote, then 0.
+    """
+
+    def __init__(
+        self,
+        queue: cl.CommandQueue,
+        programs: Programs,
+        device: Device,
+        *,
+        shape: tuple[int, int],
+        axes: int,
+        results: Memory,
+        bends: bool,
+        slopes: bool,
+    ) -> None:
+        self._shape, self._axes, self._device, self._slopes = shape, axes, device, slopes
+        self._down, self._along = (axis_tables(n) for n in shape)
+        self.inputs = Memory(queue, self._inputs())
+        self._tables = Memory.of(queue, **self._table_arrays())
+        self._work = Memory(queue, self._work_layout())
+        self.parts: dict[str, cl.Buffer] = {}
+        for memory in (self.inputs, self._tables, self._work, results):
+            self.parts |= memory.parts
+        self._kernels = programs.kernels(["filter", *(["strain"] if slopes else [])], self.defines)
+        self.launches = self._listed(bends=np.int32(bends))
+        if slopes:
+            self.launches += self._of_slopes()
+
+    def release(self) -> None:
+        """Release the device's memory."""
+        for memory in (self.inputs, self._tables, self._work):
+            memory.release()
+
+    # What is compiled and allocated
+
+    @property
+    def defines(self) -> dict[str, str | int]:
+        """Return the macros of the kernels."""
+        (rows, columns), down, along = self._shape, self._down, self._along
+        return {
+            "ROWS": rows,
+            "COLUMNS": columns,
+            "K": self._axes,
+            "PILOT_DOWN": down.pilot_side,
+            "PILOT_ALONG": along.pilot_side,
+            "FILTERS_DOWN": len(down.sides),
+            "FILTERS_ALONG": len(along.sides),
+            "PAIRS": self._pairs,
+            "STRAIN_REACH": STRAIN_REACH,
+            "STRAINED": int(self._slopes),
+        }
+
+    @property
+    def _pairs(self) -> int:
+        return len(self._down.sides) * len(self._along.sides)
+
+    def _inputs(self) -> Layout:
+        axes = self._axes
+        planes = {"moved": axes, "points": covariances(axes), "bent": axes, "own": 1}
+        layout: Layout = {
+            name: ((count, *self._shape), np.float32) for name, count in planes.items()
+        }
+        masks = ("valid", "measured", "votes")
+        return {
+            **layout,
+            "bound_rest": (self._shape, np.float32),
+            **{name: (self._shape, np.uint8) for name in masks},
+        }
+
+    @staticmethod
+    def layout(shape: tuple[int, int], axes: int) -> Layout:
+        """Return the layout of the results.
+
+        displacement, raw_displacement: K planes (R, C), NaN where not valid. covariance,
+        raw_covariance: 6 planes xx xy xz yy yz zz, or the variance per axis. variance: (R, C and
+        more columns that are not used), of the noise before the filter. slopes: 2 planes, see `Filtered`. counts: nodes without a vote, and those
+        that each round has rejected.
+        """
+        planes = {
+            "displacement": axes,
+            "raw_displacement": axes,
+            "covariance": covariances(axes),
+            "raw_covariance": covariances(axes),
+            "slopes": 2,
+        }
+        return {
+            **{name: ((count, *shape), np.float32) for name, count in planes.items()},
+            "variance": ((shape[0], multiple(shape[1], LANES)), np.float32),
+            "counts": ((1 + ROUNDS,), np.int32),
+        }
+
+    def _table_arrays(self) -> dict[str, NDArray[Any]]:
+        down, along = self._down, self._along
+        return {
+            "sides_down": down.sides,
+            "sides_along": along.sides,
+            "filters_down": down.filters,
+            "filters_along": in_lines(along.matrices),
+            "own_down": down.own,
+            "own_along": in_lines(along.own),
+            "gain_down": down.gain,
+            "gain_along": in_lines(along.gain),
+            "pilot_down": down.pilot,
+            "pilot_along": in_lines(along.pilot_matrix),
+            "pilot_own_down": down.pilot_own,
+            "pilot_own_along": along.pilot_own,
+            "gram_mean_down": down.gram_mean,
+            "gram_slope_down": down.gram_slope,
+            "gram_mean_along": np.moveaxis(along.gram_mean, 1, 3),
+            "gram_slope_along": np.moveaxis(along.gram_slope, 1, 3),
+            "rows_noise": NOISE_GAUSSIAN,
+            "rows_risk": RISK_GAUSSIAN,
+        }
+
+    def _work_layout(self) -> Layout:
+        axes, pairs, (rows, columns) = self._axes, self._pairs, self._shape
+        products = axes * (axes + 1) // 2
+        in_line = {
+            "data": axes,
+            "size": 1,
+            "near": _ESTIMATES + _MASKS + products,
+            "chosen": 1,
+            "common": products,
+            "estimate": axes * pairs,
+            "loss": pairs,
+            "unsupported": pairs,
+            "near_votes": 1,
+            "weights": pairs if self._slopes else 1,
+            "values": axes,
+            "mixed_variance": 1,
+            "left_share": 1,
+        }
+        wide = rows, multiple(columns, LANES)
+        return {
+            **{name: ((count, *wide), np.float32) for name, count in in_line.items()},
+            "sums": ((rows, _ESTIMATES * products + 1), np.float32),
+            "rough": ((rows, _ROUGH), np.float32),
+        }
+
+    # What is launched
+
+    def _listed(self, bends: np.int32) -> list[Launch]:
+        pilots, listed = ("pilot_own_down", "pilot_own_along", "rows_noise"), []
+        for number in map(np.int32, range(1 + ROUNDS)):
+            listed += [
+                self._of_nodes("fill", "moved", "votes", "counts", number, "data"),
+                self._of_rows(
+                    "pilot",
+                    1,
+                    *("data", "votes", "counts", number, "pilot_down", "pilot_along"),
+                    *(*pilots, "size", "near", "sums"),
+                ),
+                self._of_rows(
+                    "noise",
+                    1,
+                    *("near", "sums", "size", *pilots, "bound_rest", "own", bends, number),
+                    *("counts", "votes", "variance", "chosen", "common"),
+                ),
+            ]
+        owns = ("own_down", "own_along")
+        finish, common = ("finish_in_space", ("common",)) if self._axes == 3 else (
+            "finish_in_plane", ()
+        )  # fmt: skip
+        return [
+            *listed,
+            self._of_rows(
+                "smooth",
+                len(self._down.sides),
+                *("data", "votes", "counts", "chosen", "sides_down", "sides_along"),
+                *("filters_down", "filters_along", *owns, "rows_risk"),
+                *("estimate", "loss", "near_votes", "unsupported"),
+            ),
+            self._of_rows(
+                "blend",
+                multiple(self._shape[1], LANES) // LANES,
+                *("estimate", "loss", "near_votes", "unsupported", "counts"),
+                *("variance", "chosen", *owns, "gain_down", "gain_along", "rows_risk"),
+                *("weights", "values", "mixed_variance", "left_share"),
+            ),
+            self._of_nodes(
+                finish,
+                *("moved", "values", "votes", "measured", "variance", "mixed_variance"),
+                *(*common, "points", "bent", "valid"),
+                *("displacement", "raw_displacement", "covariance", "raw_covariance"),
+            ),
+        ]
+
+    def _of_slopes(self) -> list[Launch]:
+        return [
+            self._of_rows("roughness", 1, "data", "votes", "variance", "rough"),
+            self._of_rows(
+                "slopes",
+                1,
+                *("weights", "mixed_variance", "left_share", "votes", "rough"),
+                *("gram_mean_down", "gram_slope_down"),
+                *("gram_mean_along", "gram_slope_along", "slopes"),
+            ),
+        ]
+
+    def _of_nodes(self, name: str, *arguments: Any) -> Launch:
+        return of_nodes(self._kernels, self._shape, self.parts, name, arguments)
+
+    def _of_rows(self, name: str, others: int, *arguments: Any) -> Launch:
+        """Bind a kernel with one work-item per row, times `others`."""
+        group = (1, 1) if self._device.kind is DeviceKind.CPU else None
+        return _bound(self._kernels, self.parts, name, (self._shape[0], others), group, arguments)
+
+
+def of_nodes(
+    kernels: Kernels,
+    shape: tuple[int, int],
+    parts: dict[str, cl.Buffer],
+    name: str,
+    arguments: tuple[Any, ...],
+) -> Launch:
+    """Bind a kernel with one work-item per node to its arguments, numbers and names of arrays."""
+    return _bound(
+        kernels, parts, name, (multiple(shape[0] * shape[1], GROUP),), (GROUP,), arguments
+    )
+
+
+def _bound(
+    kernels: Kernels,
+    parts: dict[str, cl.Buffer],
+    name: str,
+    items: tuple[int, ...],
+    group: tuple[int, ...] | None,
+    arguments: tuple[Any, ...],
+) -> Launch:
+    given = [parts[each] if isinstance(each, str) else each for each in arguments]
+    return Launch(name, kernels.bind(name, *given), items, group, {})
+
+
+def covariances(axes: int) -> int:
+    """Return the number of planes of a covariance: all entries in space, the variance in a
+    plane."""
+    return len(_PAIRS_OF_AXES) if axes == 3 else 1
+
+
+def flat(covariance: Array) -> NDArray[np.float32]:
+    """Return covariances (R, C, K, K) as planes: xx xy xz yy yz zz, or the variance per axis."""
+    if covariance.shape[2] == 2:
+        return planes(covariance[..., :1, 0])
+    return planes(np.stack([covariance[..., i, j] for i, j in _PAIRS_OF_AXES], axis=-1))
+
+
+def planes(values: Array) -> NDArray[np.float32]:
+    """Return values of nodes (R, C, K) as planes (K, R, C) float32."""
+    return np.ascontiguousarray(np.moveaxis(values, -1, 0), np.float32)
+
+
+def nodes(planes: NDArray[np.float32]) -> Array:
+    """Return planes (K, R, C) as values of nodes, (R, C, K) float64."""
+    return np.ascontiguousarray(np.moveaxis(planes, 0, -1), np.float64)
+
+
+def matrices(planes: NDArray[np.float32]) -> Array:
+    """Return the symmetric matrices (R, C, K, K) float64 of xx xy xz yy yz zz, (6, R, C), or of the
+    variance per axis of a plane, (1, R, C)."""
+    if len(planes) == 1:
+        of_plane: Array = planes[0, ..., None, None] * np.eye(2)
+        return of_plane
+    place = np.zeros((3, 3), np.intp)
+    for number, (i, j) in enumerate(_PAIRS_OF_AXES):
+        place[i, j] = place[j, i] = number
+    return np.ascontiguousarray(np.moveaxis(planes[place], (0, 1), (2, 3)), np.float64)
