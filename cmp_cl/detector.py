@@ -15,7 +15,7 @@ from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners, HarmonicMaps, Maps
 from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
 from cmp_cl.grid.grid import Grid
-from cmp_cl.image import Frame, GreyImage, as_frame, check_dtype
+from cmp_cl.image import GreyImage, check_dtype, check_image
 from cmp_cl.lattice.arrays import Board
 from cmp_cl.lattice.plan import LatticePlan
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
@@ -23,7 +23,7 @@ from cmp_cl.opencl.launches import sum_times
 from cmp_cl.opencl.program import Programs, programs_of
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.plan import Overflow, Plan, Plans
-from cmp_cl.stages.refine import copy_positions, no_corners, read_corners
+from cmp_cl.stages.refine import no_corners, read_corners
 
 
 class Detector(Closing):
@@ -128,12 +128,11 @@ class Detector(Closing):
             spent = sum_times(plan.events, spent)
         return spent
 
-    def __call__(self, frame: Frame) -> Corners:
+    def __call__(self, frame: GreyImage) -> Corners:
         """Find the corners of one frame, (H, W), of the shape and dtype of this detector.
 
-        This and the other methods also accept frames of other array libraries: see
-        `cmp_cl.image.as_frame`, which copies those on a CUDA device to the host. No other thread
-        may change the frame during the call: on a CPU the kernels read it where it lies.
+        No other thread may change the frame during the call: on a CPU the kernels read it where it
+        lies.
 
         Raises ImageError if the frame does not fit, CapacityError if the device is full,
         DeviceError if the detector is closed or of another process.
@@ -145,7 +144,7 @@ class Detector(Closing):
             self._check_alive()
             return self._whole(self._plans.lend(), [image])[0]
 
-    def stream(self, frames: Iterable[Frame]) -> Iterator[Corners]:
+    def stream(self, frames: Iterable[GreyImage]) -> Iterator[Corners]:
         """Yield the corners of each frame, in order.
 
         The next frame is uploaded while the kernels of this one run. A frame may be overwritten as
@@ -189,7 +188,7 @@ class Detector(Closing):
         """Return the plan that has the layout of its frames on the device."""
         return self._plans.lend()
 
-    def begin(self, frames: Sequence[Frame]) -> Plan:
+    def begin(self, frames: Sequence[GreyImage]) -> Plan:
         """Upload frames and enqueue their kernels, without waiting; return the plan that has them.
 
         Launches that are enqueued in `queue` next find the corners of the frames on the device, see
@@ -213,7 +212,7 @@ class Detector(Closing):
             corners = self._finish(plan, self._transfers)
             return corners, self.regrown == before
 
-    def batch(self, stack: NDArray[Any] | Sequence[Frame] | cl.Buffer) -> list[Corners]:
+    def batch(self, stack: NDArray[Any] | Sequence[GreyImage] | cl.Buffer) -> list[Corners]:
         """Find the corners of each frame of a stack, with one launch per stage for all of them.
 
         stack: (B, H, W), a sequence of frames, or a pyopencl.Buffer.
@@ -236,33 +235,7 @@ class Detector(Closing):
             self._check_alive()
             return self._whole(self._plans.lend(count), frames)
 
-    def on_device(self, frame: Frame | cl.Buffer) -> tuple[Corners, cl.Buffer]:
-        """Find the corners of one frame, and also leave their positions on the device.
-
-        frame: an image as for a call, or a pyopencl.Buffer that holds one, see `batch`.
-
-        Returns the corners, and a buffer with their `xy`, (N, 2) float32, px, which belongs to the
-        caller (8 bytes if N is 0). The buffer is written through the detector's queue; other queues
-        must wait for that queue to finish. Raises the errors of `batch`.
-        """
-        frames: cl.Buffer | list[GreyImage] = (
-            frame if isinstance(frame, cl.Buffer) else [self._checked(frame)]
-        )
-        if isinstance(frame, cl.Buffer) and self._frames_in(frame) != 1:
-            raise ImageError(f"the buffer holds {self._frames_in(frame)} frames, expected one")
-        with self._lock:
-            self._check_alive()
-            read_write: Any = cl.mem_flags.READ_WRITE
-            if not (self.shape[0] and self.shape[1]):
-                return no_corners(str(self.device)), cl.Buffer(self._queue.context, read_write, 8)
-            plan = self._plans.lend()
-            corners = self._whole(plan, frames)[0]
-            positions = cl.Buffer(self._queue.context, read_write, max(corners.xy.nbytes, 8))
-            if len(corners):
-                copy_positions(plan, positions, len(corners))
-            return corners, positions
-
-    def maps(self, frame: Frame) -> Maps | HarmonicMaps:
+    def maps(self, frame: GreyImage) -> Maps | HarmonicMaps:
         """Return every intermediate image of a frame. Raises the errors of a call."""
         from cmp_cl.stages.maps import no_maps, read_maps
 
@@ -280,7 +253,7 @@ class Detector(Closing):
 
     def grid(
         self,
-        frame: Frame,
+        frame: GreyImage,
         *,
         shape: tuple[int, int] | None = None,
         like: Grid | None = None,
@@ -318,7 +291,7 @@ class Detector(Closing):
 
     def grids(
         self,
-        frames: Iterable[Frame],
+        frames: Iterable[GreyImage],
         *,
         shape: tuple[int, int] | None = None,
         like: Grid | None = None,
@@ -414,10 +387,10 @@ class Detector(Closing):
             raise
         plan.launch(plan.launches)
 
-    def _checked(self, frame: Frame) -> GreyImage:
+    def _checked(self, frame: GreyImage) -> GreyImage:
         """Return the frame as an image of this detector."""
         check_process()
-        image = as_frame(frame)
+        image = check_image(frame)
         if image.shape != self.shape or image.dtype != self.dtype:
             raise ImageError(
                 f"this detector takes {self.shape} {self.dtype}, got {image.shape} {image.dtype}; "
@@ -447,24 +420,24 @@ class Detector(Closing):
 
 
 def detect(
-    image: Frame,
+    image: GreyImage,
     config: DetectorConfig | None = None,
     device: Device | str | None = None,
 ) -> Corners:
-    """Find the corners of one image, (H, W) uint8 or uint16, which may be of another array library.
+    """Find the corners of one image, (H, W) uint8 or uint16.
 
     It makes a Detector, runs it and releases it. For many images of one shape make a Detector
     yourself. config, device: as for a Detector.
 
     Raises the errors of Detector.
     """
-    frame = as_frame(image)
+    frame = check_image(image)
     device = select_device(device)
     with Detector(shape=frame.shape, dtype=frame.dtype, config=config, device=device) as detector:
         return detector(frame)
 
 
-def _iterated(name: str, frames: Iterable[Frame]) -> Iterator[Frame]:
+def _iterated(name: str, frames: Iterable[GreyImage]) -> Iterator[GreyImage]:
     """Return an iterator of an argument of that name; raises ImageError if it has none."""
     try:
         return iter(frames)

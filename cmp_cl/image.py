@@ -1,9 +1,8 @@
-"""What an image is, with an error that says how to convert anything else; frames of other array
-libraries."""
+"""What an image is, with an error that says how to convert anything else."""
 
 from collections.abc import Sequence
 from os import PathLike
-from typing import Any, Protocol, TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,29 +11,6 @@ from cmp_cl.errors import ImageError
 
 GreyImage: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 _PIXELS = frozenset({np.dtype(np.uint8), np.dtype(np.uint16)})
-_HOST = (1, 3)  # kDLCPU and kDLCUDAHost of dlpack.h: the host can read this memory
-_TO_HOST = ("get", "cpu", "copy_to_host")  # CuPy and pyopencl.array, PyTorch and JAX, Numba
-
-
-class OnHostOrDevice(Protocol):
-    """An array that offers DLPack, as those of PyTorch, JAX, CuPy and NumPy do."""
-
-    def __dlpack__(self, *, stream: Any = None) -> Any:
-        """Return a DLPack capsule of the array."""
-
-    def __dlpack_device__(self) -> tuple[int, int]:
-        """Return the type of the device in dlpack.h, and its number."""
-
-
-class OnCuda(Protocol):
-    """An array in the memory of a CUDA device, as those of CuPy, Numba and PyTorch."""
-
-    @property
-    def __cuda_array_interface__(self) -> dict[str, Any]:
-        """Return the shape, the type and the address of the array."""
-
-
-Frame: TypeAlias = GreyImage | OnHostOrDevice | OnCuda
 
 
 def check_image(image: Any) -> GreyImage:
@@ -82,6 +58,8 @@ def _not_an_image(image: Any) -> Exception:
             hint = "; cv2.imread(image, cv2.IMREAD_GRAYSCALE) converts"
         elif hasattr(image, "image"):
             hint = "; its attribute image is one"
+        elif hasattr(image, "__cuda_array_interface__"):
+            hint = "; it lies on a device: its get() or cpu() copies it"
         elif hasattr(image, "__array__") or isinstance(image, Sequence):
             hint = "; numpy.asarray(image) converts"
         return ImageError(f"{expected}, got {type(image).__name__}{hint}")
@@ -110,41 +88,3 @@ def _not_an_image(image: Any) -> Exception:
         came = f"{came} with strides {image.strides}"
         hint = "numpy.ascontiguousarray(image) converts"
     return ImageError(f"{expected}, {came}; {hint}")
-
-
-def as_frame(array: Any) -> GreyImage:
-    """Return the array as an image (H, W) of uint8 or uint16 that a detector takes.
-
-    NumPy arrays come back as they are. Memory of the host is shared by DLPack, without a copy:
-    PyTorch and JAX on the CPU, pinned memory, and anything else with `__dlpack__`. Memory of a
-    device (`__cuda_array_interface__`, or DLPack of a device) is staged: the library that owns
-    it copies it to the host, after the work that was queued for it there.
-
-    Raises ImageError if the array offers neither, or is not an image.
-    """
-    if not isinstance(array, np.ndarray):
-        by_dlpack = hasattr(array, "__dlpack_device__")
-        if by_dlpack and int(array.__dlpack_device__()[0]) in _HOST:
-            array = _shared(array)
-        elif by_dlpack or hasattr(array, "__cuda_array_interface__"):
-            array = _staged(array)
-    return check_image(array)
-
-
-def _shared(array: Any) -> Any:
-    try:
-        return np.from_dlpack(array)
-    except (BufferError, RuntimeError, TypeError, ValueError) as error:
-        raise ImageError(f"{type(array).__name__} is not shared by DLPack: {error}") from error
-
-
-def _staged(array: Any) -> Any:
-    for name in _TO_HOST:
-        copy = getattr(array, name, None)
-        if callable(copy):
-            here = copy()
-            return here if isinstance(here, np.ndarray) else _shared(here)
-    raise ImageError(
-        f"{type(array).__name__} lies on a device and has none of {', '.join(_TO_HOST)} to copy it "
-        "to the host; cupy.asarray(image).get() does for anything on CUDA"
-    )

@@ -329,9 +329,7 @@ uses = {{
     "select_device": cmp_cl.select_device,
     "Detector": lambda: cmp_cl.Detector(shape=image.shape, device=device),
     "detect": lambda: cmp_cl.detect(image),
-    "refine_markers": lambda: cmp_cl.grid.refine_markers(
-        rest.with_virtual_markers(1), 1, image, device
-    ),
+    "displacement": lambda: cmp_cl.displacement(rest, rest, device=device),
     "a detector of the parent": lambda: detector(image),
     "its stream": lambda: list(detector.stream([image])),
     "its batch": lambda: detector.batch([image]),

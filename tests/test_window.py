@@ -13,7 +13,8 @@ from stereo_data import gel, grid_of, toed_in_rig
 from cmp_cl import CalibrationError, StereoRig, Window, build_grid, detect
 from cmp_cl.motion import displacement
 from cmp_cl.reference.field import space as oracle
-from cmp_cl.space import Bias, PointStatus, undistort
+from cmp_cl.space import Bias, PointStatus
+from cmp_cl.space.triangulation import undistort
 from cmp_cl.synthetic import Scene, default_rig, render_stereo
 
 GEL = Window((0.02, -0.03, 1.0), 20.0, ((5.0, 1.49),), 1.41)

@@ -111,13 +111,6 @@ def add_region(parser: argparse._ActionsContainer, *, help_: str) -> None:
     parser.add_argument("--region", metavar="WHERE", type=boxes, help=help_)
 
 
-def positive(text: str) -> int:
-    """Parse a positive whole number; raises ArgumentTypeError."""
-    if re.fullmatch(r"\d{1,18}", text) is None or not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a positive whole number")
-    return int(text)
-
-
 def positive_number(text: str) -> float:
     """Parse a finite number above 0; raises ArgumentTypeError."""
     with contextlib.suppress(ValueError):

@@ -97,13 +97,6 @@ def add_parser(commands: Any) -> None:
         help_="where the two views are in the frame: halves (the default), or "
         "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, px",
     )
-    group.add_argument(
-        "--pair-within",
-        metavar="MS",
-        type=float,
-        help="largest time between the frames of --left and --right that are paired, ms; default: "
-        f"half the interval between frames, or {sources.PAIR_WITHIN:g} if that is unknown",
-    )
     group.add_argument("--config", metavar="TOML", help="settings of the detector")
     add_full_scale(group)
     parser.epilog = "docs/formats.md lists the arrays of a series."

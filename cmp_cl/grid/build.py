@@ -11,7 +11,7 @@ from cmp_cl.grid.choice import Asked, Found, chosen_of, found_in
 from cmp_cl.grid.grid import Grid
 from cmp_cl.grid.limits import check_finite, check_room, check_size
 from cmp_cl.grid.placing import Given, empty_like, placed
-from cmp_cl.image import Frame, GreyImage, as_frame
+from cmp_cl.image import GreyImage, check_image
 from cmp_cl.lattice.arrays import Board, Whole
 from cmp_cl.lattice.boards import boards
 from cmp_cl.lattice.plan import lattice_plan
@@ -24,7 +24,7 @@ BITS = (10, 12, 14, 16)  # of a camera whose pixels have 16
 
 def build_grid(
     corners: Corners,
-    image: Frame,
+    image: GreyImage,
     shape: tuple[int, int] | None = None,
     like: Grid | None = None,
     region: Region | None = None,
@@ -69,7 +69,7 @@ def build_grid(
     or not the corners' own; DeviceError.
     """
     asked = asked_of(shape, like, previous)
-    frame = as_frame(image)
+    frame = check_image(image)
     given = _checked(corners, frame, asked)
     inside = _inside(given.xy, region)
     return grid_of(
@@ -97,7 +97,7 @@ def grid_of(
 
 def build_grids(
     corners: Corners,
-    image: Frame,
+    image: GreyImage,
     shape: tuple[int, int] | None = None,
     region: Region | None = None,
     *,
@@ -111,7 +111,7 @@ def build_grids(
     Raises the errors of `build_grid` for its arguments.
     """
     asked = asked_of(shape, None, None)
-    frame = as_frame(image)
+    frame = check_image(image)
     given = _checked(corners, frame, asked)
     every = boards_of(given, _inside(given.xy, region), frame, device)
     found: list[Found] = found_in(every, asked)

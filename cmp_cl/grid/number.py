@@ -10,7 +10,7 @@ from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid.build import asked_of, boards_of, grid_of
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.grid.placing import Given
-from cmp_cl.image import Frame, GreyImage, as_frame
+from cmp_cl.image import GreyImage, check_image
 from cmp_cl.opencl.device import Device
 
 LEAST = 4  # corners of the smallest lattice, one cell
@@ -20,7 +20,7 @@ WIDE_RING, NARROW_RING = (3, 5, 4), (1, 3, 2)  # smoothings; ring, px along the 
 
 def number(
     xy: ArrayLike,
-    image: Frame,
+    image: GreyImage,
     shape: tuple[int, int] | None = None,
     like: Grid | None = None,
     *,
@@ -43,7 +43,7 @@ def number(
     four corners, or no board of nine; the errors of `build_grid` for several boards; ImageError;
     DeviceError.
     """
-    frame = as_frame(image)
+    frame = check_image(image)
     asked = asked_of(shape, like, None)
     at = _checked(xy, frame)
     count = len(at)

@@ -102,9 +102,9 @@ def most_at_rest(noise: Array, own: Array) -> Array:
     displacement, (R, C), NaN where unknown; that of the images now is added to it.
 
     noise: (R, C), the standard deviation that the lattice shows at rest. own: (R, C), the variance
-    by the images, NaN where unknown. What they do not explain is wear. Wear moves with the material,
-    but strain may open it: in the difference it is assumed to be at most three times its size at
-    rest. A print without wear at rest has only the noise of its images.
+    by the images, NaN where unknown. What they do not explain is wear. Wear moves with the
+    material, but strain may open it: in the difference it is assumed to be at most three times its
+    size at rest. A print without wear at rest has only the noise of its images.
     """
     most: Array = own + _OPENED**2 * np.maximum(np.square(noise) - own, 0)
     return most

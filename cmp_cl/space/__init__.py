@@ -7,7 +7,6 @@ from cmp_cl.space.lens import Lens
 from cmp_cl.space.refraction import calibrate_window
 from cmp_cl.space.rig import StereoRig
 from cmp_cl.space.split import BinocularSplit
-from cmp_cl.space.triangulation import triangulate_points, undistort
 from cmp_cl.space.window import Window
 
 __all__ = [
@@ -23,6 +22,4 @@ __all__ = [
     "Window",
     "calibrate",
     "calibrate_window",
-    "triangulate_points",
-    "undistort",
 ]

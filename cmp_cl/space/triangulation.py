@@ -1,13 +1,8 @@
 """Pixels become rays here, and two rays become a point."""
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-
-from cmp_cl.errors import FieldError, as_numbers
-from cmp_cl.space.lens import check_matrix, checked_array, checked_distortion
 
 # Px: largest distance of a pixel from itself after undistortion and distortion.
 _MAX_ROUND_TRIP = 0.01
@@ -16,24 +11,14 @@ _UNDISTORT = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 Array = NDArray[np.float64]
 
 
-def undistort(
-    points: NDArray[Any], matrix: Array, distortion: Array
-) -> tuple[Array, NDArray[np.bool_]]:
+def undistort(points: Array, matrix: Array, distortion: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Map pixels to the plane at distance 1 in front of the camera.
 
     points: (N, 2), px. matrix, distortion: of the camera, as in `StereoRig`. Returns (N, 2)
         float64, and a mask (N,), True if distortion of the result leads back to the pixel. If it
         does not, the lens model cannot be inverted there.
-
-    Raises FieldError for other points, and CalibrationError for another camera.
     """
-    measured = as_numbers("points", points, FieldError)
-    if measured.ndim != 2 or measured.shape[1] != 2:
-        raise FieldError(f"points must be (N, 2), not {measured.shape}")
-    matrix = checked_array("matrix", matrix, (3, 3))
-    check_matrix("matrix", matrix)
-    distortion = checked_distortion("distortion", distortion)
-    measured = measured.reshape(-1, 1, 2)
+    measured = points.reshape(-1, 1, 2)
     if not len(measured):
         return np.empty((0, 2)), np.empty(0, bool)
     straight = cv2.undistortImagePoints(measured, matrix, distortion, None, _UNDISTORT)
@@ -54,11 +39,7 @@ def triangulate_points(rotation: Array, translation: Array, left: Array, right: 
     rotation: (3, 3), translation: (3,): X_right = R X_left + T. left, right: (N, 2) float64, in
     the planes at distance 1. Returns (N, 3) float64 in the frame of the left camera, NaN where the
     rays are parallel.
-
-    Raises FieldError on other shapes.
     """
-    if left.ndim != 2 or left.shape[1] != 2 or left.shape != right.shape:
-        raise FieldError(f"expected two arrays (N, 2), got {left.shape} and {right.shape}")
     essential = np.cross(np.eye(3), translation) @ rotation
     one, two = rays_through(left), rays_through(right)
     line_one, line_two = two @ essential, one @ essential.T

@@ -221,13 +221,6 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
     return found
 
 
-def copy_positions(plan: PlanBase, target: cl.Buffer, count: int) -> None:
-    """Copy the positions of the first frame's corners to a buffer of the device, (N, 2) float32."""
-    copy: Any = cl.enqueue_copy  # whose stub does not know offsets
-    start = 4 * RESULT_HEAD  # POSITION is the first field
-    copy(plan.queue, target, plan.buffers["result"], byte_count=8 * count, src_offset=start)
-
-
 def no_corners(device: str) -> Corners:
     """Return the corners of an image without any."""
     return Corners(

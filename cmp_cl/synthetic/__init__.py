@@ -1,6 +1,6 @@
 """Rendered gels with exact truth, and how detections are scored against it."""
 
-from cmp_cl.synthetic.camera import Cameras, Rig, default_rig
+from cmp_cl.synthetic.camera import Cameras, default_rig
 from cmp_cl.synthetic.rendering import Rendered, binocular_frame, render, render_stereo
 from cmp_cl.synthetic.scene import Indenter, Mode, Scene, Surround, random_scene
 
@@ -9,7 +9,6 @@ __all__ = [
     "Indenter",
     "Mode",
     "Rendered",
-    "Rig",
     "Scene",
     "Surround",
     "binocular_frame",

@@ -1,52 +1,18 @@
 """The cameras that look at the gel, and the pose of the gel in front of them."""
 
 import math
-from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
-from cmp_cl.errors import ConfigError, as_numbers, check_shape
+from cmp_cl.errors import ConfigError, check_shape
 from cmp_cl.synthetic.raster import Array
 from cmp_cl.synthetic.scene import Scene
 
 DISTANCE = 45.0  # mm from the camera to the gel, with one camera
 _HALVINGS = 40  # of the range of a sine: below 1e-8 px
 FILL = 0.92  # share of the shorter image side that the pattern covers
-
-
-class Glass(Protocol):
-    """Flat layers before the cameras, lengths in mm, as `cmp_cl.Window`."""
-
-    @property
-    def normal(self) -> Array: ...
-    @property
-    def distance(self) -> float: ...
-    @property
-    def layers(self) -> Sequence[tuple[float, float]]: ...
-    @property
-    def index(self) -> float: ...
-
-
-class Rig(Protocol):
-    """Two cameras in OpenCV's convention: X_right = R X_left + T, lengths in mm.
-
-    It may also have a `window`, as `cmp_cl.StereoRig` has.
-    """
-
-    @property
-    def K1(self) -> Array: ...
-    @property
-    def D1(self) -> Array: ...
-    @property
-    def K2(self) -> Array: ...
-    @property
-    def D2(self) -> Array: ...
-    @property
-    def R(self) -> Array: ...
-    @property
-    def T(self) -> Array: ...
 
 
 class Cameras(NamedTuple):
@@ -86,25 +52,14 @@ def default_rig(shape: tuple[int, int] = (1200, 800)) -> Cameras:
     )
 
 
-def checked_rig(rig: Rig) -> Cameras:
-    """Return a rig as plain arrays; raises ConfigError if a part is missing or malformed."""
-    arrays = {}
-    for name, shape in (("K1", (3, 3)), ("D1", (-1,)), ("K2", (3, 3)), ("D2", (-1,)),
-                        ("R", (3, 3)), ("T", (3,))):  # fmt: skip
-        if not hasattr(rig, name):
-            raise ConfigError(f"rig must have K1, D1, K2, D2, R and T, not {type(rig).__name__}")
-        array = as_numbers(f"rig.{name}", getattr(rig, name), ConfigError)
-        if array.size != math.prod(shape) and -1 not in shape:
-            raise ConfigError(f"rig.{name} must have shape {shape}, not {array.shape}")
-        arrays[name] = array.reshape(shape)
-    return Cameras(**arrays)
-
-
 class PinholeCamera:
-    """A pinhole camera with OpenCV's distortion k1 k2 p1 p2 k3, and a window before it or None."""
+    """A pinhole camera with OpenCV's distortion k1 k2 p1 p2 k3.
+
+    window: a `cmp_cl.Window` before it, or None.
+    """
 
     def __init__(
-        self, matrix: Array, distortion: Array, R: Array, T: Array, window: Glass | None = None
+        self, matrix: Array, distortion: Array, R: Array, T: Array, window: Any = None
     ) -> None:
         self.matrix = np.asarray(matrix, dtype=np.float64)
         coefficients = np.asarray(distortion, dtype=np.float64).ravel()
@@ -141,8 +96,10 @@ class PinholeCamera:
         )
 
 
-def straightened(window: Glass, centre: Array, points: Array) -> Array:
+def straightened(window: Any, centre: Array, points: Array) -> Array:
     """Return points (..., 3) on the straight rays by which a camera at `centre` sees points.
+
+    window: a `cmp_cl.Window`, mm.
 
     The ray of a point with the sine s in air has the sine s / n in a medium of index n, and moves
     sideways by s / sqrt(n^2 - s^2) per depth there. All media together move it by the lateral

@@ -5,6 +5,7 @@ map: which material point each sample of each pixel shows. Both agree to a thous
 """
 
 import dataclasses
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,8 +18,6 @@ from cmp_cl.synthetic.camera import (
     FILL,
     PinholeCamera,
     Pose,
-    Rig,
-    checked_rig,
     facing_both,
 )
 from cmp_cl.synthetic.material import SAMPLES, illumination, reflectance
@@ -69,8 +68,10 @@ def render(scene: Scene) -> Rendered:
     return _render_view(scene, pose, camera, view=0)
 
 
-def render_stereo(scene: Scene, rig: Rig) -> tuple[Rendered, Rendered, Array]:
+def render_stereo(scene: Scene, rig: Any) -> tuple[Rendered, Rendered, Array]:
     """Render both views of the scene.
+
+    rig: the two cameras, a `cmp_cl.StereoRig` or `Cameras`, mm.
 
     The gel faces both cameras alike, where their optical axes meet. If the axes do not meet, it
     stands 45 mm in front of the midpoint between the cameras. If the rig has a window, the light
@@ -79,15 +80,14 @@ def render_stereo(scene: Scene, rig: Rig) -> tuple[Rendered, Rendered, Array]:
     Returns the left view, the right view and the nodes (N, N, 3) float64, mm, in the left camera's
     frame. The rig projects these nodes to both truths.
 
-    Raises ConfigError if the rig is malformed, or if the surface would fold over in one of the
-    images.
+    Raises ConfigError if the lenses have more coefficients than k1 k2 p1 p2 k3, or if the surface
+    would fold over in one of the images.
     """
     check_kind("scene", scene, Scene, ConfigError)
-    cameras = checked_rig(rig)
     window = getattr(rig, "window", None)
-    left = PinholeCamera(cameras.K1, cameras.D1, np.eye(3), np.zeros(3), window)
-    right = PinholeCamera(cameras.K2, cameras.D2, cameras.R, cameras.T, window)
-    axes, centre = facing_both(cameras.R, cameras.T)
+    left = PinholeCamera(rig.K1, rig.D1, np.eye(3), np.zeros(3), window)
+    right = PinholeCamera(rig.K2, rig.D2, rig.R, rig.T, window)
+    axes, centre = facing_both(rig.R, rig.T)
     pose = Pose.of(scene, axes, centre, float(left.matrix[0, 0]))
     xyz = pose.place(surface(scene, nodes_at_rest(scene)))
     return (

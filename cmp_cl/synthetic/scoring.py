@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,51 +32,14 @@ class Score:
     errors: NDArray[np.float64] = dataclasses.field(repr=False)
 
     @property
-    def recall(self) -> float:
-        """Return the share of the corners that were found, NaN if there are none."""
-        return _ratio(self.found, self.expected)
-
-    @property
-    def precision(self) -> float:
-        """Return the share of the detections that are corners, NaN if there are none."""
-        return _ratio(self.found, self.found + self.false)
-
-    @property
-    def per_thousand(self) -> float:
-        """Return the missed and the false per thousand corners, NaN if there are no corners."""
-        return 1000 * _ratio(self.missed + self.false, self.expected)
-
-    @property
     def rmse(self) -> float:
         """Return the root mean square of the errors, px, NaN if nothing was found."""
         return float(np.sqrt(np.mean(self.errors**2))) if self.found else float("nan")
 
     @property
-    def mean(self) -> float:
-        """Return the mean of the errors, px, NaN if nothing was found."""
-        return float(self.errors.mean()) if self.found else float("nan")
-
-    @property
     def p95(self) -> float:
         """Return the 95th percentile of the errors, px, NaN if nothing was found."""
         return float(np.percentile(self.errors, 95)) if self.found else float("nan")
-
-    def summary(self) -> dict[str, Any]:
-        """Return everything as plain numbers, for a table or JSON; NaN becomes None."""
-        numbers = {
-            "frames": self.frames,
-            "success": self.success,
-            "expected": self.expected,
-            "missed": self.missed,
-            "false": self.false,
-            "recall": self.recall,
-            "precision": self.precision,
-            "per_thousand": self.per_thousand,
-            "mean": self.mean,
-            "rmse": self.rmse,
-            "p95": self.p95,
-        }
-        return {name: None if value != value else value for name, value in numbers.items()}
 
 
 def reach(cell: float) -> float:
@@ -145,10 +107,6 @@ def total(scores: Iterable[Score]) -> Score:
         success=sum(part.success for part in parts),
         errors=np.concatenate([np.empty(0), *(part.errors for part in parts)]),
     )
-
-
-def _ratio(part: int, whole: int) -> float:
-    return part / whole if whole else float("nan")
 
 
 def _points(name: str, points: ArrayLike) -> Points:

@@ -15,7 +15,7 @@ from cmp_cl.image import GreyImage
 from cmp_cl.media import Frame
 from cmp_cl.media.cameras import CameraSettings, PairCount, Source, paired
 
-PAIR_WITHIN = 20.0  # ms
+_PAIR_WITHIN = 20.0  # ms, between frames that are paired if their interval is unknown
 
 
 def add_arguments(group: Any) -> None:
@@ -70,12 +70,12 @@ def check(arguments: argparse.Namespace) -> None:
         raise ConfigError("--left and --right need each other, and --stereo")
     if two and (arguments.split or arguments.mirror):
         raise ConfigError("--split and --mirror are for frames that show both views")
-    if arguments.pair_within is not None and not (two and arguments.pair_within >= 0):
-        raise ConfigError("--pair-within needs --left and --right, and at least 0 ms")
 
 
 class Pairs:
     """Frames of two sources side by side, left and right, paired by their times.
+
+    Frames of a pair are at most half the interval between frames apart.
 
     The attributes that it shares with `Source` mean the same for pairs.
     """
@@ -99,9 +99,7 @@ class Pairs:
         self.paths = (*left.paths, *right.paths)
         periods = [side.period_ms for side in self._sides if np.isfinite(side.period_ms)]
         self.period_ms = max(periods, default=np.nan)
-        self._within = arguments.pair_within
-        if self._within is None:
-            self._within = min(periods) / 2 if periods else PAIR_WITHIN
+        self._within = min(periods) / 2 if periods else _PAIR_WITHIN
         self.count = PairCount()
 
     def frames(self) -> Generator[Frame, None, None]:

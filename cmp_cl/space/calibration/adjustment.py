@@ -81,8 +81,9 @@ def adjust(
 ) -> tuple[State, Array | None]:
     """Minimize the reprojection error of all looks by Levenberg's method, from a near solution.
 
-    This is for what OpenCV does not adjust. (SciPy's sparse least squares takes 100 times as long:
-    its inner iterations converge slowly where lens, pose and board can replace each other.)
+    OpenCV adjusts two cameras that see all moments, and no others. (SciPy's sparse least squares
+    takes 100 times as long: its inner iterations converge slowly where lens, pose and board can
+    replace each other.)
 
     free: (C, P), True for each parameter of a camera that is adjusted. free_board:
         whether the nodes of the board are adjusted too. A weak spring draws each node to its place

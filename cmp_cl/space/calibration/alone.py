@@ -19,7 +19,7 @@ _MAX_FOCAL_SIGMA = 0.05
 # Focal lengths from which a fisheye is sought, in image widths per radian; None: OpenCV's own.
 _FISHEYE_STARTS = (None, 1.0, 1.25, 1.6, 0.8, 2.0)
 _FOUND = 1.0  # px; a fisheye that misses by less needs no other start
-STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
 Array = NDArray[np.float64]
 
 
@@ -47,13 +47,14 @@ def calibrate_alone(
     nodes = [np.ascontiguousarray(board[look.nodes][:, None], np.float32) for look in looks]
     points = [np.ascontiguousarray(look.xy[:, None], np.float32) for look in looks]
     try:
-        with one_thread():
+        with _one_thread():
             if lens is Lens.FISHEYE:
                 error, matrix, distortion, turns, shifts = _fisheye(nodes, points, size)
             else:
                 error, matrix, distortion, turns, shifts = cv2.calibrateCamera(
                     nodes, points, size, np.eye(3), np.zeros(lens.coefficients),
-                    flags=lens_flags(lens), criteria=STOP,
+                    flags=cv2.CALIB_RATIONAL_MODEL if lens is Lens.RATIONAL else cv2.CALIB_FIX_K3,
+                    criteria=_STOP,
                 )  # fmt: skip
     except cv2.error as failure:
         raise CalibrationError(
@@ -77,11 +78,6 @@ def calibrate_alone(
     return Alone(camera, dict(zip(moments, poses, strict=True)), float(error))
 
 
-def lens_flags(lens: Lens) -> int:
-    """Return OpenCV's flags of a pinhole or a rational lens."""
-    return int(cv2.CALIB_RATIONAL_MODEL if lens is Lens.RATIONAL else cv2.CALIB_FIX_K3)
-
-
 def _fisheye(nodes: Sequence[Any], points: Sequence[Any], size: tuple[int, int]) -> Any:
     """Run cv2.fisheye.calibrate from several focal lengths; return the best result.
 
@@ -101,7 +97,7 @@ def _fisheye(nodes: Sequence[Any], points: Sequence[Any], size: tuple[int, int])
             found = cv2.fisheye.calibrate(
                 [each.astype(np.float64).reshape(1, -1, 3) for each in nodes],
                 [each.astype(np.float64).reshape(1, -1, 2) for each in points],
-                size, matrix, np.zeros((4, 1)), flags=flags, criteria=STOP,
+                size, matrix, np.zeros((4, 1)), flags=flags, criteria=_STOP,
             )  # fmt: skip
         except cv2.error as error:
             failure = error
@@ -117,7 +113,7 @@ def _fisheye(nodes: Sequence[Any], points: Sequence[Any], size: tuple[int, int])
 
 
 @contextlib.contextmanager
-def one_thread() -> Iterator[None]:
+def _one_thread() -> Iterator[None]:
     """Run OpenCV on one thread: with several, the last bits of its sums differ from run to run."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)

@@ -18,7 +18,6 @@ from cmp_cl.space.calibration.adjustment import (
     root_mean_square,
 )
 from cmp_cl.space.calibration.alone import Alone, calibrate_alone
-from cmp_cl.space.calibration.pair import adjust_pair
 from cmp_cl.space.calibration.placing import place, pose_of, vector_of
 from cmp_cl.space.lens import (
     POSE,
@@ -142,9 +141,8 @@ def calibrate(
 
     A view may show part of the board, and may be numbered from any corner of it. Views that show
     the same, as frames of a board that stands still do, count as one: copies bring nothing new.
-    OpenCV calibrates each camera alone, and two pinhole or rational cameras that see all moments
-    together. All else (fisheyes, more cameras, moments that one misses, free boards) is adjusted by
-    least squares, from each camera alone.
+    OpenCV calibrates each camera alone. Several cameras, and free boards, are then adjusted by least
+    squares, with one pose of the board a moment.
 
     Raises CalibrationError if a camera has fewer than three different views of at least eight
     nodes, if they do not determine the focal length (the board faces the camera in all of them), if
@@ -189,9 +187,6 @@ def calibrate(
     )
     free = unknowns(lens, len(seen))
     if len(seen) == 1:
-        cov = covariance(lens, looks, state, free)
-    elif len(seen) == 2 and lens is not Lens.FISHEYE and len(looks) == 2 * len(moments):
-        state = adjust_pair(lens, looks, state, next(iter(sizes.values())))
         cov = covariance(lens, looks, state, free)
     else:
         state, cov = adjust(lens, looks, state, free)
