@@ -141,8 +141,8 @@ def calibrate(
 
     A view may show part of the board, and may be numbered from any corner of it. Views that show
     the same, as frames of a board that stands still do, count as one: copies bring nothing new.
-    OpenCV calibrates each camera alone. Several cameras, and free boards, are then adjusted by least
-    squares, with one pose of the board a moment.
+    OpenCV calibrates each camera alone. Several cameras, and free boards, are then adjusted by
+    least squares, with one pose of the board a moment.
 
     Raises CalibrationError if a camera has fewer than three different views of at least eight
     nodes, if they do not determine the focal length (the board faces the camera in all of them), if
