@@ -254,9 +254,9 @@ class LatticeFilter:
         """Return the layout of the results.
 
         displacement, raw_displacement: K planes (R, C), NaN where not valid. covariance,
-        raw_covariance: 6 planes xx xy xz yy yz zz, or the variance per axis. variance: (R, C and
-        more columns that are not used), of the noise before the filter. slopes: 2 planes, see `Filtered`. counts: nodes without a vote, and those
-        that each round has rejected.
+        raw_covariance: 6 planes xx xy xz yy yz zz, or the variance per axis. slopes: 2 planes, see
+        `Filtered`. variance: (R, C and more columns that are not used), of the noise before the
+        filter. counts: nodes without a vote, and those that each round has rejected.
         """
         planes = {
             "displacement": axes,
