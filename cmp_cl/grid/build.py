@@ -59,9 +59,10 @@ def build_grid(
     whole period looks as if it had not moved; a pattern that looks the same after a quarter turn is
     expected to rotate by less than 33 degrees from rest.
 
-    If several boards are seen, the grid is of the one that fits the known size or the print of
-    `like`; without either of the only one that is seen whole, a full rectangle with its borders. If
-    that does not decide, it is of the largest, unless another is comparable.
+    If several boards are seen, the grid is of the one that fits the known size, or the print and
+    the borders of `like`; without either of the largest that is seen whole, a full rectangle with
+    its borders, and of the largest if none is. A second that is comparable is an error, or is told
+    by `Grid.others`, unless it is the ground of a whole one: a lattice that ends nowhere.
 
     Raises GridError if corners have no finite position or no edge angles, if two comparable
     boards are seen, if the board holds few of the corners, if a shape is far larger than the number

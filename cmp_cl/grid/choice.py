@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cmp_cl.errors import GridError
-from cmp_cl.grid.grid import MEASURED, Grid
+from cmp_cl.grid.grid import MEASURED, SURE, Grid
 from cmp_cl.lattice.arrays import Board, Mask
 from cmp_cl.lattice.borders import Border
 from cmp_cl.lattice.constants import LatticeConstants
@@ -27,7 +27,7 @@ OTHER = 12  # corners: a board of so many may be the one that is meant
 COMPARABLE = 0.5  # share of a board's nodes from which another may be the one that is meant
 TEXTURE = 1 / 16  # share of a board's area; another of less, with gaps, is texture
 LEAST_GAP, GAP = 10, 0.04  # places inside a board without a node that are many, and their share
-WHOLE = 0.9  # share of the nodes of a known shape
+WHOLE = 0.9  # share of the places of a rectangle, or of a known shape, that have a corner
 BORDERS = 3  # sides; the edge of the image, or things beside, may hide one
 
 K = LatticeConstants()
@@ -81,15 +81,25 @@ class Found:
         """Return whether it has gaps, and is as small as texture beside another board."""
         return self.size < self.board.owner.size and self.area < TEXTURE * first.area
 
+    @functools.cached_property
+    def smooth(self) -> float:
+        """Return the share of its places that have a corner which is not rough."""
+        board = self.board
+        return np.count_nonzero((board.owner >= 0) & ~board.torn) / board.owner.size
+
     @property
     def is_full(self) -> bool:
-        """Return whether it is a full rectangle."""
-        return self.size == self.board.owner.size >= OTHER
+        """Return whether it is a full rectangle, but for a few corners."""
+        return self.size >= OTHER and self.smooth >= WHOLE
 
     @property
     def is_whole(self) -> bool:
-        """Return whether it is a full rectangle whose border is seen, but for one side."""
-        return self.is_full and int(np.count_nonzero(self.border.ends)) >= BORDERS
+        """Return whether it is a full rectangle whose border is seen, but for one side; or one that
+        has every corner, and a further line on any side would be in view."""
+        border = self.border
+        ended = int(np.count_nonzero(border.ends)) >= BORDERS
+        alone = self.smooth == 1 and bool((border.room & ~border.follows).all())
+        return self.is_full and (ended or alone)
 
     def fills(self, shape: tuple[int, int]) -> bool:
         """Return whether it has nearly all nodes of a known size."""
@@ -150,9 +160,12 @@ def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | Non
     """
     if not found:
         return None, 0
-    if asked.shape is not None:
-        chosen, others = _fitting(found, asked), 0
-        sure, least = asked.like is None and chosen.fills(asked.shape), SMALL * count
+    if asked.like is not None:
+        chosen, others = _alike(found, asked.like)
+        sure, least = False, SMALL * count
+    elif asked.shape is not None:
+        chosen, others = _fitting(found, asked.shape), 0
+        sure, least = chosen.fills(asked.shape), SMALL * count
     else:
         chosen, others = _alone(found)
         sure, least = chosen.is_whole, max(SMALL * count, min(count / 2, K.least_board))
@@ -164,43 +177,54 @@ def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | Non
     return chosen, others
 
 
-def _fitting(found: list[Found], asked: Asked) -> Found:
-    """Return the board that fits the known size, or the pattern at rest."""
-    first = found[0]
-    if asked.like is not None:
-        return first
-    assert asked.shape is not None
-    fitting = [each for each in found if each.fills(asked.shape)]
+def _alike(found: list[Found], rest: Grid) -> tuple[Found, int]:
+    """Return the board that fits the print and the borders of the pattern at rest; and the corners
+    of the largest other that fits about as well, 0 without one.
+
+    A board of less than half the nodes of the largest, and of the pattern, is a part or texture.
+    """
+    nodes = min(found[0].size, int(np.count_nonzero(rest.valid)))
+    fair = [each for each in found if each.size >= COMPARABLE * nodes]
+    best = max(each.decision.best.nats for each in fair)
+    chosen, *others = [each for each in fair if each.decision.best.nats > best - SURE]
+    return chosen, others[0].size if others else 0
+
+
+def _fitting(found: list[Found], shape: tuple[int, int]) -> Found:
+    """Return the board that fits the known size."""
+    fitting = [each for each in found if each.fills(shape)]
     if len(fitting) > 1:
         raise _two(*fitting[:2])
     if fitting:
         return fitting[0]
+    first = found[0]
     return next((each for each in found if each.fits and 2 * each.size >= first.size), first)
 
 
 def _alone(found: list[Found]) -> tuple[Found, int]:
-    """Return the only board that is seen whole, else the largest; and the corners of the largest
+    """Return the largest board that is seen whole, else the largest; and the corners of the largest
     other that may be meant instead, 0 without one.
 
-    Raises GridError if that one is comparable, unless one alone is seen whole and the other has
-    gaps.
+    Beside a whole board, one that ends nowhere is the ground behind it.
+
+    Raises GridError if another is comparable, unless it has gaps and the first is whole.
     """
-    first = found[0]
-    whole = [each for each in found if each.is_whole]
-    chosen = whole[0] if len(whole) == 1 else first
+    chosen = next((each for each in found if each.is_whole), found[0])
     others = [
         each
         for each in found
         if each is not chosen and each.size >= OTHER and not each.is_texture(chosen)
     ]
-    if not others:
-        return chosen, chosen.gap
-    other, comparable = others[0], others[0].size >= COMPARABLE * chosen.size
-    if len(whole) == 1 and not (comparable and other.is_full):
-        return chosen, other.size if comparable else chosen.gap
-    if comparable:
-        raise _two(chosen, other)
-    return chosen, other.size
+    rivals = [each for each in others if each.size >= COMPARABLE * chosen.size]
+    if not chosen.is_whole and rivals:
+        raise _two(chosen, rivals[0])
+    if not chosen.is_whole:
+        return chosen, others[0].size if others else chosen.gap
+    full = [each for each in rivals if each.is_full]
+    if full:
+        raise _two(chosen, full[0])
+    rivals = [each for each in rivals if each.border.ends.any()]
+    return chosen, rivals[0].size if rivals else chosen.gap
 
 
 def _two(one: Found, other: Found) -> GridError:

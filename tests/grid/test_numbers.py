@@ -315,6 +315,16 @@ def test_a_whole_board_that_a_hand_moved_has_its_numbers_at_rest(number):
     assert not grid.doubts
 
 
+def test_a_board_before_larger_squares_is_the_one_that_is_like_the_rest():
+    view = board(0, ground=squares(SIZE, 0))
+    corners = corners_of(view)
+    assert len(corners) > 2 * 54
+    at_rest = build_grid(corners, view.image, shape=BOARD)
+    grid = build_grid(corners, view.image, like=at_rest)
+    assert scored(grid, view, known="board").right == 54
+    assert not grid.doubts
+
+
 FRAMES = [44, 45, pytest.param(46, marks=TURNED), 47]
 
 
