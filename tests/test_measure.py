@@ -4,9 +4,10 @@ import dataclasses
 import re
 import textwrap
 
+import cv2
 import numpy as np
 import pytest
-from gels import NODES, RIG, SPLIT, pressed
+from gels import GEL, NODES, RIG, SPLIT, Shot, pressed
 from lattices import drawn
 from videos import write_video
 
@@ -14,6 +15,7 @@ import cmp_cl
 from cmp_cl import GridError, StereoRig, measure
 from cmp_cl.measure.views import View
 from cmp_cl.media import read_frames
+from cmp_cl.synthetic import render_stereo
 
 FILM = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.6, 0.6)  # a press that ends, and one at once
 
@@ -163,6 +165,19 @@ def test_values_before_the_filter_are_there_too_and_less_certain():
     for name, values in (("displacement", arrays), ("rest", constants)):
         assert (values[name] != values[f"raw_{name}"])[np.isfinite(values[name])].any()
     assert np.nanmedian(arrays["sigma"]) < np.nanmedian(arrays["raw_sigma"])
+
+
+@pytest.mark.parametrize("degrees", [90, 180, -90])
+def test_a_camera_of_the_rig_may_be_rolled(degrees):
+    """Rows and columns of the pattern are as many, and its colours stay after each turn."""
+    roll = cv2.Rodrigues(np.array([0.0, 0.0, np.radians(degrees)]))[0]
+    rolled = dataclasses.replace(RIG, R=roll @ RIG.R, T=roll @ RIG.T)
+    rest, now = (Shot(*render_stereo(scene, rolled)) for scene in (GEL.at_rest(), GEL))
+    with measure.TwoViews(rest.frame, rolled, SPLIT, shape=NODES) as against_rest:
+        field = against_rest(now.frame).field
+    off = np.linalg.norm(field.displacement - (now.xyz - rest.xyz), axis=2)[field.valid]
+    assert field.valid.mean() > 0.95
+    assert np.sqrt(np.mean(off**2)) < 0.05
 
 
 def test_views_that_may_show_different_parts_of_a_pattern_are_refused():

@@ -140,7 +140,7 @@ def through_window(
 
     sides = (0, 0) if arguments.stereo else (0, 1)  # of the files
     left, right = (seen(arguments.rest[file], side) for side, file in enumerate(sides))
-    rest = left, align_views(left, right)
+    rest = left, align_views(left, right, rig.R)
     stepped, step = None, None
     if arguments.step:
         length, *paths = arguments.step

@@ -11,13 +11,16 @@ from cmp_cl.grid.grid import Grid
 MOST_TURNED, UNDECIDED = 60, 10
 
 
-def align(grids: Sequence[Grid]) -> list[Grid]:
+def align(grids: Sequence[Grid], *, ahead: complex | None = None) -> list[Grid]:
     """Return the grids of several views of one board with the numbers of the first view.
 
     If a quarter or half turn of the board changes its colours, the colours decide, however the
     cameras are rotated: with 9 x 6 corners the cell between nodes (0, 0) and (1, 1) has the same
     colour in all views. If several turns have the same colours, the one that leaves the rows most
     parallel to those of the first view is taken.
+
+    ahead: the direction of the first view's rows in the other views, x + 1j y, where a camera is
+        rolled; None means that all have the same side up.
 
     Raises GridError if a grid has no node, if shapes or colours do not agree, or if several turns
     have the same colours and none leaves the rows within 60 degrees, or two leave them equally
@@ -27,16 +30,18 @@ def align(grids: Sequence[Grid]) -> list[Grid]:
     for number, grid in enumerate(grids, 1):
         if not grid.valid.any():
             raise GridError(f"view {number} of {len(grids)} shows no node, and cannot be numbered")
-    return [grids[0], *(_like(grids[0], grid) for grid in grids[1:])] if grids else []
+    if not grids:
+        return []
+    along = row_direction(grids[0]) if ahead is None else ahead
+    return [grids[0], *(_like(grids[0], grid, along) for grid in grids[1:])]
 
 
-def _like(first: Grid, grid: Grid) -> Grid:
+def _like(first: Grid, grid: Grid, ahead: complex) -> Grid:
     """Return the grid with the numbers of the first one."""
     turned = [grid.turned(quarters) for quarters in range(4)]
     fitting = [turn for turn in turned if turn.shape == first.shape and turn.parity == first.parity]
     if len(fitting) == 1:
         return fitting[0]
-    ahead = row_direction(first)
     off = [abs(float(np.angle(row_direction(turn) / ahead, deg=True))) for turn in fitting]
     if not off or not min(off) <= MOST_TURNED:
         raise GridError(

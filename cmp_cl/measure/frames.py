@@ -563,7 +563,7 @@ class TwoViews(Measurement):
             self._views = self._stack.enter_context(Views(split(rest), search, regions))
             self._size = rest.shape
             left, right = self._views.views
-            right.rest = align_views(left.rest, right.rest)
+            right.rest = align_views(left.rest, right.rest, rig.R)
             self.rest = self._placed(left.rest, right.rest)
             if fits(rig):
                 geometry = InSpace(rig, [view.rest.edge_radius for view in self._views.views])

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 
 from cmp_cl.config import DetectorConfig
 from cmp_cl.detector import Detector
@@ -102,16 +102,19 @@ def cell_of(grid: Grid) -> float:
     return float(np.median(known)) if len(known) else float("nan")
 
 
-def align_views(left: Grid, right: Grid) -> Grid:
+def align_views(left: Grid, right: Grid, rotation: NDArray[np.float64]) -> Grid:
     """Return the right grid with the numbers of the left one, see `cmp_cl.grid.align`.
 
-    The two cameras of a rig have nearly the same side up. If the rows of the two views differ by
-    more than 60 degrees, one of the views is numbered wrongly.
+    rotation: (3, 3), of the rig, from the left camera to the right one, which may be rolled. It
+        turns the rows of the left view; if those of the right view differ by more than 60 degrees,
+        one of the views is numbered wrongly.
 
     Raises GridError if shapes, colours or the directions of the rows do not agree.
     """
-    aligned = align([left, right])[1]
-    if not abs(np.angle(row_direction(aligned) / row_direction(left))) <= _MOST_ROTATED:
+    along = row_direction(left)
+    ahead = complex(*(rotation[:2, :2] @ [along.real, along.imag]))
+    aligned = align([left, right], ahead=ahead)[1]
+    if not abs(np.angle(row_direction(aligned) / ahead)) <= _MOST_ROTATED:
         raise GridError(
             "the two views cannot be numbered alike: by their checker colours the directions of "
             "their rows do not agree"
