@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError
-from cmp_cl.field.strain import principal_of, strain_of, surface_normals
+from cmp_cl.field.strain import principal_of, surface_normals
 from cmp_cl.field.writers import save
 from cmp_cl.points import PointStatus, largest_deviation
 
@@ -35,8 +35,8 @@ class DisplacementField:
     source: (R, C) uint8 of `NodeStatus`: of those at rest and now, the less direct one.
     unit: name of the unit of length.
     raw: the field before the lattice filter; None if this one is not filtered.
-    slopes: returns the variances of the slopes of the position and of the displacement, (R, C, 2)
-        each, for the sigma of a strain, None if they are unknown.
+    strain_of: returns the strain of this field and its covariance, for `with_strain`; None if it
+        was not measured.
 
     strain: (R, C, 3) float64, Green-Lagrange strain E11, E22, E12, see `field.green_lagrange`; None
         if it was not asked for. In the plane, 1 and 2 are x and y; in space, 1 runs along the rows
@@ -56,7 +56,7 @@ class DisplacementField:
     source: NDArray[np.uint8]
     unit: str
     raw: "DisplacementField | None" = None
-    slopes: Callable[[], tuple[Array, Array]] | None = None
+    strain_of: "Callable[[DisplacementField], tuple[Array, Array]] | None" = None
     strain: Array | None = None
     strain_covariance: Array | None = None
 
@@ -122,20 +122,18 @@ class DisplacementField:
     def with_strain(self) -> Self:
         """Return the same field with its strain, fitted over 5 x 5 nodes, and its covariance.
 
-        Noise and the filter's weights are taken as constant within these nodes. Without `slopes`
-        the errors of the nodes are taken as independent. Raises FieldError for a field before the
-        lattice filter.
+        Noise and the filter's weights are taken as constant within these nodes. Where the filter
+        does not know the error, those of the nodes are taken as independent. Raises FieldError for
+        a field before the lattice filter, and for one that was not measured.
         """
         if self.strain is not None:
             return self
-        unknown = np.full((*self.status.shape, 2), np.nan)
-        of_rest, of_change = (unknown, unknown) if self.slopes is None else self.slopes()
-        strain, covariance = strain_of(
-            self.position,
-            self.position + self.displacement,
-            (self.position_covariance, self.covariance),
-            (of_rest, of_change),
-        )
+        if self.strain_of is None:
+            raise FieldError(
+                "this field was not measured, so the error of its strain is unknown; "
+                "cmp_cl.field.green_lagrange gives a strain without an error"
+            )
+        strain, covariance = self.strain_of(self)
         return dataclasses.replace(self, strain=strain, strain_covariance=covariance)
 
     def save(self, path: str | PathLike[str]) -> None:

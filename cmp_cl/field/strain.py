@@ -1,4 +1,4 @@
-"""Strain of a plane or of a surface from its nodes, its covariance, and normals of a surface."""
+"""Strain of a plane or of a surface from its nodes, principal strains, and normals of a surface."""
 
 import functools
 import math
@@ -38,65 +38,21 @@ def green_lagrange(rest: Array, now: Array) -> Array:
         raise FieldError(
             f"rest and now must be (R, C, 2) or (R, C, 3), not {rest.shape} and {now.shape}"
         )
-    good, _, along, _ = _frames(rest, now)
+    both = np.concatenate([rest, now], axis=2)
+    valid = np.isfinite(both).all(axis=2)
+    size, slopes = rest.shape[2], _slopes_of(both, valid)
+    at_rest = slopes[..., :size]
+    one, two = at_rest[..., 0, :], at_rest[..., 1, :]
+    turns = [one[..., i] * two[..., j] - one[..., j] * two[..., i] for i, j in _AXES[size]]
+    area = np.sqrt(np.square(turns).sum(axis=0))
+    good = valid & (area > 1e-9 * np.square(at_rest).sum(axis=(2, 3)))
+    first = at_rest[good]
+    in_axes = first if size == 2 else np.linalg.cholesky(first @ first.transpose(0, 2, 1))
+    along = np.linalg.solve(in_axes, slopes[good][..., size:])  # the current tangents
+    tensor = (along @ along.transpose(0, 2, 1) - np.eye(2)) / 2
     strain = np.full((*good.shape, 3), np.nan)
-    strain[good] = _components(along)
+    strain[good] = tensor[:, [0, 1, 0], [0, 1, 1]]
     return strain
-
-
-def strain_of(
-    rest: Array,
-    now: Array,
-    covariances: tuple[Array, Array],
-    slope_variances: tuple[Array, Array],
-) -> tuple[Array, Array]:
-    """Return the strain of `green_lagrange`, (R, C, 3), and its covariance, (R, C, 3, 3).
-
-    rest, now: (R, C, D). covariances: (R, C, D, D), of the position at rest and of the
-    displacement. slope_variances: (R, C, 2), the variances of their slopes per step along a row and
-    along a column, by coordinate, over windows without a hole; where one is NaN, the errors of the
-    nodes are taken as independent.
-
-    Let Q be the axes at rest, F the current tangents along them, and dA and dG the errors of the
-    slopes of the position at rest and of the displacement, along the same axes. To first order
-    dE = sym(F^T dG + (F - Q F^T F)^T dA). On a surface, the error of axis 1 also turns the axes, by
-    Q2 . dA1, which changes the components. The errors of the coordinates correlate as their
-    covariance says; those of the two slopes are independent.
-    """
-    good, axes, along, inverse = _frames(rest, now)
-    found = _components(along)
-    e11, e22, e12 = found.T[..., None]
-    one, two = along[:, 0], along[:, 1]
-    on_a_surface = rest.shape[2] == 3
-    turned = axes[:, 1] if on_a_surface else np.zeros_like(one)
-    off = along - along @ along.transpose(0, 2, 1) @ axes
-    none = np.zeros_like(one)
-    by_displacement = [[one, none], [none, two], [two / 2, one / 2]]
-    by_rest = [
-        [off[:, 0] + 2 * e12 * turned, none],
-        [-2 * e12 * turned, off[:, 1]],
-        [off[:, 1] / 2 + (e22 - e11) * turned, off[:, 0] / 2],
-    ]
-    valid: Bools = np.all(np.isfinite(rest + now), axis=2)
-    own = _leverage(valid)[good]
-    more = own / _leverage(np.ones_like(valid))[good]  # missing nodes make a slope less certain
-    total = np.zeros((len(found), 3, 3))
-    for derivative, of_values, of_slopes in zip(
-        (by_rest, by_displacement), covariances, slope_variances, strict=True
-    ):
-        mean = np.trace(of_values[good], axis1=1, axis2=2) / rest.shape[2]
-        by_step = np.where(np.isnan(of_slopes[good]), own * mean[:, None], more * of_slopes[good])
-        # (N, 3 strains, D, 2 axes) to (N, 3 strains, 2 steps, D)
-        by_axis = np.array(derivative).transpose(2, 0, 3, 1)
-        weights = (by_axis @ inverse[:, None]).swapaxes(2, 3) * np.sqrt(by_step)[:, None, :, None]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            alike = of_values[good] / mean[:, None, None]
-        together = len(found), 3, 2 * rest.shape[2]
-        one, two = (each.reshape(together) for each in (weights, weights @ alike[:, None]))
-        total += two @ one.transpose(0, 2, 1)
-    strain, covariance = np.full((*good.shape, 3), np.nan), np.full((*good.shape, 3, 3), np.nan)
-    strain[good], covariance[good] = found, total
-    return strain, covariance
 
 
 def principal_of(strain: Array, covariance: Array) -> tuple[Array, Array, Array, Array]:
@@ -127,31 +83,6 @@ def principal_of(strain: Array, covariance: Array) -> tuple[Array, Array, Array,
         direction,
         np.where(np.isnan(direction), np.nan, turn),
     )
-
-
-def _components(along: Array) -> Array:
-    """Return E11, E22, E12 (N, 3) from the current tangents along the axes at rest, (N, 2, D)."""
-    strain = (along @ along.transpose(0, 2, 1) - np.eye(2)) / 2
-    return strain[:, [0, 1, 0], [0, 1, 1]]
-
-
-def _frames(rest: Array, now: Array) -> tuple[Bools, Array, Array, Array]:
-    """Return the nodes that have a strain, (R, C), and for these N nodes the axes at rest, the
-    current tangents along them, (N, 2, D) each, and the matrices (N, 2, 2) from steps between nodes
-    to the axes."""
-    both = np.concatenate([rest, now], axis=2)
-    valid = np.isfinite(both).all(axis=2)
-    slopes = _slopes_of(both, valid)
-    size = rest.shape[2]
-    at_rest = slopes[..., :size]
-    one, two = at_rest[..., 0, :], at_rest[..., 1, :]
-    turns = [one[..., i] * two[..., j] - one[..., j] * two[..., i] for i, j in _AXES[size]]
-    area = np.sqrt(np.square(turns).sum(axis=0))
-    good = valid & (area > 1e-9 * np.square(at_rest).sum(axis=(2, 3)))
-    first = at_rest[good]
-    in_axes = first if size == 2 else np.linalg.cholesky(first @ first.transpose(0, 2, 1))
-    inverse = np.linalg.inv(in_axes)
-    return good, inverse @ first, inverse @ slopes[good][..., size:], inverse
 
 
 def _slopes_of(values: Array, valid: Bools) -> Array:
@@ -189,13 +120,6 @@ def surface_normals(positions: Array) -> Array:
         unit: Array = normal / np.where(flat, np.nan, length)[..., None]
     away = (unit * positions).sum(axis=2) > 0
     return np.where(valid[..., None], np.where(away[..., None], -unit, unit), np.nan)
-
-
-def _leverage(valid: Bools) -> Array:
-    """Return the variances of the slopes of `_slopes_of` for independent errors of variance 1, (R,
-    C, 2)."""
-    inverse = _inverse_moments(valid)
-    return np.stack([inverse[..., 1, 1], inverse[..., 2, 2]], axis=2)
 
 
 @functools.lru_cache(maxsize=64)

@@ -8,6 +8,7 @@ kernels/filter.cl the kernels.
 """
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,10 @@ ROUNDS = 3  # rounds of the search for outliers
 _ESTIMATES, _MASKS = 5, 4  # of the noise, as in kernels/filter.cl
 _ROUGH = 6  # sums over a row, in kernels/strain.cl
 _PAIRS_OF_AXES = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of a symmetric matrix
+STRAIN = (  # arguments of the strain's kernel
+    *("rest_position", "displacement", "valid", "covariance", "slopes"),
+    *("rest_covariance", "rest_slopes", "strain", "strain_covariance"),
+)
 _OPENED = 3.0  # largest ratio of the wear of a strained print to its wear at rest
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -171,6 +176,47 @@ def _filtered(
     return found
 
 
+def strain_of(
+    constants: Mapping[str, NDArray[Any]],
+    displacement: Array,
+    covariance: Array,
+    slopes: Array,
+    device: Device,
+) -> tuple[Array, Array]:
+    """Return the Green-Lagrange strain of a displacement, (R, C, 3), and its covariance, (R, C, 3,
+    3), NaN where there is none; cmp_cl/reference/field/strain.py has the equations.
+
+    constants: rest_position, rest_covariance, rest_slopes, planes of the filtered positions at
+    rest. displacement, covariance, slopes: as in `Filtered`, without the shift by bent edges.
+    """
+    rows, columns, axes = displacement.shape
+    programs = programs_of(device.handle)
+    queue = cl.CommandQueue(programs.context)
+    there: Bools = np.asarray(np.isfinite(displacement).all(axis=2), np.bool_)
+    given = Memory.of(
+        queue,
+        **constants,
+        displacement=planes(displacement),
+        valid=there.astype(np.uint8),
+        covariance=flat(covariance),
+        slopes=planes(slopes),
+    )
+    layout: Layout = {
+        "strain": ((3, rows, columns), np.float32),
+        "strain_covariance": ((covariances(3), rows, columns), np.float32),
+    }
+    found = Memory(queue, layout)
+    kernels = programs.kernels(["strain"], defines_of((rows, columns), axes))
+    launch = of_nodes(kernels, (rows, columns), given.parts | found.parts, "strain", STRAIN)
+    cl.enqueue_nd_range_kernel(queue, launch.kernel, launch.items, launch.group)
+    found.download()
+    queue.finish()
+    result = nodes(found.arrays["strain"]), matrices(found.arrays["strain_covariance"])
+    given.release()
+    found.release()
+    return result
+
+
 class LatticeFilter:
     """Buffers and bound kernels that filter lattices of one shape.
 
@@ -203,7 +249,9 @@ class LatticeFilter:
         self.parts: dict[str, cl.Buffer] = {}
         for memory in (self.inputs, self._tables, self._work, results):
             self.parts |= memory.parts
-        self._kernels = programs.kernels(["filter", *(["strain"] if slopes else [])], self.defines)
+        files = ["filter", *(["strain"] if slopes else [])]
+        defines = {**defines_of(shape, axes), "STRAINED": int(slopes)}
+        self._kernels = programs.kernels(files, defines)
         self.launches = self._listed(bends=np.int32(bends))
         if slopes:
             self.launches += self._of_slopes()
@@ -214,23 +262,6 @@ class LatticeFilter:
             memory.release()
 
     # What is compiled and allocated
-
-    @property
-    def defines(self) -> dict[str, str | int]:
-        """Return the macros of the kernels."""
-        (rows, columns), down, along = self._shape, self._down, self._along
-        return {
-            "ROWS": rows,
-            "COLUMNS": columns,
-            "K": self._axes,
-            "PILOT_DOWN": down.pilot_side,
-            "PILOT_ALONG": along.pilot_side,
-            "FILTERS_DOWN": len(down.sides),
-            "FILTERS_ALONG": len(along.sides),
-            "PAIRS": self._pairs,
-            "STRAIN_REACH": STRAIN_REACH,
-            "STRAINED": int(self._slopes),
-        }
 
     @property
     def _pairs(self) -> int:
@@ -386,6 +417,24 @@ class LatticeFilter:
         """Bind a kernel with one work-item per row, times `others`."""
         group = (1, 1) if self._device.kind is DeviceKind.CPU else None
         return _bound(self._kernels, self.parts, name, (self._shape[0], others), group, arguments)
+
+
+def defines_of(shape: tuple[int, int], axes: int) -> dict[str, str | int]:
+    """Return the macros of the kernels of a lattice with that many coordinates."""
+    down, along = (axis_tables(n) for n in shape)
+    return {
+        "ROWS": shape[0],
+        "COLUMNS": shape[1],
+        "K": axes,
+        "PILOT_DOWN": down.pilot_side,
+        "PILOT_ALONG": along.pilot_side,
+        "FILTERS_DOWN": len(down.sides),
+        "FILTERS_ALONG": len(along.sides),
+        "PAIRS": len(down.sides) * len(along.sides),
+        "STRAIN_REACH": STRAIN_REACH,
+        "BEND_DOWN": down.bend.shape[2],
+        "BEND_ALONG": along.bend.shape[2],
+    }
 
 
 def of_nodes(

@@ -12,7 +12,15 @@ from cmp_cl.errors import FieldError
 from cmp_cl.field import DisplacementField
 from cmp_cl.filter import bend_shift
 from cmp_cl.grid.grid import MEASURED, Grid
-from cmp_cl.motion.filter import Filtered, filter_at_rest, filter_change, most_at_rest
+from cmp_cl.motion.filter import (
+    Filtered,
+    filter_at_rest,
+    filter_change,
+    flat,
+    most_at_rest,
+    planes,
+    strain_of,
+)
 from cmp_cl.motion.scale import PlaneScale
 from cmp_cl.opencl.device import Device
 from cmp_cl.points import Points3D, PointStatus
@@ -111,13 +119,15 @@ class AtRest:
         return most_at_rest(self.filtered.noise, self.moment.own)
 
     @functools.cached_property
-    def slopes(self) -> Array:
-        """Return the variances of the slopes of the positions, (R, C, 2)."""
-        found = self.filtered.slopes
-        if found is None:
-            found = self._filter(slopes=True).slopes
-        assert found is not None
-        return found
+    def strain_constants(self) -> dict[str, NDArray[np.float32]]:
+        """Return the planes of the positions that the strain's kernel takes."""
+        found = self.filtered if self._slopes else self._filter(slopes=True)
+        assert found.slopes is not None
+        return {
+            "rest_position": planes(self.position - np.nanmean(self.position, axis=(0, 1))),
+            "rest_covariance": flat(found.covariance),
+            "rest_slopes": planes(found.slopes),
+        }
 
     def change(
         self,
@@ -139,14 +149,19 @@ class AtRest:
             moved, measured, by_images, self.most + own, self._device, slopes=slopes
         )
 
-    def slopes_with(
-        self, moved: Array, measured: NDArray[np.bool_], own: NDArray[np.floating]
+    def strain_of(
+        self,
+        moved: Array,
+        measured: NDArray[np.bool_],
+        own: NDArray[np.floating],
+        field: DisplacementField,
     ) -> tuple[Array, Array]:
-        """Return the variances of the slopes of the positions, and of a displacement; the arguments
-        are those of `change`."""
-        found = self.change(moved, measured, own, slopes=True).slopes
-        assert found is not None
-        return self.slopes, found
+        """Return the strain of a field, and its covariance; the others are those of `change`."""
+        slopes = self.change(moved, measured, own, slopes=True).slopes
+        assert slopes is not None
+        return strain_of(
+            self.strain_constants, field.displacement, field.covariance, slopes, self._device
+        )
 
 
 def field_of(
@@ -158,12 +173,12 @@ def field_of(
     displacement: Array,
     covariance: Array,
     raw_covariance: Array,
-    slopes: Callable[[], tuple[Array, Array]],
+    strain_of: Callable[[DisplacementField], tuple[Array, Array]],
 ) -> DisplacementField:
     """Return the field with these displacements, and before the filter.
 
     moved, displacement: (R, C, D), before the filter and after it, without the shift by bent edges.
-    covariance, raw_covariance: their covariances. slopes: as in `DisplacementField`.
+    covariance, raw_covariance: their covariances. strain_of: as in `DisplacementField`.
     """
     there = (status == PointStatus.VALID)[..., None]
     rest, found = at_rest.moment, at_rest.filtered
@@ -175,7 +190,7 @@ def field_of(
         status=status,
         source=source,
         unit=rest.unit,
-        slopes=_no_slopes,
+        strain_of=_no_strain,
     )
     return dataclasses.replace(
         raw,
@@ -184,11 +199,11 @@ def field_of(
         covariance=np.where(there[..., None], covariance, np.nan),
         position_covariance=np.where(there[..., None], found.covariance, np.nan),
         raw=raw,
-        slopes=slopes,
+        strain_of=strain_of,
     )
 
 
-def _no_slopes() -> tuple[Array, Array]:
+def _no_strain(_: DisplacementField) -> tuple[Array, Array]:
     raise FieldError(
         "the error of a strain is known after the lattice filter; take the strain of the filtered "
         "field, or cmp_cl.field.green_lagrange without an error"

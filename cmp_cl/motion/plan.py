@@ -18,8 +18,10 @@ from cmp_cl.field import DisplacementField
 from cmp_cl.grid.grid import MEASURED, Grid
 from cmp_cl.motion.filter import (
     ROUNDS,
+    STRAIN,
     LatticeFilter,
     covariances,
+    defines_of,
     flat,
     matrices,
     nodes,
@@ -91,11 +93,8 @@ class FieldPlan:
             memory.release()
 
     def _defines(self) -> dict[str, str | int]:
-        down, along = (axis_tables(n) for n in self.shape)
         return {
-            **self._filter.defines,
-            "BEND_DOWN": down.bend.shape[2],
-            "BEND_ALONG": along.bend.shape[2],
+            **defines_of(self.shape, self._geometry.axes),
             "DOUBLE": int(self._double),
             **self._geometry.defines(double=self._double),
         }
@@ -114,14 +113,7 @@ class FieldPlan:
             "rest_points": flat(rest.covariance),
             "rest_bent": planes(rest.bend),
         }
-        if self._strained:
-            position = self._at_rest.position
-            constants |= {
-                "rest_position": planes(position - np.nanmean(position, axis=(0, 1))),
-                "rest_covariance": flat(self._at_rest.filtered.covariance),
-                "rest_slopes": planes(self._at_rest.slopes),
-            }
-        return constants
+        return constants | (self._at_rest.strain_constants if self._strained else {})
 
     def _frame_layout(self) -> Layout:
         layout = {
@@ -150,13 +142,7 @@ class FieldPlan:
             *self._filter.launches,
         ]
         if self._strained:
-            listed.append(
-                self._of_nodes(
-                    "strain",
-                    *("rest_position", "displacement", "valid", "covariance", "slopes"),
-                    *("rest_covariance", "rest_slopes", "strain", "strain_covariance"),
-                )
-            )
+            listed.append(self._of_nodes("strain", *STRAIN))
         return listed
 
     def _of_nodes(self, name: str, *arguments: Any) -> Launch:
@@ -207,7 +193,9 @@ class FieldPlan:
             displacement=nodes(results["displacement"]),
             covariance=matrices(results["covariance"]),
             raw_covariance=matrices(results["raw_covariance"]),
-            slopes=functools.partial(self._at_rest.slopes_with, moved, measured, results["own"][0]),
+            strain_of=functools.partial(
+                self._at_rest.strain_of, moved, measured, results["own"][0]
+            ),
         )
         if not self._strained:
             return field

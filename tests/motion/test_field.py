@@ -8,10 +8,10 @@ import pytest
 
 from cmp_cl import StereoRig, Window
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
-from cmp_cl.motion import PlaneScale, displacement
+from cmp_cl.motion import PlaneScale
 from cmp_cl.motion import plan as plans
 from cmp_cl.motion.geometry import InPlane, InSpace, camera_numbers
-from cmp_cl.motion.moments import Moment
+from cmp_cl.motion.moments import AtRest, Moment
 from cmp_cl.motion.plan import FieldPlan
 from cmp_cl.opencl.program import programs_of
 from cmp_cl.reference.field import filter as lattice_filter
@@ -272,21 +272,21 @@ def test_the_field_in_the_plane_is_the_oracles(run, case):
     assert results["counts"][1:].sum() == found.refused.sum()
 
 
-@pytest.mark.parametrize("kernels", [True, False], ids=["kernels", "NumPy"])
+@pytest.mark.parametrize("at_once", [True, False], ids=["in the plan", "later"])
 @pytest.mark.parametrize("views", [1, 2])
 @pytest.mark.parametrize("case", ["whole", "holes and a tear", "outliers", "narrow"])
-def test_the_strain_is_the_oracles(run, case, views, kernels):
+def test_the_strain_is_the_oracles(run, device, case, views, at_once):
     rig = rig_with()
     rest, now, complete = pressed(case, rig, 4, shared=0.2)
     if views == 1:
         rest, now, complete = rest[:1], now[:1], complete[:1]
         moved, found, _ = expected_in_plane(rest[0], now[0], complete[0])
-        quiet = displacement(rest[0], rest[0], scale=SCALE)
+        moment = Moment.in_plane(rest[0], SCALE)
     else:
         _, moved, found, _ = expected(rig, rest, now, complete)
-        quiet = displacement(rig.triangulate(*rest), rig.triangulate(*rest))
+        moment = Moment.in_space(rig.triangulate(*rest))
     seen_by = SCALE if views == 1 else rig
-    field = run(seen_by, rest, now, complete=complete, strain=kernels)[2].with_strain()
+    field = run(seen_by, rest, now, complete=complete, strain=at_once)[2].with_strain()
     shape = field.status.shape
     filters = tuple(
         np.stack([lattice_filter.axis_filter(n, *f) for f in lattice_filter.PAIRED if n > 2 * f[0]])
@@ -298,11 +298,12 @@ def test_the_strain_is_the_oracles(run, case, views, kernels):
     slopes = strains.slope_variances(
         found.weights, found.sigma / np.sqrt(found.gain), votes, filters, correlations
     )
-    still = tuple(np.moveaxis(quiet.slopes()[0], 2, 0))
+    quiet = AtRest(moment, device, slopes=True)
+    still = tuple(np.moveaxis(quiet.filtered.slopes, 2, 0))
     strain, covariance = strains.strain(
         quiet.position,
         np.where(field.valid[..., None], field.displacement, np.nan),
-        (quiet.position_covariance, field.covariance),
+        (quiet.filtered.covariance, field.covariance),
         (still, slopes),
     )
     np.testing.assert_allclose(field.strain, strain, rtol=0, atol=2e-5)
