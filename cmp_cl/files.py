@@ -3,10 +3,12 @@
 import contextlib
 import csv
 import errno
+import math
 import os
+import re
 import secrets
 import tomllib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from io import StringIO
 from os import PathLike
 from pathlib import Path
@@ -213,26 +215,29 @@ def read_toml(path: str | PathLike[str]) -> dict[str, Any]:
         raise ValueError("nested too deep, no settings") from error
 
 
-def read_npz(
-    path: str | PathLike[str], names: Iterable[str] | None, error: type[CmpClError]
-) -> dict[str, NDArray[Any]]:
-    """Return the arrays of those names from a file that `numpy.savez` wrote; None means all.
+def read_npz(path: str | PathLike[str], names: Collection[str] | None) -> dict[str, NDArray[Any]]:
+    """Return the arrays of those names, as far as they are there, from a file that `numpy.savez`
+    wrote; None means all.
 
-    Raises OSError if the file cannot be read; the error if it is damaged or of another kind, or
-    lacks an array.
+    Raises OSError if the file cannot be read; ValueError if it is damaged or of another kind, or
+    the arrays do not fit into the memory that is free.
     """
-    check_path(path, FileNotFoundError)
     with open(path, "rb") as file:
         try:
             with np.load(file, allow_pickle=False) as data:
-                wanted = data.files if names is None else list(names)
-                for name in wanted:
-                    if name not in data:
-                        raise KeyError(name)
-                return {name: data[name] for name in wanted}
-        except KeyError as why:
-            raise error(f"{str(path)!r} lacks the array {why.args[0]!r}") from why
-        except MemoryError:
-            raise
+                found = [name for name in data if names is None or name in names]
+                sizes = {member.filename: member.file_size for member in data.zip.infolist()}
+                check_memory(sum(sizes.get(f"{name}.npy", 0) for name in found))
+                return {name: data[name] for name in found}
         except Exception as why:  # damaged bytes raise any of them, in zipfile and NumPy
-            raise error(f"{str(path)!r} is damaged or no .npz of arrays: {why}") from why
+            raise ValueError(why) from why
+
+
+def check_memory(size: int) -> None:
+    """Raise ValueError if arrays of that many bytes do not fit into the memory that is free."""
+    free = math.inf
+    with contextlib.suppress(OSError):  # there is none on other systems than Linux
+        found = re.search(r"MemAvailable: *(\d+) kB", Path("/proc/meminfo").read_text("ascii"))
+        free = 1024 * int(found[1]) if found else free
+    if size > free:
+        raise ValueError(f"its arrays need {size} bytes, and {free} bytes of memory are free")

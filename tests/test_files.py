@@ -7,8 +7,7 @@ import sys
 
 import pytest
 
-from cmp_cl.errors import FieldError
-from cmp_cl.files import csv_bytes, read_npz, read_toml, whole_file, write_bytes
+from cmp_cl.files import csv_bytes, read_toml, whole_file, write_bytes
 
 posix = pytest.mark.skipif(os.name == "nt", reason="modes, links and devices are others on Windows")
 WRITING = """
@@ -120,14 +119,6 @@ def test_settings_that_are_too_long_or_damaged_are_refused(text, why, tmp_path):
         read_toml(tmp_path / "a.toml")
     (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbfa = 1\r\nb = 0.5\r\n")  # as Windows writes it
     assert read_toml(tmp_path / "a.toml") == {"a": 1, "b": 0.5}
-
-
-def test_arrays_of_another_file_are_refused(tmp_path):
-    (tmp_path / "a.npz").write_text("no arrays")
-    with pytest.raises(FieldError, match="is damaged or no"):
-        read_npz(tmp_path / "a.npz", None, FieldError)
-    with pytest.raises(FileNotFoundError):
-        read_npz(tmp_path / "b.npz", None, FieldError)
 
 
 def test_a_text_that_a_spreadsheet_would_run_begins_with_an_apostrophe():

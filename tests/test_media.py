@@ -113,6 +113,12 @@ def looping_tiff(extra):
     return data + struct.pack("<I", 8) + bytes(64 * 48)
 
 
+def long_png():
+    """Return a PNG with a chunk that is said to have 1 GB."""
+    data = cv2.imencode(".png", NOISE)[1].tobytes()
+    return data[:33] + struct.pack(">I", 10**9) + b"tEXt" + data[33:]
+
+
 READ = """
 import resource, sys, time
 from cmp_cl import ImageError, media
@@ -132,12 +138,13 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
     ("data", "says"),
     [
         (lambda: big_tiff(30_000, 30_000), "more pixels than OpenCV's limit"),
+        (long_png, "is not an image"),
         (lambda: looping_tiff(0), "1"),
         (lambda: looping_tiff(60_000), "is not an image"),
     ],
-    ids=["30 000 x 30 000", "a loop", "a loop of long directories"],
+    ids=["30 000 x 30 000", "a chunk of 1 GB", "a loop", "a loop of long directories"],
 )
-def test_a_hostile_tiff_takes_under_a_second_and_200_mb(tmp_path, data, says):
+def test_a_hostile_image_takes_under_a_second_and_200_mb(tmp_path, data, says):
     (tmp_path / "a.tif").write_bytes(data())
     command = [sys.executable, "-c", READ, str(tmp_path / "a.tif")]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, GridError, check_kind, check_positive
-from cmp_cl.files import read_npz, suffix_of, whole_file
+from cmp_cl.files import check_path, read_npz, suffix_of, whole_file
 from cmp_cl.filter import bend_variance
 from cmp_cl.grid.curves import points_between
 from cmp_cl.grid.limits import check_size
@@ -287,11 +287,11 @@ class Grid:
         Raises OSError if the file cannot be read; GridError if it is damaged or holds no grid: the
         message says which array is wrong, what was expected and what was found.
         """
-        arrays = read_npz(path, SAVED, GridError)
+        check_path(path, FileNotFoundError)
         try:
-            found = unpacked(arrays)
+            found = unpacked(read_npz(path, SAVED))
         except ValueError as error:
-            raise GridError(f"{str(path)!r} holds no grid: {error}") from error
+            raise GridError(f"{str(path)!r} is damaged or holds no grid: {error}") from error
         for name, kind in (("border", Sides), ("rival", Rival)):
             found[name] = found[name] and kind(*found[name])
         return cls(**found)

@@ -42,10 +42,12 @@ def packed(grid: Any) -> dict[str, Any]:
 def unpacked(arrays: Arrays) -> dict[str, Any]:
     """Return the attributes that `packed` packed: arrays, tuples, numbers or None.
 
-    Raises ValueError with the name of an array that is not one of a grid.
+    Raises ValueError with the name of an array that is missing or not one of a grid.
     """
     sizes: dict[str | int, int] = {}
     for name, (kind, axes) in SAVED.items():
+        if name not in arrays:
+            raise ValueError(f"there is no array {name!r}")
         found = arrays[name]
         fits = found.dtype == kind and found.ndim == len(axes)
         for axis, size in zip(axes, found.shape, strict=False):

@@ -123,7 +123,7 @@ def decoded(
     """
     pages: Sequence[GreyImage] = ()
     try:
-        if _SIGNATURES.match(data[:12].tobytes()):
+        if _SIGNATURES.match(data[:12].tobytes()) and _has_chunks(data):
             how = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
             pages = cv2.imdecodemulti(data, how, range=(first, first + count))[1]  # type: ignore[assignment]
     except cv2.error as error:
@@ -141,6 +141,19 @@ def decoded(
                 "scale it and save it as PNG"
             )
     return [_over_white(page, data, first + k) for k, page in enumerate(pages)]
+
+
+def _has_chunks(data: NDArray[np.uint8]) -> bool:
+    """Return whether all chunks of a PNG are in the file; True for other formats.
+
+    A chunk is its length, a name, that many bytes, and a sum. OpenCV allocates any length.
+    """
+    place = 8
+    while data[0] == 0x89 and place < data.size:
+        if place + 12 > data.size:
+            return False
+        place += 12 + int.from_bytes(data[place : place + 4].tobytes())
+    return data[0] != 0x89 or place == data.size
 
 
 def _over_white(grey: GreyImage, data: NDArray[np.uint8], page: int) -> GreyImage:

@@ -1,7 +1,5 @@
 """Series read back and checked: .npz and HDF5, whole, growing, or left by a killed program."""
 
-import contextlib
-import math
 import os
 import re
 import subprocess
@@ -15,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, FieldError, extra
-from cmp_cl.files import check_path, suffix_of
+from cmp_cl.files import check_memory, check_path, read_npz, suffix_of
 from cmp_cl.series.npz import CONSTANTS
 
 _LONGEST_READ = 30.0  # s, for a growing HDF5; more is allowed for its size at
@@ -55,10 +53,11 @@ def read_series(
         raise ConfigError(
             f"{str(path)!r}: the name of a series must end in .npz, .h5 or .hdf5, or that and .part"
         )
-    if not Path(path).exists():
-        raise FieldError(f"there is no file {str(path)!r}")
+    if not os.access(path, os.R_OK):
+        missing = "right to read" if os.path.exists(path) else "file"
+        raise FieldError(f"there is no {missing} {str(path)!r}")
     wanted = None if names is None else {"index", *names}
-    read = _hdf5 if suffix != ".npz" else _npz_part if Path(path).is_dir() else _npz
+    read = _hdf5 if suffix != ".npz" else _npz_part if Path(path).is_dir() else read_npz
     try:
         found = read(Path(path), wanted)
         _check(found)
@@ -96,30 +95,12 @@ def _check(found: _Found) -> None:
         raise ValueError("unit must be a short text")
 
 
-def _check_memory(size: int) -> None:
-    """Raise ValueError if arrays of that many bytes do not fit into the memory that is free."""
-    free = math.inf
-    with contextlib.suppress(OSError):  # there is none on other systems than Linux
-        found = re.search(r"MemAvailable: *(\d+) kB", Path("/proc/meminfo").read_text("ascii"))
-        free = 1024 * int(found[1]) if found else free
-    if size > free:
-        raise ValueError(f"its arrays need {size} bytes, and {free} bytes of memory are free")
-
-
-def _npz(path: Path, wanted: set[str] | None) -> _Found:
-    with np.load(path, allow_pickle=False) as data:
-        names = [name for name in data if wanted is None or name in wanted]
-        sizes = {member.filename: member.file_size for member in data.zip.infolist()}
-        _check_memory(sum(sizes.get(f"{name}.npy", 0) for name in names))
-        return {name: data[name] for name in names}
-
-
 def _npz_part(path: Path, wanted: set[str] | None) -> _Found:
     """Read the folder that a growing .npz is, see `NpzFormat`; `index` counts its whole frames."""
     frames = len(np.load(path / "index.npy"))
     files = [*path.glob("*.npy"), *(path / CONSTANTS).glob("*.npy")]
     files = [file for file in files if wanted is None or file.stem in wanted]
-    _check_memory(sum(file.stat().st_size for file in files))
+    check_memory(sum(file.stat().st_size for file in files))
     found = {}
     for file in files:
         array = np.load(file, allow_pickle=False)
@@ -144,7 +125,7 @@ def _hdf5(path: Path, wanted: set[str] | None) -> _Found:
 
 def _arrays(datasets: dict[str, Any]) -> _Found:
     """Read the datasets of an HDF5; `index` counts the whole frames of those that grow."""
-    _check_memory(sum(dataset.nbytes for dataset in datasets.values()))
+    check_memory(sum(dataset.nbytes for dataset in datasets.values()))
     frames = datasets["index"].size if "index" in datasets else 0
     found = {}
     for name, dataset in datasets.items():

@@ -53,8 +53,8 @@ def test_a_saved_grid_comes_back_as_it_was(grid, changes, tmp_path):
         ),
         ("parity", np.array(2), "parity must be 0 or 1, found 2"),
         ("others", np.array(-1), "others must not be negative, found -1"),
-        ("origin", None, "lacks the array 'origin'"),
-        ("rival", np.array([None]), "damaged or no .npz of arrays"),
+        ("origin", None, "there is no array 'origin'"),
+        ("rival", np.array([None]), "is damaged or holds no grid"),
     ],
 )
 def test_a_file_that_holds_no_grid_is_refused_in_one_line(grid, tmp_path, name, values, said):
