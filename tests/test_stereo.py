@@ -202,6 +202,8 @@ GOOD = {"K1": K, "D1": [], "K2": K, "D2": [], "R": np.eye(3), "T": [-1, 0, 0]}
         ("T", [0, 0, 0], "T is zero"),
         ("T", [1, 2], "shape"),
         ("T", [math.nan, 0, 1], "finite"),
+        ("covariance", np.diag(np.linspace(-1, 1, 22)), "variances"),
+        ("covariance", np.full((22, 22), np.nan), "finite"),
         ("R", 2 * np.eye(3), "rotation"),
         ("R", np.diag([1.0, 1, -1]), "rotation"),
         ("K1", np.zeros((3, 3)), "focal"),

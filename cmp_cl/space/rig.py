@@ -116,10 +116,12 @@ class StereoRig:
     def _checked_covariance(self, covariance: Array) -> Array:
         """Return the covariance of all parameters, 0 for those of a window that is exact."""
         size = 2 * ESTIMATED + POSE
-        if self.window is None or np.shape(covariance) == (size, size):
-            checked = checked_array("covariance", covariance, (size, size))
-            return checked if self.window is None else np.pad(checked, (0, WINDOW))
-        return checked_array("covariance", covariance, (size + WINDOW, size + WINDOW))
+        whole = size if self.window is None else size + WINDOW
+        size = whole if np.shape(covariance) == (whole, whole) else size
+        checked = checked_array("covariance", covariance, (size, size))
+        if np.diag(checked).min() < 0 or not np.allclose(checked, checked.T):
+            raise CalibrationError("covariance must be symmetric, with variances of 0 or more")
+        return np.pad(checked, (0, whole - len(checked)))
 
     @property
     def _centre(self) -> Array:
