@@ -2,7 +2,8 @@
 
 /* Nodes of a board (13.5): an array of places with a margin of missing ones. Its nodes are dropped
  * and found in rounds, by one score. A round has passes that drop nodes, until none drops any, and
- * one that looks for nodes in the places beside others.
+ * one that looks for nodes in the places beside others. All nodes are measured at first, one
+ * work-item each; then one work-group settles the board, and measures anew what changes.
  *
  * seen: the position of a node, NAN where it is missing. owner: its corner, NONE, or PLACE if no
  * corner is there. torn: refinement of that position was rejected. at: the same position, if torn
@@ -57,11 +58,11 @@ __kernel void number_corners(__global const float *restrict corners, const uint 
   }
 }
 
-/* Squares of places, so that a pass looks only where one before changed something: what is known of
- * a node depends on nodes up to eight places away. changed: by this pass; fresh: beside such a tile. */
-#define TILE 8
+/* Squares of places, so that a pass looks only where one before changed something. */
+#define TILE 4
 #define TILES_ACROSS (width / TILE + 1)
 #define TILES_DOWN (height / TILE + 1)
+#define TILES (TILES_ACROSS * TILES_DOWN)
 #define TILE_OF(row, column) ((row) / TILE * TILES_ACROSS + (column) / TILE)
 
 /* Lay the numbered corners out as a board, which is empty if the frame has more parts. One
@@ -71,7 +72,9 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
                         const int most_parts, __constant Nats *nats, __global int *restrict layout,
                         __global float2 *restrict seen, __global int *restrict owner,
                         __global uchar *restrict torn, __global uchar *restrict used,
-                        __global uchar *restrict tried, __global uchar *restrict changed) {
+                        __global int *restrict best_score, __global int *restrict best_place,
+                        __global uchar *restrict tried, __global uchar *restrict changed,
+                        __global uchar *restrict stale) {
   const int count = (int)COUNT(corners);
   __local int left, right, top, bottom, sum, nodes;
   if (get_local_id(0) == 0) {
@@ -83,6 +86,8 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   int least_x = INT_MAX, most_x = INT_MIN, least_y = INT_MAX, most_y = INT_MIN;
   FOR_ALL(i, count) {
     used[i] = 0;
+    best_score[i] = INT_MIN;
+    best_place[i] = INT_MAX;
     const int4 n = numbers[i];
     if (!n.w) continue;
     least_x = SMALLER(least_x, n.x);
@@ -100,7 +105,10 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   const int width = fits ? across : 0, height = fits ? down : 0, all = width * height;
   const int origin_x = left - MARGIN, origin_y = top - MARGIN;
   FOR_ALL(place, all) owner[place] = INT_MAX;
-  FOR_ALL(tile, TILES_ACROSS * TILES_DOWN) changed[tile] = 1;
+  FOR_ALL(tile, TILES) {
+    changed[tile] = 0;
+    stale[tile] = 1;
+  }
   ALL_TOGETHER;
   FOR_ALL(i, all ? count : 0) {
     const int4 n = numbers[i];
@@ -128,8 +136,9 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   layout[BOARD_COLUMNS] = width;
   layout[SIGN] = sum < 0 ? -1 : 1;
   layout[NODES] = nodes;
-  layout[ROUND] = layout[DROPPED] = 0;
-  layout[ENTERED] = layout[STATE] = nodes > 0;
+  layout[ROUND] = 1;
+  layout[DROPPED] = layout[ENTERED] = 0;
+  layout[STATE] = nodes > 0;
 }
 
 /* The places of a board, but for some at its edge, row by row. */
@@ -138,9 +147,7 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   for (int row = (edge) + get_global_id(1); row < height - (edge); row += get_global_size(1)) \
     for (int column = (edge) + get_global_id(0); column < width - (edge);           \
          column += get_global_size(0))
-#define FOR_FRESH_PLACES(edge) FOR_PLACES(edge) if (fresh[TILE_OF(row, column)])
 #define PLACE_OF_WORK_ITEM const int place = row * width + column;
-#define PARITY ((row + column) & 1 ? -layout[SIGN] : layout[SIGN])
 #define IS_HERE(position) ((position).x == (position).x)
 
 /* Where the neighbours predict a place: the mean of what some of them predict, and its weight. */
@@ -228,66 +235,36 @@ float2 blended(const float2 seen, const Prediction prediction, const float cell,
   return seen + share * (prediction.at - seen);
 }
 
-/* Begin a pass: one more after one that dropped nodes, or the first of a round after nodes entered.
- * After the last round the positions are blended once more. One work-group. */
-#define RUNS 1
-#define BLENDS 2
-__kernel void begin_pass(const int rounds, __global int *restrict layout,
-                         __global uchar *restrict changed, __global uchar *restrict fresh) {
-  if (!layout[STATE]) return;
-  ALL_TOGETHER;
-  if (get_local_id(0) == 0) {
-    const bool more = layout[ENTERED] && layout[ROUND] < rounds;
-    if (layout[STATE] == RUNS && more) {
-      ++layout[ROUND];
-    } else if (layout[STATE] != RUNS || !layout[DROPPED]) {
-      layout[STATE] = layout[ENTERED] ? BLENDS : 0;
-    }
-    layout[DROPPED] = layout[ENTERED] = 0;
-  }
-  const int width = layout[BOARD_COLUMNS], height = layout[BOARD_ROWS];
-  FOR_ALL(tile, TILES_ACROSS * TILES_DOWN) {
-    const int row = tile / TILES_ACROSS, column = tile % TILES_ACROSS;
-    bool any = false;
-    for (int r = LARGER(row - 1, 0); r <= SMALLER(row + 1, TILES_DOWN - 1); ++r)
-      for (int c = LARGER(column - 1, 0); c <= SMALLER(column + 1, TILES_ACROSS - 1); ++c)
-        any |= changed[r * TILES_ACROSS + c];
-    fresh[tile] = any;
-  }
-  ALL_TOGETHER;
-  FOR_ALL(tile, TILES_ACROSS * TILES_DOWN) changed[tile] = 0;
-}
-
-/* Blend the positions with predictions. One work-item per place. */
-__kernel void blend_nodes(__global const float *restrict corners, const uint capacity,
-                          __constant Nats *nats, __global const int *restrict layout,
-                          __global const uchar *restrict fresh,
-                          __global const float2 *restrict seen, __global const uchar *restrict torn,
-                          __global float2 *restrict at, __global float2 *restrict result,
-                          __global uchar *restrict rough, __global float4 *restrict predictions,
-                          __global int *restrict best_score, __global int *restrict best_place) {
-  if (!layout[STATE]) return;
-  const int items = get_global_size(0) * get_global_size(1);
-  const int first = get_global_id(1) * get_global_size(0) + get_global_id(0);
-  for (int i = first; i < (int)COUNT(corners); i += items) {
-    best_score[i] = INT_MIN;
-    best_place[i] = INT_MAX;
-  }
-  FOR_FRESH_PLACES(0) {
-    PLACE_OF_WORK_ITEM
-    const float2 here = seen[place];
-    at[place] = result[place] = here;
-    rough[place] = 0;
-    if (!IS_HERE(here)) continue;
+/* Blend the position of a node with its prediction. Returns whether `at` changes. */
+bool blend(__constant Nats *nats, const int width, const int place, __global const float2 *seen,
+           __global const uchar *torn, __global float2 *at, __global float2 *result,
+           __global uchar *rough, __global float4 *predictions) {
+  const float2 here = seen[place], before = at[place];
+  float2 blend = here, judged = here;
+  bool is_rough = false;
+  if (IS_HERE(here)) {
     const Prediction prediction = predicted(seen, place, width);
     const float cell = steps_of(seen, place, width).cell;
     predictions[place] = (float4)(prediction.at, prediction.weight, 0.0f);
     const float2 away = here - prediction.at;
     const float limit = nats->near * cell;
-    if (!torn[place] && !(away.x * away.x + away.y * away.y > limit * limit)) continue;
-    result[place] = blended(here, prediction, cell, nats->rough_weight);
-    if (torn[place]) at[place] = result[place];
-    rough[place] = 1;
+    is_rough = torn[place] || away.x * away.x + away.y * away.y > limit * limit;
+    if (is_rough) blend = blended(here, prediction, cell, nats->rough_weight);
+    if (torn[place]) judged = blend;
+  }
+  at[place] = judged;
+  result[place] = blend;
+  rough[place] = is_rough;
+  return as_int(judged.x) != as_int(before.x) || as_int(judged.y) != as_int(before.y);
+}
+
+__kernel void blend_nodes(__constant Nats *nats, __global const int *restrict layout,
+                          __global const float2 *restrict seen, __global const uchar *restrict torn,
+                          __global float2 *restrict at, __global float2 *restrict result,
+                          __global uchar *restrict rough, __global float4 *restrict predictions) {
+  FOR_PLACES(0) {
+    PLACE_OF_WORK_ITEM
+    blend(nats, width, place, seen, torn, at, result, rough, predictions);
   }
 }
 
@@ -308,27 +285,33 @@ Cells cells_at(LEVELS_OF_IMAGE, const float2 at, const Steps steps, const int pa
 
 #define UNKNOWN INT_MIN /* the contrast where there is no node, or no step */
 
-/* Measure steps, sides and cells of the nodes. One work-item per place. */
-__kernel void measure_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
-                            __global const int *restrict layout,
-                            __global const uchar *restrict fresh, __global const float2 *restrict at,
-                            __global float *restrict cell, __global int2 *restrict sides,
-                            __global int2 *restrict cells) {
-  if (layout[STATE] != RUNS) return;
-  FOR_FRESH_PLACES(1) {
-    PLACE_OF_WORK_ITEM
-    sides[place] = (int2)(0);
-    cells[place] = (int2)(0, UNKNOWN);
-    const float2 here = at[place], right = at[place + 1], below = at[place + width];
-    if (!IS_HERE(here)) continue;
+/* Measure the steps, sides and cells of a node. */
+#define PARITY_OF(row, column) (((row) + (column)) & 1 ? -layout[SIGN] : layout[SIGN])
+void measure(LEVELS_OF_IMAGE, __constant Nats *nats, const int width, const int place,
+             const int parity, __global const float2 *at, __global float *cell,
+             __global int2 *sides, __global int2 *cells) {
+  int2 side = (int2)(0), found_cells = (int2)(0, UNKNOWN);
+  const float2 here = at[place], right = at[place + 1], below = at[place + width];
+  if (IS_HERE(here)) {
     const Steps steps = steps_of(at, place, width);
-    const int parity = PARITY;
     const Cells found = cells_at(LEVELS, here, steps, parity, nats->depth);
     cell[place] = steps.cell;
-    cells[place] = (int2)(found.quality, steps.known ? found.contrast : UNKNOWN);
+    found_cells = (int2)(found.quality, steps.known ? found.contrast : UNKNOWN);
     const float depth = nats->side_depth, px = nats->side_depth_px;
-    if (IS_HERE(right)) sides[place].x = parity * difference(LEVELS, here, right, depth, px);
-    if (IS_HERE(below)) sides[place].y = -parity * difference(LEVELS, here, below, depth, px);
+    if (IS_HERE(right)) side.x = parity * difference(LEVELS, here, right, depth, px);
+    if (IS_HERE(below)) side.y = -parity * difference(LEVELS, here, below, depth, px);
+  }
+  sides[place] = side;
+  cells[place] = found_cells;
+}
+
+__kernel void measure_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
+                            __global const int *restrict layout, __global const float2 *restrict at,
+                            __global float *restrict cell, __global int2 *restrict sides,
+                            __global int2 *restrict cells) {
+  FOR_PLACES(1) {
+    PLACE_OF_WORK_ITEM
+    measure(LEVELS, nats, width, place, PARITY_OF(row, column), at, cell, sides, cells);
   }
 }
 
@@ -367,26 +350,20 @@ float score_of(LEVELS_OF_IMAGE, const float sides, const int quality, const floa
   return inside ? score : nats->outside;
 }
 
-/* The score of each node, and the number of its sides; no node has a score of 99. One work-item per
- * place. */
+/* The score of a node, and the number of its sides; no node has a score of 99. */
 #define NO_SCORE 99.0f
 #define ADD_SIDE(neighbour, sum)                                                    \
   if (IS_HERE(at[neighbour])) {                                                     \
     whole += clipped(((float)(sum) * share) * nats->side_share);                    \
     ++count;                                                                        \
   }
-__kernel void score_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
-                          __global const int *restrict layout, __global const uchar *restrict fresh,
-                          __global const float2 *restrict seen, __global const float2 *restrict at,
-                          __global const float4 *restrict predictions,
-                          __global const float *restrict cell, __global const int2 *restrict sides,
-                          __global const int2 *restrict cells, __global float *restrict score,
-                          __global uchar *restrict sides_of) {
-  if (layout[STATE] != RUNS) return;
-  FOR_FRESH_PLACES(1) {
-    PLACE_OF_WORK_ITEM
-    score[place] = NO_SCORE;
-    if (!IS_HERE(at[place])) continue;
+void score_node(LEVELS_OF_IMAGE, __constant Nats *nats, const int width, const int place,
+                __global const float2 *seen, __global const float2 *at,
+                __global const float4 *predictions, __global const float *cell,
+                __global const int2 *sides, __global const int2 *cells, __global float *score,
+                __global uchar *sides_of) {
+  float own = NO_SCORE;
+  if (IS_HERE(at[place])) {
     const float share = usual_share(cells, place, width, nats->least_contrast);
     float whole = 0;
     int count = 0;
@@ -396,38 +373,37 @@ __kernel void score_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
     ADD_SIDE(place - width, sides[place - width].y)
     const float4 p = predictions[place];
     const Prediction prediction = {p.xy, p.z};
-    score[place] = score_of(LEVELS, whole, cells[place].x, share, seen[place], at[place], prediction,
-                            cell[place], nats);
+    own = score_of(LEVELS, whole, cells[place].x, share, seen[place], at[place], prediction,
+                   cell[place], nats);
     sides_of[place] = count;
+  }
+  score[place] = own;
+}
+
+__kernel void score_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
+                          __global const int *restrict layout, __global const float2 *restrict seen,
+                          __global const float2 *restrict at,
+                          __global const float4 *restrict predictions,
+                          __global const float *restrict cell, __global const int2 *restrict sides,
+                          __global const int2 *restrict cells, __global float *restrict score,
+                          __global uchar *restrict sides_of) {
+  FOR_PLACES(1) {
+    PLACE_OF_WORK_ITEM
+    score_node(LEVELS, nats, width, place, seen, at, predictions, cell, sides, cells, score,
+               sides_of);
   }
 }
 
-/* Drop nodes that score too little, the worst of each 3 x 3 first. One work-item per place. */
-__kernel void drop_nodes(__constant Nats *nats, __global int *restrict layout,
-                         __global const float *restrict score,
-                         __global const uchar *restrict sides_of, __global float2 *restrict seen,
-                         __global int *restrict owner, __global uchar *restrict torn,
-                         __global uchar *restrict used, __global uchar *restrict changed) {
-  if (layout[STATE] != RUNS) return;
-  FOR_PLACES(NEAR) {
-    PLACE_OF_WORK_ITEM
-    const float own = score[place];
-    if (own == NO_SCORE) continue;
-    bool drop = !sides_of[place] || own < nats->drop;
-    if (!drop && own < nats->stay) {
-      drop = true;
-      for (int r = -1; r <= 1; ++r)
-        for (int c = -1; c <= 1; ++c) drop &= own <= score[place + r * width + c];
-    }
-    if (!drop) continue;
-    if (owner[place] >= 0) used[owner[place]] = 0;
-    owner[place] = NONE;
-    seen[place] = (float2)(NAN, NAN);
-    torn[place] = 0;
-    changed[TILE_OF(row, column)] = 1;
-    layout[DROPPED] = 1;
-    atomic_dec(layout + NODES);
-  }
+/* Whether a node scores too little; the worst of each 3 x 3 goes first. */
+bool is_weak(__constant Nats *nats, const int width, const int place, __global const float *score,
+             __global const uchar *sides_of) {
+  const float own = score[place];
+  if (own == NO_SCORE) return false;
+  if (!sides_of[place] || own < nats->drop) return true;
+  bool is_worst = own < nats->stay;
+  for (int r = -1; is_worst && r <= 1; ++r)
+    for (int c = -1; c <= 1; ++c) is_worst &= own <= score[place + r * width + c];
+  return is_worst;
 }
 
 /* The nearest corner within reach, the lower one of equals. */
@@ -453,107 +429,215 @@ int nearest_corner(__global const float *corners, const uint capacity, __global 
   return found;
 }
 
-/* Look for a node in each place that is missing beside one: the nearest corner, or the place that
- * the neighbours predict. candidate: its corner, PLACE or NONE; key: its score, in an order of
- * integers. One work-item per place. */
+/* A node that a missing place beside another may have: its corner, PLACE or NONE, its position, and
+ * its score. nearest: the corner there that decides, NONE without one. */
+typedef struct {
+  int owner, nearest;
+  float2 at;
+  float score;
+} Candidate;
 int ordered(const float v) { return as_int(v) ^ (as_int(v) >> 31 & 0x7fffffff); }
 #define ADD_NEW_SIDE(neighbour, from, to, sign)                                     \
   if (IS_HERE(at[neighbour])) {                                                     \
     const int sum = (sign) * difference(LEVELS, from, to, nats->side_depth, nats->side_depth_px); \
     whole += clipped(((float)sum * share) * nats->side_share);                      \
   }
-__kernel void find_nodes(__global const float *restrict corners, const uint capacity,
-                         LEVELS_OF_IMAGE, __constant Nats *nats, __global int *restrict layout,
-                         __global const int *restrict starts, __global const int *restrict binned,
-                         __global const float2 *restrict at, __global const int2 *restrict cells,
-                         __global const uchar *restrict used,
-                         __global const uchar *restrict tried, __global int *restrict candidate,
-                         __global float2 *restrict found, __global int *restrict key,
-                         __global int *restrict best_score) {
-  if (layout[STATE] != RUNS || layout[DROPPED] || layout[NODES] < 4) return;
-  FOR_PLACES(NEAR) {
-    PLACE_OF_WORK_ITEM
-    candidate[place] = NONE;
-    if (IS_HERE(at[place]) || tried[place]) continue;
-    if (!IS_HERE(at[place + 1]) && !IS_HERE(at[place - 1]) && !IS_HERE(at[place + width]) &&
-        !IS_HERE(at[place - width]))
-      continue;
-    const Prediction prediction = predicted(at, place, width);
-    const float2 p = prediction.at;
-    if (!(prediction.weight > 0) || !(p.x > 0 && p.y > 0 && p.x < (float)((int)columns - 1) &&
-                                      p.y < (float)((int)rows - 1)))
-      continue;
-    const Steps steps = steps_of(at, place, width);
-    if (!steps.known) continue;
-    float square;
-    const float beside = nats->near * steps.cell, edge = nats->edge;
-    const int nearest = nearest_corner(corners, capacity, layout, starts, binned, rows, columns, p,
-                                       nats->reach * steps.cell, &square);
-    int own = PLACE;
-    float2 position = p;
-    if (nearest != NONE && !used[nearest]) {
-      own = nearest;
-      position = POSITIONS(corners)[nearest];
-    } else if ((nearest != NONE && square < beside * beside) || p.x < edge || p.y < edge ||
-               p.x > (float)((int)columns - 1) - edge || p.y > (float)((int)rows - 1) - edge) {
-      continue;
+Candidate candidate_at(__global const float *corners, const uint capacity, LEVELS_OF_IMAGE,
+                       __constant Nats *nats, __global const int *layout, const int width,
+                       const int place, const int parity, __global const int *starts,
+                       __global const int *binned, __global const float2 *at,
+                       __global const int2 *cells, __global const uchar *used) {
+  Candidate found = {NONE, NONE, (float2)(0.0f), 0.0f};
+  if (!IS_HERE(at[place + 1]) && !IS_HERE(at[place - 1]) && !IS_HERE(at[place + width]) &&
+      !IS_HERE(at[place - width]))
+    return found;
+  const Prediction prediction = predicted(at, place, width);
+  const float2 p = prediction.at;
+  const float right = (float)((int)columns - 1), bottom = (float)((int)rows - 1);
+  if (!(prediction.weight > 0) || !(p.x > 0 && p.y > 0 && p.x < right && p.y < bottom)) return found;
+  const Steps steps = steps_of(at, place, width);
+  if (!steps.known) return found;
+  float square;
+  const float beside = nats->near * steps.cell, edge = nats->edge;
+  found.nearest = nearest_corner(corners, capacity, layout, starts, binned, rows, columns, p,
+                                 nats->reach * steps.cell, &square);
+  int own = PLACE;
+  found.at = p;
+  if (found.nearest != NONE && !used[found.nearest]) {
+    own = found.nearest;
+    found.at = POSITIONS(corners)[own];
+  } else if ((found.nearest != NONE && square < beside * beside) || p.x < edge || p.y < edge ||
+             p.x > right - edge || p.y > bottom - edge) {
+    return found;
+  }
+  float2 here = found.at;
+  if (own != PLACE && IS_TORN(own)) here = blended(here, prediction, steps.cell, nats->rough_weight);
+  const Cells seen = cells_at(LEVELS, here, steps, parity, nats->depth);
+  const float share = usual_share(cells, place, width, nats->least_contrast);
+  float whole = 0;
+  ADD_NEW_SIDE(place + 1, here, at[place + 1], parity)
+  ADD_NEW_SIDE(place + width, here, at[place + width], -parity)
+  ADD_NEW_SIDE(place - 1, at[place - 1], here, -parity)
+  ADD_NEW_SIDE(place - width, at[place - width], here, parity)
+  found.score = score_of(LEVELS, whole, seen.quality, share, found.at, here, prediction, steps.cell,
+                         nats);
+  if (!(found.score < nats->enter)) found.owner = own;
+  return found;
+}
+
+/* Mark the tiles beside marked ones. One work-group. */
+void spread(__global const uchar *from, __global uchar *to, const int width, const int height) {
+  FOR_ALL(tile, TILES) {
+    const int row = tile / TILES_ACROSS, column = tile % TILES_ACROSS;
+    uchar any = 0;
+    for (int r = LARGER(row - 1, 0); r <= SMALLER(row + 1, TILES_DOWN - 1); ++r)
+      for (int c = LARGER(column - 1, 0); c <= SMALLER(column + 1, TILES_ACROSS - 1); ++c)
+        any |= from[r * TILES_ACROSS + c];
+    to[tile] = any;
+  }
+  ALL_TOGETHER;
+}
+
+/* All tiles, and the places of one, of which some may lie beyond the board. One work-group. */
+#define LANES ((int)SMALLER(get_local_size(0), TILE * TILE))
+#define FOR_TILES                                                                   \
+  for (int tile = get_local_id(0) / LANES; tile < TILES; tile += get_local_size(0) / LANES)
+#define FOR_PLACES_OF_TILE(edge)                                                    \
+  for (int m = get_local_id(0) % LANES, row, column; m < TILE * TILE; m += LANES)   \
+    if (row = tile / TILES_ACROSS * TILE + m / TILE,                                \
+        column = tile % TILES_ACROSS * TILE + m % TILE, IS_INSIDE(row, column, edge))
+#define IS_INSIDE(row, column, edge)                                                \
+  ((row) >= (edge) && (row) < height - (edge) && (column) >= (edge) && (column) < width - (edge))
+
+/* Drop nodes and find others until nothing changes, or the rounds are over; the positions are
+ * blended once more then. One work-group.
+ *
+ * changed: tiles of nodes that this pass dropped or entered; fresh: those and tiles beside them;
+ * moved: tiles in which `at` changed; near, wide: those within one and two tiles of these, then
+ * those beside wide ones; stale: tiles that changed since nodes were looked for. What is known of a
+ * place depends on `seen` within three places, then on `at` within three, then on cells within two.
+ * asked: the corner that decided at a place without a node, and whether it was used; asking: tiles
+ * with such places. */
+#define RUNS 1
+#define BLENDS 2
+#define ASKED(corner) ((corner) == NONE ? NONE : 2 * (corner) + used[corner])
+__kernel void settle_nodes(__global const float *restrict corners, const uint capacity,
+                           LEVELS_OF_IMAGE, __constant Nats *nats, const int rounds,
+                           __global const int *restrict starts, __global const int *restrict binned,
+                           __global int *layout, __global float2 *seen, __global int *owner,
+                           __global uchar *torn, __global uchar *used, __global uchar *tried,
+                           __global float2 *at, __global float2 *result, __global uchar *rough,
+                           __global float4 *predictions, __global float *cell,
+                           __global int2 *sides, __global int2 *cells, __global float *score,
+                           __global uchar *sides_of, __global int *candidate,
+                           __global float2 *found, __global int *key, __global int *listed,
+                           __global int *asked, __global int *best_score,
+                           __global int *best_place, __global uchar *changed,
+                           __global uchar *fresh, __global uchar *moved, __global uchar *near,
+                           __global uchar *wide, __global uchar *stale,
+                           __global uchar *asking) {
+  const int width = layout[BOARD_COLUMNS], height = layout[BOARD_ROWS];
+  __local int candidates;
+  FOR_ALL(tile, TILES) {
+    near[tile] = 1;
+    asking[tile] = 0;
+  }
+  ALL_TOGETHER;
+  while (layout[STATE]) {
+    const bool runs = layout[STATE] == RUNS;
+    ALL_TOGETHER;
+    if (get_local_id(0) == 0) candidates = 0;
+    FOR_TILES if (runs && near[tile]) FOR_PLACES_OF_TILE(NEAR) {
+      PLACE_OF_WORK_ITEM
+      if (!is_weak(nats, width, place, score, sides_of)) continue;
+      if (owner[place] >= 0) used[owner[place]] = 0;
+      owner[place] = NONE;
+      seen[place] = (float2)(NAN, NAN);
+      torn[place] = 0;
+      changed[tile] = 1;
+      layout[DROPPED] = 1;
+      atomic_dec(layout + NODES);
     }
-    float2 here = position;
-    if (own != PLACE && IS_TORN(own))
-      here = blended(position, prediction, steps.cell, nats->rough_weight);
-    const int parity = PARITY;
-    const Cells seen = cells_at(LEVELS, here, steps, parity, nats->depth);
-    const float share = usual_share(cells, place, width, nats->least_contrast);
-    float whole = 0;
-    ADD_NEW_SIDE(place + 1, here, at[place + 1], parity)
-    ADD_NEW_SIDE(place + width, here, at[place + width], -parity)
-    ADD_NEW_SIDE(place - 1, at[place - 1], here, -parity)
-    ADD_NEW_SIDE(place - width, at[place - width], here, parity)
-    const float score = score_of(LEVELS, whole, seen.quality, share, position, here, prediction,
-                                 steps.cell, nats);
-    if (score < nats->enter) continue;
-    candidate[place] = own;
-    found[place] = position;
-    key[place] = ordered(score);
-    if (own != PLACE) atomic_max(best_score + own, key[place]);
-  }
-}
-
-/* A corner goes to the place where it scores most, of equals to the first. One work-item per
- * place. */
-__kernel void claim_corners(__global int *restrict layout, __global const int *restrict candidate,
-                            __global const int *restrict key,
-                            __global const int *restrict best_score,
-                            __global int *restrict best_place) {
-  if (layout[STATE] != RUNS || layout[DROPPED] || layout[NODES] < 4) return;
-  FOR_PLACES(NEAR) {
-    PLACE_OF_WORK_ITEM
-    const int own = candidate[place];
-    if (own >= 0 && key[place] == best_score[own]) atomic_min(best_place + own, place);
-  }
-}
-
-/* The candidates become nodes, each place once. One work-item per place. */
-__kernel void enter_nodes(__global const float *restrict corners, const uint capacity,
-                          __constant Nats *nats, __global int *restrict layout,
-                          __global const int *restrict candidate,
-                          __global const float2 *restrict found,
-                          __global const int *restrict best_place, __global float2 *restrict seen,
-                          __global int *restrict owner, __global uchar *restrict torn,
-                          __global uchar *restrict used, __global uchar *restrict changed,
-                          __global uchar *restrict tried) {
-  if (layout[STATE] != RUNS || layout[DROPPED] || layout[NODES] < 4) return;
-  FOR_PLACES(NEAR) {
-    PLACE_OF_WORK_ITEM
-    const int own = candidate[place];
-    if (own == NONE || (own >= 0 && best_place[own] != place)) continue;
-    owner[place] = own;
-    seen[place] = found[place];
-    tried[place] = 1;
-    torn[place] = own == PLACE || IS_TORN(own);
-    if (own >= 0) used[own] = 1;
-    changed[TILE_OF(row, column)] = 1;
-    layout[ENTERED] = 1;
-    atomic_inc(layout + NODES);
+    ALL_TOGETHER;
+    const bool looks = runs && !layout[DROPPED] && layout[NODES] >= 4;
+    FOR_TILES if (looks && (stale[tile] || asking[tile])) FOR_PLACES_OF_TILE(NEAR) {
+      PLACE_OF_WORK_ITEM
+      if (!stale[tile] && (asked[place] < 0 || asked[place] == ASKED(asked[place] / 2))) continue;
+      asked[place] = NONE;
+      if (IS_HERE(at[place]) || tried[place]) continue;
+      const Candidate own =
+          candidate_at(corners, capacity, LEVELS, nats, layout, width, place,
+                       PARITY_OF(row, column), starts, binned, at, cells, used);
+      asked[place] = ASKED(own.nearest);
+      if (own.nearest != NONE) asking[tile] = 1;
+      if (own.owner == NONE) continue;
+      candidate[place] = own.owner;
+      found[place] = own.at;
+      key[place] = ordered(own.score);
+      if (own.owner != PLACE) atomic_max(best_score + own.owner, key[place]);
+      listed[atomic_inc(&candidates)] = place;
+    }
+    ALL_TOGETHER;
+    FOR_ALL(k, candidates) { /* a corner goes to the place where it scores most, then to the first */
+      const int own = candidate[listed[k]];
+      if (own >= 0 && key[listed[k]] == best_score[own]) atomic_min(best_place + own, listed[k]);
+    }
+    ALL_TOGETHER;
+    FOR_ALL(k, candidates) {
+      const int place = listed[k], own = candidate[place];
+      if (own >= 0 && best_place[own] != place) continue;
+      owner[place] = own;
+      seen[place] = found[place];
+      tried[place] = 1;
+      torn[place] = own == PLACE || IS_TORN(own);
+      if (own >= 0) used[own] = 1;
+      changed[TILE_OF(place / width, place % width)] = 1;
+      layout[ENTERED] = 1;
+      atomic_inc(layout + NODES);
+    }
+    ALL_TOGETHER;
+    FOR_ALL(k, candidates) {
+      const int own = candidate[listed[k]];
+      if (own < 0) continue;
+      best_score[own] = INT_MIN;
+      best_place[own] = INT_MAX;
+    }
+    FOR_ALL(tile, looks ? TILES : 0) stale[tile] = 0;
+    if (get_local_id(0) == 0) { /* one more pass after drops, a round after nodes entered */
+      if (runs && layout[ENTERED] && layout[ROUND] < rounds) {
+        ++layout[ROUND];
+      } else if (!runs || !layout[DROPPED]) {
+        layout[STATE] = layout[ENTERED] ? BLENDS : 0;
+      }
+      layout[DROPPED] = layout[ENTERED] = 0;
+    }
+    ALL_TOGETHER;
+    if (!layout[STATE]) break;
+    spread(changed, fresh, width, height);
+    FOR_ALL(tile, TILES) changed[tile] = moved[tile] = 0;
+    ALL_TOGETHER;
+    FOR_TILES if (fresh[tile]) FOR_PLACES_OF_TILE(0) {
+      PLACE_OF_WORK_ITEM
+      if (blend(nats, width, place, seen, torn, at, result, rough, predictions)) moved[tile] = 1;
+    }
+    ALL_TOGETHER;
+    if (layout[STATE] != RUNS) continue;
+    spread(moved, near, width, height);
+    FOR_TILES if (near[tile]) FOR_PLACES_OF_TILE(1) {
+      PLACE_OF_WORK_ITEM
+      measure(LEVELS, nats, width, place, PARITY_OF(row, column), at, cell, sides, cells);
+    }
+    spread(near, wide, width, height);
+    FOR_ALL(tile, TILES) {
+      wide[tile] |= fresh[tile];
+      stale[tile] |= wide[tile];
+    }
+    ALL_TOGETHER;
+    FOR_TILES if (wide[tile]) FOR_PLACES_OF_TILE(1) {
+      PLACE_OF_WORK_ITEM
+      score_node(LEVELS, nats, width, place, seen, at, predictions, cell, sides, cells, score,
+                 sides_of);
+    }
+    spread(wide, near, width, height);
   }
 }

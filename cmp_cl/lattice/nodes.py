@@ -11,31 +11,29 @@ from cmp_cl.opencl.launches import Launch
 if TYPE_CHECKING:
     from cmp_cl.lattice.plan import LatticePlan
 
-# In the layout, see kernels/lattice.clh.
-ROWS, COLUMNS, SIGN, DROPPED, ENTERED, STATE, PARTS = 3, 4, 5, 8, 9, 10, 11
-LAYOUT = 12  # numbers in it
-RUNS = 1
+PARTS, LAYOUT = 11, 12  # in the layout, see kernels/lattice.clh: the parts; numbers in all
 ANY = 2**31 - 1  # number of parts
-TILES = 16  # places for each tile, at least: a board has margins
+TILES = 8  # places for each tile, at least: a board has margins
+MARKS = ("changed", "fresh", "moved", "near", "wide", "stale", "asking")  # of tiles
 OUTSIDE = -9.0  # nats of a node outside the image
 
 
 def sizes(plan: "LatticePlan") -> dict[str, int]:
     """Return the bytes of the buffers."""
     places, corners = plan.places, plan.capacity
-    four = dict.fromkeys(("owner", "cell", "score", "candidate", "key"), 4 * places)
+    names = ("owner", "cell", "score", "candidate", "key", "listed", "asked")
+    four = dict.fromkeys(names, 4 * places)
     eight = dict.fromkeys(("seen", "at", "result", "sides", "cells", "found"), 8 * places)
     return {
         **four,
         **eight,
+        **dict.fromkeys(MARKS, places // TILES),
         "layout": 4 * LAYOUT,
         "predictions": 16 * places,
         "torn": places,
         "rough": places,
         "sides_of": places,
         "tried": places,
-        "changed": places // TILES,
-        "fresh": places // TILES,
         "numbers": 16 * corners,
         "used": corners,
         "best_score": 4 * corners,
@@ -61,88 +59,56 @@ def first_board(plan: "LatticePlan") -> list[Launch]:
 
 
 def lay(plan: "LatticePlan", most_parts: int) -> list[Launch]:
-    """Return the launch from the numbers of corners to a board, empty if there are more parts."""
-    b = plan.buffers
-    return [
-        plan.one_group(
-            "lay_board",
-            **plan.corners,
-            numbers=b["numbers"],
-            places=np.int32(plan.places),
-            most_parts=np.int32(most_parts),
-            nats=plan.nats,
-            layout=b["layout"],
-            **{name: b[name] for name in ("seen", "owner", "torn", "used", "tried", "changed")},
-        )
-    ]
-
-
-def a_pass(plan: "LatticePlan") -> list[Launch]:
-    """Return the launches of a pass: nodes are dropped, or if none is, nodes are found."""
-    k, corners, image, nats = plan.constants, plan.corners, plan.levels, {"nats": plan.nats}
+    """Return the launches from the numbers of corners to a board whose nodes are settled, empty if
+    there are more parts."""
+    corners, image, nats = plan.corners, plan.levels, {"nats": plan.nats}
 
     def some(*names: str) -> dict[str, object]:
         return {name: plan.buffers[name] for name in names}
 
-    nodes = some("seen", "owner", "torn", "used", "changed")
+    nodes = some("seen", "owner", "torn", "used")
+    positions = some("at", "result", "rough", "predictions")
+    measures = some("cell", "sides", "cells")
+    scores = some("score", "sides_of")
+    claims = some("best_score", "best_place")
     return [
         plan.one_group(
-            "begin_pass", rounds=np.int32(k.rounds), **some("layout", "changed", "fresh")
-        ),
-        plan.of_places(
-            "blend_nodes",
+            "lay_board",
             **corners,
+            **some("numbers"),
+            places=np.int32(plan.places),
+            most_parts=np.int32(most_parts),
             **nats,
-            **some(
-                "layout",
-                "fresh",
-                "seen",
-                "torn",
-                "at",
-                "result",
-                "rough",
-                "predictions",
-                "best_score",
-                "best_place",
-            ),
+            **some("layout"),
+            **nodes,
+            **claims,
+            **some("tried", "changed", "stale"),
         ),
-        plan.of_places(
-            "measure_nodes",
-            **image,
-            **nats,
-            **some("layout", "fresh", "at", "cell", "sides", "cells"),
-        ),
+        plan.of_places("blend_nodes", **nats, **some("layout", "seen", "torn"), **positions),
+        plan.of_places("measure_nodes", **image, **nats, **some("layout", "at"), **measures),
         plan.of_places(
             "score_nodes",
             **image,
             **nats,
-            **some("layout", "fresh", "seen", "at", "predictions", "cell", "sides", "cells"),
-            **some("score", "sides_of"),
+            **some("layout", "seen", "at", "predictions"),
+            **measures,
+            **scores,
         ),
-        plan.of_places(
-            "drop_nodes",
-            **nats,
-            **some("layout", "score", "sides_of"),
-            **nodes,
-        ),
-        plan.of_places(
-            "find_nodes",
+        plan.one_group(
+            "settle_nodes",
             **corners,
             **image,
             **nats,
-            **some("layout", "starts", "binned", "at", "cells", "used", "tried"),
-            **some("candidate", "found", "key", "best_score"),
-        ),
-        plan.of_places(
-            "claim_corners", **some("layout", "candidate", "key", "best_score", "best_place")
-        ),
-        plan.of_places(
-            "enter_nodes",
-            **corners,
-            **nats,
-            **some("layout", "candidate", "found", "best_place"),
+            rounds=np.int32(plan.constants.rounds),
+            **some("starts", "binned", "layout"),
             **nodes,
             **some("tried"),
+            **positions,
+            **measures,
+            **scores,
+            **some("candidate", "found", "key", "listed", "asked"),
+            **claims,
+            **some(*MARKS),
         ),
     ]
 

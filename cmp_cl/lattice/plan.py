@@ -34,8 +34,6 @@ FILES = ("bins", "links", "faces", "parts", "votes", "nodes", "borders")
 SHARED = ("image", "corners", "layout", "nodes", "node_owner", "node_rough", "border")
 ONE_GROUP = 256  # work-items of a kernel that is one work-group
 PLACES = 16384  # of a board with few corners
-FIRST_PASSES = 2  # that are launched with a frame; whole gels need one or two
-MOST_PASSES = 8  # that are launched at a time; one that is not needed does nothing
 ROWS = 64  # work-items, of which each takes rows of a board, on a CPU
 LANES = 8  # the fields of the corners have a multiple of so many elements
 MOST_PLANS = 4  # that are kept for corners that come from the host
@@ -93,10 +91,9 @@ class LatticePlan(Binder):
         self.nats = self.constant(nodes.nats(self))
         self.launches = [*links.launches(self), *parts.launches(self), *nodes.first_board(self)]
         self.find_votes = votes.launches(self)
-        self.lay_only, self.lay = (nodes.lay(self, most) for most in (1, nodes.ANY))
-        self.a_pass = nodes.a_pass(self)
         self.measure = [borders.measure(self)]
-        self.finish = [borders.cut(self), *self.measure]
+        finish = [borders.cut(self), *self.measure]
+        self.lay_only, self.lay = ([*nodes.lay(self, most), *finish] for most in (1, nodes.ANY))
         self._likely = 0  # places of a board, as of the frame before
 
     def __del__(self) -> None:
@@ -283,7 +280,7 @@ class LatticePlan(Binder):
     def start(self) -> None:
         """Enqueue what leads from the corners to the parts, and if one part is large enough, to its
         board. Nothing is waited for."""
-        self.enqueue([*self.launches, *self.lay_only, *self._passes(FIRST_PASSES)])
+        self.enqueue([*self.launches, *self.lay_only])
 
     def wait(self) -> None:
         """Wait until the launches are done."""
@@ -295,7 +292,7 @@ class LatticePlan(Binder):
         layout, board = self._board()
         if layout[nodes.PARTS] > 1:
             return None
-        return self._after_all_passes(layout, board)
+        return board
 
     def parts(self) -> Parts:
         """Return the parts of the frame, by half-edge."""
@@ -327,7 +324,7 @@ class LatticePlan(Binder):
         return votes.votes(self, units)
 
     def settle(self, numbers: NDArray[np.int32] | None = None) -> Board:
-        """Return the board of numbered corners once no pass changes its nodes, as `_board`.
+        """Return the board of numbered corners, its nodes settled, as `_board`.
 
         numbers: (N, 4), column, row, quarter turn, and 1 for a corner that has them; None for those
             of the largest part. A number that several corners have goes to the first of them. The
@@ -335,8 +332,8 @@ class LatticePlan(Binder):
         """
         if numbers is not None:
             self._write("numbers", numbers)
-        self.enqueue([*self.lay, *self._passes(FIRST_PASSES)])
-        return self._after_all_passes(*self._board())
+        self.enqueue(self.lay)
+        return self._board()[1]
 
     def measured(self, board: Board) -> tuple[Border, int]:
         """Return the border of a board, and the quarter turns that make it upright."""
@@ -346,20 +343,6 @@ class LatticePlan(Binder):
         self.enqueue(self.measure)
         found = self.read("border", np.int32)
         return Border.of(found), borders.upright(found)
-
-    def _passes(self, count: int) -> list[Launch]:
-        return [*self.a_pass * count, *self.finish]
-
-    def _after_all_passes(self, layout: NDArray[np.int32], board: Board) -> Board:
-        """Return the board once no pass changes it, from its state after some passes."""
-        passes = FIRST_PASSES
-        while layout[nodes.STATE] == nodes.RUNS and (
-            layout[nodes.DROPPED] or layout[nodes.ENTERED]
-        ):
-            passes = min(2 * passes, MOST_PASSES)
-            self.enqueue(self._passes(passes))
-            layout, board = self._board()
-        return board
 
     def _board(self) -> tuple[NDArray[np.int32], Board]:
         """Wait. Return the layout, and the board as it is: upright, with its border, without outer
