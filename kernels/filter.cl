@@ -129,6 +129,14 @@ float8 average_down(__global const float *plane, const int row, const int column
   return sum;
 }
 
+/* Eight nodes of a row of a plane of NODES; the last one again for those beyond it. */
+float8 eight_nodes(__global const float *plane, const int row, const int column) {
+  float found[LANES];
+  for (int lane = 0; lane < LANES; ++lane)
+    found[lane] = plane[row * COLUMNS + min(column + lane, COLUMNS - 1)];
+  return EIGHT_OF(found);
+}
+
 /* The residuals of the pilot along both axes, along each axis and along each diagonal; their sizes,
  * the masks of the nodes that count and the products of the coordinates of the first, averaged
  * along the row into `near`; and sums over the row, from which the degrees of freedom of each
@@ -169,77 +177,77 @@ __kernel void pilot(__global const float *data, __global const uchar *votes,
 #endif
     }
   }
-  int supported[COLUMNS];
-  EACH_COLUMN supported[c] = 1;
-  if (MISSING_NOW != 0) {
-    const int top = WINDOW_START(row, PILOT_DOWN, ROWS);
-    EACH_COLUMN {
-      const int first = WINDOW_START(c, PILOT_ALONG, COLUMNS);
-      int count = 0;
-      for (int r = 0; r <= 2 * PILOT_DOWN; ++r)
-        for (int t = 0; t <= 2 * PILOT_ALONG; ++t) count += votes[(top + r) * COLUMNS + first + t];
-      supported[c] = LEAST_SUPPORTED(count, (2 * PILOT_DOWN + 1) * (2 * PILOT_ALONG + 1));
-    }
+  float vote[LINE], supported[LINE], own_across[LINE];
+  const int top = WINDOW_START(row, PILOT_DOWN, ROWS), missing = MISSING_NOW;
+  for (int c = 0; c < LINE; ++c) {
+    const int inside = row >= 3 && row < ROWS - 3 && c >= 3 && c < COLUMNS - 3;
+    vote[c] = c < COLUMNS ? votes[row * COLUMNS + c] : 0;
+    supported[c] = 1;
+    own_across[c] = inside ? DIAGONAL[3] : 1.0f;
+    if (missing == 0 || c >= COLUMNS) continue;
+    const int first = WINDOW_START(c, PILOT_ALONG, COLUMNS);
+    int count = 0;
+    for (int r = 0; r <= 2 * PILOT_DOWN; ++r)
+      for (int t = 0; t <= 2 * PILOT_ALONG; ++t) count += votes[(top + r) * COLUMNS + first + t];
+    supported[c] = LEAST_SUPPORTED(count, (2 * PILOT_DOWN + 1) * (2 * PILOT_ALONG + 1));
   }
-  float vote[COLUMNS];
-  EACH_COLUMN vote[c] = votes[row * COLUMNS + c];
   float line[LINE + 2 * NOISE_REACH], mask[LINE + 2 * NOISE_REACH];
-  const float row_own = own_down[row];
+  const float8 own_of_row = own_down[row], none = 0;
   for (int e = 0; e < ESTIMATES; ++e) {
-    float sum[PRODUCTS];
+    float8 sum[PRODUCTS];
     for (int p = 0; p < PRODUCTS; ++p) sum[p] = 0;
-    EACH_COLUMN {
-      const int rim = row < 3 || row >= ROWS - 3 || c < 3 || c >= COLUMNS - 3;
-      const float own = e == 0   ? row_own * own_along[c]
-                        : e == 1 ? row_own
-                        : e == 2 ? own_along[c]
-                        : rim    ? 1.0f
-                                 : DIAGONAL[3];
-      float square = 0;
-      for (int k = 0; k < K; ++k) square += left[e][k][c] * left[e][k][c];
-      const int usable = vote[c] > 0 && (e == 0 ? supported[c] && 1 - own > 0.05f : own < 0.95f);
-      const float root = sqrt(square / (K * fmax(1 - own, e == 0 ? 1e-3f : 0.05f)));
-      line[NOISE_REACH + c] = usable ? root : 0.0f;
-      mask[NOISE_REACH + c] = usable ? 1.0f : 0.0f;
-      const float by_size = usable && root > 0 ? 1 / root : 0.0f;
+    EACH_EIGHT {
+      const float8 along = EIGHT_AT(own_along + c), across = EIGHT_OF(own_across + c);
+      const float8 own = e == 0 ? own_of_row * along : e == 1 ? own_of_row : e == 2 ? along : across;
+      const float8 left_over = 1 - own, least = e == 0 ? 1e-3f : 0.05f;
+      const float8 counts_if = e == 0 ? EIGHT_OF(supported + c) : 1 + none;
+      float8 square = 0;
+      for (int k = 0; k < K; ++k) square += EIGHT_OF(left[e][k] + c) * EIGHT_OF(left[e][k] + c);
+      const int8 usable = EIGHT_OF(vote + c) > 0 && counts_if > 0 && left_over > 0.05f;
+      const float8 root = sqrt(square / (K * (left_over > least ? left_over : least)));
+      EIGHT_OF(line + NOISE_REACH + c) = usable ? root : none;
+      EIGHT_OF(mask + NOISE_REACH + c) = usable ? 1 + none : none;
+      const int8 nonzero = usable && root > 0;
       int p = 0;
       for (int j = 0; j < K; ++j)
-        for (int k = j; k < K; ++k) sum[p++] += by_size * left[e][j][c] * left[e][k][c];
+        for (int k = j; k < K; ++k, ++p)
+          sum[p] += nonzero ? EIGHT_OF(left[e][j] + c) * EIGHT_OF(left[e][k] + c) / root : none;
     }
     average_along(line, NOISE_REACH, rows_noise, near + (e * ROWS + row) * LINE);
     if (e < 4)
       average_along(mask, NOISE_REACH, rows_noise, near + (MASK_PLANE(e) * ROWS + row) * LINE);
-    for (int p = 0; p < PRODUCTS; ++p) sums[row * SUMS + e * PRODUCTS + p] = sum[p];
+    for (int p = 0; p < PRODUCTS; ++p) {
+      const float4 half_sum = sum[p].lo + sum[p].hi;
+      sums[row * SUMS + e * PRODUCTS + p] =
+          half_sum.x + half_sum.y + half_sum.z + half_sum.w;
+    }
   }
   int p = PRODUCT_PLANE;
   for (int j = 0; j < K; ++j)
     for (int k = j; k < K; ++k) {
-      EACH_COLUMN line[NOISE_REACH + c] = vote[c] * left[0][j][c] * left[0][k][c];
+      EACH_EIGHT EIGHT_OF(line + NOISE_REACH + c) =
+          EIGHT_OF(vote + c) * EIGHT_OF(left[0][j] + c) * EIGHT_OF(left[0][k] + c);
       average_along(line, NOISE_REACH, rows_noise, near + (p++ * ROWS + row) * LINE);
     }
-  float total = 0;
-  EACH_COLUMN {
-    float square = 0;
-    for (int k = 0; k < K; ++k) {
-      square += left[0][k][c] * left[0][k][c];
-      total += here[k][c] * here[k][c];
-    }
-    size[row * LINE + c] = vote[c] * square / K;
+  EACH_EIGHT {
+    float8 square = 0;
+    for (int k = 0; k < K; ++k) square += EIGHT_OF(left[0][k] + c) * EIGHT_OF(left[0][k] + c);
+    EIGHT_AT(size + row * LINE + c) = EIGHT_OF(vote + c) * square / K;
   }
+  float total = 0;
+  for (int k = 0; k < K; ++k) EACH_COLUMN total += here[k][c] * here[k][c];
   sums[row * SUMS + SUMS - 1] = total;
 }
 
 /* The mean length of a residual with variance 1 per coordinate, if its length is chi-distributed.
- * The degrees of freedom are the effective number of directions of the residuals. */
-float expected_length(__global const float *sums, const int estimate) {
+ * The degrees of freedom are the effective number of directions of the residuals, from the sums of
+ * the products of their coordinates. */
+float expected_length(const float *products) {
   float trace = 0, square = 0;
-  int p = estimate * PRODUCTS;
   for (int j = 0; j < K; ++j)
-    for (int k = j; k < K; ++k, ++p) {
-      float sum = 0;
-      for (int row = 0; row < ROWS; ++row) sum += sums[row * SUMS + p];
-      trace += j == k ? sum : 0;
-      square += j == k ? sum * sum : 2 * sum * sum;
+    for (int k = j; k < K; ++k, ++products) {
+      trace += j == k ? *products : 0;
+      square += j == k ? *products * *products : 2 * *products * *products;
     }
   const float freedom = square > 0 ? trace * trace / square : (float)K;
   return sqrt(2 / freedom) * exp(lgamma(freedom / 2 + 0.5f) - lgamma(freedom / 2));
@@ -260,38 +268,41 @@ __kernel void noise(__global const float *near, __global const float *sums,
   const int row = get_global_id(0);
   if (row >= ROWS) return;
   SKIP_IF_SETTLED
-  float length[ESTIMATES], floor_of_all = 0;
-  for (int e = 0; e < ESTIMATES; ++e) length[e] = expected_length(sums, e);
-  for (int r = 0; r < ROWS; ++r) floor_of_all += sums[r * SUMS + SUMS - 1];
-  const float least_of_all = fmax(FLOOR * floor_of_all / (K * NODES), LEAST_VARIANCE);
-  float near_row[NOISE_PLANES][LINE], both[COLUMNS], least[COLUMNS];
-  for (int plane = 0; plane < NOISE_PLANES; ++plane)
-    EACH_EIGHT EIGHT_OF(near_row[plane] + c) =
-        average_down(near + plane * PLANE, row, c, NOISE_REACH, rows_noise);
-  for (int e = 0; e < ESTIMATES; ++e) {
-    const float *mean = near_row[e], *mask = near_row[MASK_PLANE(e)];
-    EACH_COLUMN {
-      const float root = mean[c] / (fmax(mask[c], NONE_NEAR) * length[e]);
-      const float estimate = mask[c] > NONE_NEAR ? root * root : NAN;
-      if (e == 0) both[c] = least[c] = estimate + least_of_all;
-      else least[c] = fmin(least[c], estimate);
+  float length[ESTIMATES], all[SUMS], both[LINE];
+  for (int p = 0; p < SUMS; ++p) all[p] = 0;
+  for (int r = 0; r < ROWS; ++r)
+    for (int p = 0; p < SUMS; ++p) all[p] += sums[r * SUMS + p];
+  for (int e = 0; e < ESTIMATES; ++e) length[e] = expected_length(all + e * PRODUCTS);
+  const float least_of_all = fmax(FLOOR * all[SUMS - 1] / (K * NODES), LEAST_VARIANCE);
+  const float8 none_near = NONE_NEAR, unknown = NAN, smallest = LEAST_VARIANCE;
+#define NEAR_HERE(plane) average_down(near + (plane) * PLANE, row, c, NOISE_REACH, rows_noise)
+  EACH_EIGHT {
+    const int at = row * LINE + c;
+    float8 first = 0, least = 0;
+    for (int e = 0; e < ESTIMATES; ++e) {
+      const float8 mean = NEAR_HERE(e), mask = NEAR_HERE(MASK_PLANE(e));
+      const float8 root = mean / ((mask > none_near ? mask : none_near) * length[e]);
+      const float8 estimate = mask > none_near ? root * root : unknown;
+      if (e == 0) first = least = estimate + least_of_all;
+      else least = estimate < least || least != least ? estimate : least;
     }
-  }
-  EACH_COLUMN {
-    const int i = row * COLUMNS + c, at = row * LINE + c;
-    const float bound = bound_rest[i] + variance_now[i];
-    const float unbounded = bends ? fmin(both[c], LEAST_OF_FIVE * least[c]) : both[c];
-    variance[at] = both[c];
-    chosen[at] = isnan(both[c]) ? NAN : fmax(fmin(unbounded, bound), LEAST_VARIANCE);
-    float trace = 0;
-    int p = PRODUCT_PLANE;
+    const float8 bound = EIGHT_AT(bound_rest + at) + eight_nodes(variance_now, row, c);
+    const float8 lower = LEAST_OF_FIVE * least, lowest = lower < first ? lower : first;
+    const float8 unbounded = bends ? lowest : first;
+    const float8 bounded = bound < unbounded ? bound : unbounded;
+    EIGHT_OF(both + c) = EIGHT_AT(variance + at) = first;
+    EIGHT_AT(chosen + at) = first != first ? first : bounded > smallest ? bounded : smallest;
+    float8 product[PRODUCTS], trace = 0;
+    int p = 0;
     for (int j = 0; j < K; ++j)
-      for (int k = j; k < K; ++k, ++p) trace += j == k ? near_row[p][c] : 0;
+      for (int k = j; k < K; ++k, ++p) {
+        product[p] = NEAR_HERE(PRODUCT_PLANE + p);
+        if (j == k) trace += product[p];
+      }
     p = 0;
     for (int j = 0; j < K; ++j)
       for (int k = j; k < K; ++k, ++p)
-        common[p * PLANE + at] =
-            trace > 0 ? near_row[PRODUCT_PLANE + p][c] * (K / trace) : (float)(j == k);
+        EIGHT_AT(common + p * PLANE + at) = trace > 0 ? product[p] * K / trace : (float8)(j == k);
   }
   if (round == 3) return;
   EACH_COLUMN {
@@ -347,11 +358,14 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
     __global const float *matrix = filters_along + b * COLUMNS * LINE;
     EACH_EIGHT {
       float8 found[K], square = EIGHT_OF(twice + c) * EIGHT_AT(own_along + b * LINE + c);
+#pragma unroll
       for (int k = 0; k < K; ++k) found[k] = 0;
       EACH_NODE_OF_WINDOWS(j, c, sides_along[b]) {
         const float8 weight = EIGHT_AT(matrix + j * LINE + c);
+#pragma unroll
         for (int k = 0; k < K; ++k) found[k] += weight * down[k][j];
       }
+#pragma unroll
       for (int k = 0; k < K; ++k) {
         const float8 apart = found[k] - EIGHT_OF(here[k] + c);
         square += apart * apart;

@@ -56,8 +56,9 @@
 #define BINS (view * bin_rows * bin_columns)
 
 /* The bin of a place, held inside the grid of bins. */
-#define BIN_COLUMN(x) clamp((int)floor((x) / bin), 0, bin_columns - 1)
-#define BIN_ROW(y) clamp((int)floor((y) / bin), 0, bin_rows - 1)
+#define HELD(n, count) ((n) < 0 ? 0 : (n) < (count) ? (n) : (count) - 1)
+#define BIN_COLUMN(x) HELD((int)((x) / bin), bin_columns)
+#define BIN_ROW(y) HELD((int)((y) / bin), bin_rows)
 
 /* The steps to the next column and to the next row around node i of its view. */
 #define STEPS(at)                                                                   \
@@ -206,7 +207,7 @@ __kernel void place(__global const float *result, const uint stride, const uint 
     for (int x = BIN_COLUMN((place).x - (reach)); x <= BIN_COLUMN((place).x + (reach)); ++x) \
       for (int j = first_of_bin[BINS + y * bin_columns + x]; j >= 0; j = next[CORNERS + j]) { \
         const float2 off = corners[CORNERS + j].xy - (place);                       \
-        const float off_2 = dot(off, off);                                          \
+        const float off_2 = off.x * off.x + off.y * off.y; /* dot is a call on PoCL */  \
         if (!(off_2 < (reach) * (reach)) || !(IS_ALLOWED)) continue;                \
         ++within;                                                                   \
         if (best >= 0 && (off_2 > best_2 || (off_2 == best_2 && j > best))) continue; \

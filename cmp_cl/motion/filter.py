@@ -153,7 +153,7 @@ def _filtered(
     inputs = plan.inputs.arrays
     inputs["moved"][:] = planes(np.where(there[..., None], values, 0))
     inputs["points"][:] = flat(by_images)
-    inputs["bound_rest"][:] = np.nan if most is None else most
+    inputs["bound_rest"][:, :columns] = np.nan if most is None else most
     inputs["valid"][:] = there
     inputs["measured"][:] = inputs["votes"][:] = votes
     results.arrays["counts"][:] = (there.size - np.count_nonzero(votes), *ROUNDS * [0])
@@ -224,7 +224,8 @@ class LatticeFilter:
     `filter_change`. slopes: whether the variances of slopes are computed.
     inputs: what the launches start from. moved: K planes (R, C), 0 where there is no value.
     points: their covariance by the images, 6 planes or 1. bent: K planes, subtracted at the end.
-    own, bound_rest: (R, C), of which the sum is the largest variance of the noise. valid, measured,
+    own: (R, C), bound_rest: (R, C and more columns that are not used), of which the sum is the
+    largest variance of the noise. valid, measured,
     votes: (R, C), the nodes with a value, and those that have a vote, twice.
     results: holds the arrays of `layout`; in counts, the number of nodes without a vote, then 0.
     """
@@ -268,7 +269,7 @@ class LatticeFilter:
         return len(self._down.sides) * len(self._along.sides)
 
     def _inputs(self) -> Layout:
-        axes = self._axes
+        axes, (rows, columns) = self._axes, self._shape
         planes = {"moved": axes, "points": covariances(axes), "bent": axes, "own": 1}
         layout: Layout = {
             name: ((count, *self._shape), np.float32) for name, count in planes.items()
@@ -276,7 +277,7 @@ class LatticeFilter:
         masks = ("valid", "measured", "votes")
         return {
             **layout,
-            "bound_rest": (self._shape, np.float32),
+            "bound_rest": ((rows, multiple(columns, LANES)), np.float32),
             **{name: (self._shape, np.uint8) for name in masks},
         }
 
@@ -316,7 +317,7 @@ class LatticeFilter:
             "pilot_down": down.pilot,
             "pilot_along": in_lines(along.pilot_matrix),
             "pilot_own_down": down.pilot_own,
-            "pilot_own_along": along.pilot_own,
+            "pilot_own_along": in_lines(along.pilot_own),
             "gram_mean_down": down.gram_mean,
             "gram_slope_down": down.gram_slope,
             "gram_mean_along": np.moveaxis(along.gram_mean, 1, 3),
@@ -482,16 +483,20 @@ def planes(values: Array) -> NDArray[np.float32]:
 
 def nodes(planes: NDArray[np.float32]) -> Array:
     """Return planes (K, R, C) as values of nodes, (R, C, K) float64."""
-    return np.ascontiguousarray(np.moveaxis(planes, 0, -1), np.float64)
+    found = np.empty((*planes.shape[1:], len(planes)))
+    for number, plane in enumerate(planes):
+        found[..., number] = plane
+    return found
 
 
 def matrices(planes: NDArray[np.float32]) -> Array:
     """Return the symmetric matrices (R, C, K, K) float64 of xx xy xz yy yz zz, (6, R, C), or of the
     variance per axis of a plane, (1, R, C)."""
-    if len(planes) == 1:
-        of_plane: Array = planes[0, ..., None, None] * np.eye(2)
-        return of_plane
-    place = np.zeros((3, 3), np.intp)
-    for number, (i, j) in enumerate(_PAIRS_OF_AXES):
-        place[i, j] = place[j, i] = number
-    return np.ascontiguousarray(np.moveaxis(planes[place], (0, 1), (2, 3)), np.float64)
+    axes = 2 if len(planes) == 1 else 3
+    found = np.zeros((*planes.shape[1:], axes, axes))
+    if axes == 2:
+        found[..., 0, 0] = found[..., 1, 1] = planes[0]
+    else:
+        for (i, j), plane in zip(_PAIRS_OF_AXES, planes, strict=True):
+            found[..., i, j] = found[..., j, i] = plane
+    return found

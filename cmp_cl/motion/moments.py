@@ -107,7 +107,7 @@ class AtRest:
         """Return the filtered positions."""
         return self._filter(slopes=self._slopes)
 
-    @property
+    @functools.cached_property
     def position(self) -> Array:
         """Return them without the shift by bent edges, (R, C, D)."""
         return self.filtered.values - self.moment.bend
@@ -180,13 +180,13 @@ def field_of(
     moved, displacement: (R, C, D), before the filter and after it, without the shift by bent edges.
     covariance, raw_covariance: their covariances. strain_of: as in `DisplacementField`.
     """
-    there = (status == PointStatus.VALID)[..., None]
+    missing = status != PointStatus.VALID
     rest, found = at_rest.moment, at_rest.filtered
     raw = DisplacementField(
-        position=np.where(there, rest.at, np.nan),
+        position=_without(missing, rest.at),
         displacement=moved,
-        covariance=np.where(there[..., None], raw_covariance, np.nan),
-        position_covariance=np.where(there[..., None], found.raw_covariance, np.nan),
+        covariance=_without(missing, raw_covariance),
+        position_covariance=_without(missing, found.raw_covariance),
         status=status,
         source=source,
         unit=rest.unit,
@@ -194,13 +194,20 @@ def field_of(
     )
     return dataclasses.replace(
         raw,
-        position=np.where(there, at_rest.position, np.nan),
+        position=_without(missing, at_rest.position),
         displacement=displacement,
-        covariance=np.where(there[..., None], covariance, np.nan),
-        position_covariance=np.where(there[..., None], found.covariance, np.nan),
+        covariance=_without(missing, covariance),
+        position_covariance=_without(missing, found.covariance),
         raw=raw,
         strain_of=strain_of,
     )
+
+
+def _without(missing: NDArray[np.bool_], values: Array) -> Array:
+    """Return a copy of values of nodes, NaN where they are missing."""
+    found = values.copy()
+    found[missing] = np.nan
+    return found
 
 
 def _no_strain(_: DisplacementField) -> tuple[Array, Array]:

@@ -79,7 +79,7 @@ class FieldPlan:
             bends=True,
             slopes=strain,
         )
-        self._filter.inputs.arrays["bound_rest"][:] = self._at_rest.most
+        self._filter.inputs.arrays["bound_rest"][:, : self.shape[1]] = self._at_rest.most
         self._filter.inputs.upload()
         files = [geometry.file, *(["strain"] if strain else [])]
         self._kernels = programs.kernels(files, self._defines())

@@ -36,7 +36,7 @@ EVERYWHERE = (-np.inf, -np.inf, np.inf, np.inf)  # px
 Region = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 _RESULT = (None, np.uint32(0), np.uint32(0))  # the corners, which are given with a frame
 STENCIL = 24  # nodes that predict a node, at most, as in kernels/track.cl
-_BIN = 0.45  # cells at rest: side of a bin
+_BIN = 1.0  # cells at rest: side of a bin
 _LEAST_BIN = 4.0  # px
 
 
