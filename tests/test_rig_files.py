@@ -14,15 +14,11 @@ def rig_text(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("unit: mm", "unit: 25", "unit must be a word such as mm"),
         ("unit: mm", 'unit: ""', "unit must be a word such as mm"),
         ("unit: mm", "unit: mm\nunit: m", "unit is given twice"),
-        ("unit: mm", "unit: mm\nK1: 3", "K1 is given twice"),
         ("cols: 5\n   dt: d", "cols: 5\n   dt: i", "D1 must have dt: d or f, not 'i'"),
         ("cols: 3", "cmls: 3", "K1 must be a small matrix"),
-        ("cols: 3", "cols: 4", "K1 must be a small matrix, not 3 x 4, with 9 entries"),
         ("1260.", "x", "K1 has an entry that is no number"),
-        ("1260.", ".nan", "K1 must be finite"),
         ("1260.", "1e308", "K1 must be finite and at most"),
         ("-0.12", ".inf", "D1 must be finite"),
     ],
@@ -42,13 +38,6 @@ def test_a_rig_file_without_a_unit_is_read_in_mm_with_a_warning(tmp_path):
     with pytest.warns(UserWarning, match=r"rig\.yaml: no unit, so T is taken to be in mm"):
         assert StereoRig.load(path).unit == "mm"
     assert StereoRig.load(path, unit="um").unit == "um"
-
-
-@pytest.mark.parametrize("text", ["%YAML:1.0\n---\n- 1\n- 2\n", "[1, 2]", "%YAML:1.0\n---\n5\n"])
-def test_a_file_that_is_no_map_of_names_is_refused(tmp_path, text):
-    (tmp_path / "rig.yaml").write_text(text)
-    with pytest.raises(CalibrationError):
-        StereoRig.load(tmp_path / "rig.yaml")
 
 
 @pytest.mark.parametrize("opening", ["[", "{a:", "a: ", "- "])

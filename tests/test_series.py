@@ -375,47 +375,6 @@ def test_a_file_that_is_no_series_is_refused(tmp_path):
             read_series(tmp_path / name)
 
 
-GOOD = {
-    "index": np.arange(3),
-    "time_ms": np.arange(3.0),
-    "rest": np.ones((4, 5, 2)),
-    "xy": np.ones((3, 4, 5, 2)),
-    "sigma": np.ones((3, 4, 5)),
-    "unit": np.array("px"),
-}
-WRONG = [
-    *((name, np.array("text")) for name in GOOD if name != "unit"),
-    *((name, np.array(1.5)) for name in GOOD),
-    *((name, np.zeros((0, 3))) for name in GOOD),
-    *((name, np.array([None, 1, 2])) for name in GOOD),
-    *((name, GOOD[name][:-1]) for name in ("time_ms", "xy", "sigma")),
-    ("index", np.array([0, np.nan, 2])),
-    ("rest", np.full((4, 5, 2), np.nan)),
-    ("rest", np.ones((4, 5, 4))),
-    ("xy", np.full((3, 4, 5, 2), 1e308)),
-    ("time_ms", np.array([0, np.inf, 2])),
-    ("unit", np.array("x" * 1000)),
-]
-
-
-@pytest.mark.parametrize("suffix", READABLE)
-@pytest.mark.parametrize(("name", "value"), WRONG)
-def test_an_array_unlike_what_is_expected_is_named(tmp_path, suffix, name, value):
-    path = tmp_path / f"wrong{suffix}"
-    arrays = GOOD | {name: value}
-    if suffix == ".npz":
-        np.savez(path, **arrays)
-    elif value.dtype.kind == "O":
-        pytest.skip("HDF5 has no such arrays")
-    else:
-        h5py = importlib.import_module("h5py")
-        with h5py.File(path, "w") as file:
-            for key, array in arrays.items():
-                file[key] = str(array) if array.dtype.kind == "U" else array
-    with pytest.raises(FieldError, match=r"series: (index|time_ms|xy|sigma|rest|unit|Object) "):
-        read_series(path)
-
-
 def test_what_exceeds_the_memory_is_not_read(tmp_path):
     path = tmp_path / "big.h5"
     h5py = pytest.importorskip("h5py", reason="h5py is not installed")
@@ -445,17 +404,3 @@ def test_a_flipped_byte_is_refused_or_changes_nothing(tmp_path, suffix):
             for name in set(right) - {"about"}:
                 np.testing.assert_array_equal(found[name], right[name])
     assert refused > 50
-
-
-def test_a_part_that_is_damaged_is_refused_in_bounded_time(tmp_path, monkeypatch):
-    pytest.importorskip("h5py", reason="h5py is not installed")
-    stopped(tmp_path / "press.h5", signal.SIGKILL, 0)
-    part = tmp_path / "press.h5.part"
-    data = bytearray(part.read_bytes())
-    data[data.index(b"OHDR") + 6] ^= 0x5A
-    part.write_bytes(data)
-    monkeypatch.setattr("cmp_cl.series.reading._LONGEST_READ", 1.0)
-    begin = time.monotonic()
-    with pytest.raises(FieldError, match="damaged"):
-        read_series(part)
-    assert time.monotonic() - begin < 30
