@@ -47,41 +47,42 @@ def test_a_cache_that_pocl_cannot_write_is_named_where_no_device_is_found(monkey
         select_device()
 
 
-def test_the_device_under_test_describes_itself(device):
-    assert device in list_devices()
-    assert isinstance(device.handle, cl.Device)
-    assert device.memory > 2**20
-    assert str(device) == f"{device.name} ({device.platform})"
-    assert select_device(device.index) == device
-    assert module.describe_handle(device.handle) == device
-    assert isinstance(device.kind, DeviceKind)
-    assert device.driver
-
-
-def test_indices_are_platform_and_device():
+def test_devices_have_the_indices_of_platform_and_device_and_describe_themselves(device):
     devices = list_devices()
-    assert len({device.index for device in devices}) == len(devices) > 0
-    for device in devices:
-        platform, number = map(int, device.index.split(":"))
-        assert cl.get_platforms()[platform].get_devices()[number] == device.handle
+    assert device in devices
+    assert len({each.index for each in devices}) == len(devices)
+    for each in devices:
+        platform, number = map(int, each.index.split(":"))
+        assert cl.get_platforms()[platform].get_devices()[number] == each.handle
+        assert module.describe_handle(each.handle) == select_device(each.index) == each
+        assert str(each) == f"{each.name} ({each.platform})"
+        assert each.memory > 2**20
 
 
 @pytest.mark.parametrize(
-    ("text", "expected"),
+    ("text", "variable", "expected"),
     [
-        ("0:0", POCL),
-        ("1:1", SECOND),
-        ("cpu", POCL),
-        ("GPU", FIRST),
-        ("accelerator", OTHER),
-        ("nvidia", FIRST),
-        ("t4", SECOND),
-        (" Portable ", POCL),
-        ("boards", OTHER),
+        ("0:0", "", POCL),
+        ("1:1", "gpu", SECOND),
+        ("GPU", "cpu", FIRST),
+        ("accelerator", "", OTHER),
+        ("t4", "", SECOND),
+        (" Portable ", "", POCL),
+        (None, "t4", SECOND),
+        (None, "", FIRST),
     ],
 )
-def test_the_requested_device_is_selected(lab, text, expected):
+def test_the_requested_device_is_selected_else_the_variables_else_a_gpu(
+    lab, text, variable, expected
+):
+    lab.setenv("CMP_CL_DEVICE", variable)
     assert select_device(text) == expected
+
+
+def test_without_a_gpu_the_first_cpu_is_the_default(lab):
+    for devices in ([OTHER, POCL], [POCL]):
+        lab.setattr(module, "list_devices", lambda devices=devices: devices)
+        assert select_device() == POCL
 
 
 @pytest.mark.parametrize("text", ["intel", "3:0", "1:2", "", "  ", "0:0:0", ":"])
@@ -92,23 +93,10 @@ def test_a_device_that_is_not_there_is_an_error_that_lists_the_devices(lab, text
         assert f"{known.index} {known}" in str(error.value)
 
 
-def test_without_a_text_the_variable_decides(lab):
-    lab.setenv("CMP_CL_DEVICE", "t4")
-    assert select_device() == SECOND
-    assert select_device("cpu") == POCL
+def test_a_variable_that_names_no_device_is_an_error(lab):
     lab.setenv("CMP_CL_DEVICE", "intel")
     with pytest.raises(DeviceError, match="from CMP_CL_DEVICE"):
         select_device()
-    lab.setenv("CMP_CL_DEVICE", "")
-    assert select_device() == FIRST
-
-
-def test_without_either_a_gpu_comes_before_a_cpu(lab):
-    assert select_device() == FIRST
-    lab.setattr(module, "list_devices", lambda: [OTHER, POCL])
-    assert select_device() == POCL
-    lab.setattr(module, "list_devices", lambda: [OTHER])
-    assert select_device() == OTHER
 
 
 def test_no_device_says_what_to_install(lab, tmp_path):
@@ -132,32 +120,27 @@ def test_no_platform_is_no_device(monkeypatch):
 # --- PoCL's workers -------------------------------------------------------------------------
 
 
-@pytest.fixture
-def asked(monkeypatch):
-    """Return POCL_AFFINITY as PoCL sees it when the platforms are asked for, on four cores."""
+@pytest.mark.parametrize(
+    ("given", "cores", "seen"),
+    [
+        ({}, {0, 1, 2, 3}, "1"),
+        ({}, {2, 3}, None),  # a process with some of the cores shares them
+        ({"POCL_AFFINITY": "0"}, {0, 1, 2, 3}, "0"),
+        ({"POCL_MAX_PTHREAD_COUNT": "2"}, {0, 1, 2, 3}, None),
+    ],
+)
+def test_workers_keep_to_cores_of_their_own_unless_the_user_says_otherwise(
+    monkeypatch, given, cores, seen
+):
+    asked = []
     for name in ("POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT"):
         monkeypatch.delenv(name, raising=False)
+    for name, value in given.items():
+        monkeypatch.setenv(name, value)
     monkeypatch.setattr(os, "cpu_count", lambda: 4)
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3}, raising=False)
-    seen = []
-
-    def no_platforms():
-        seen.append(os.environ.get("POCL_AFFINITY"))
-        return []
-
-    monkeypatch.setattr(cl, "get_platforms", no_platforms)
-    return seen
-
-
-def test_workers_keep_to_cores_of_their_own(asked):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: cores, raising=False)
+    platforms = lambda: asked.append(os.environ.get("POCL_AFFINITY")) or []  # noqa: E731
+    monkeypatch.setattr(cl, "get_platforms", platforms)
     assert list_devices() == []
-    assert asked == ["1"]
-    assert "POCL_AFFINITY" not in os.environ
-
-
-@pytest.mark.parametrize("name", ["POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT"])
-def test_the_users_own_setting_of_workers_is_kept(asked, monkeypatch, name):
-    monkeypatch.setenv(name, "0")
-    assert list_devices() == []
-    assert asked == [os.environ.get("POCL_AFFINITY")]
-    assert os.environ[name] == "0"
+    assert asked == [seen]
+    assert os.environ.get("POCL_AFFINITY") == given.get("POCL_AFFINITY")
