@@ -6,7 +6,7 @@ import cv2
 import images
 import numpy as np
 import pytest
-from corner_images import board, corner, noise
+from corner_images import board, corner
 
 from cmp_cl import reference
 from cmp_cl.config import DetectorConfig, RingHarmonic
@@ -70,23 +70,6 @@ def test_the_corners_equal_the_vector(vector):
 # --- by definition -------------------------------------------------------------------------
 
 
-def test_a_ring_has_the_values_worked_out_by_hand():
-    values = np.zeros((21, 21), np.int64)
-    far, near = 5, 4
-    places = [(0, -5), (4, -4), (5, 0), (4, 4), (0, 5), (-4, 4), (-5, 0), (-4, -4)]
-    for grey, (dx, dy) in zip((100, 20, 7, 3, 90, 30, 11, 2), places, strict=True):
-        values[10 + dy, 10 + dx] = grey
-    values[10, 10] = 50
-    here = np.array([10])
-    seen = harmonic.harmonics(values, here, here, (far, near))
-    # u = 190, 50, 18, 5: A = 172, B = 45; the length is 172 + 11 + 5.
-    assert (seen.a[0], seen.b[0], seen.length[0]) == (172, 45, 188)
-    assert seen.odd[0] == 10 + 10 + 4 + 1
-    assert seen.centre[0] == 400 - 263
-    assert harmonic.coarse_measure(seen)[0] == 188 - (25 - 6) - (34 + 17)
-    assert harmonic.fine_measure(seen)[0] == 188 - (162 - 40)
-
-
 def test_the_reference_is_where_half_of_the_squares_are_reached():
     assert harmonic.reference(np.array([], np.int64)) == 0
     assert harmonic.reference(np.array([7])) == 7
@@ -95,34 +78,6 @@ def test_the_reference_is_where_half_of_the_squares_are_reached():
     many = np.concatenate([np.full(100, 1000), np.full(90_000, 30)])
     assert harmonic.reference(many) == 1000  # the 90th percentile would be 30
     assert harmonic.reference(np.full(200_000, 11_220)) == 11_220  # beyond 32 bits
-
-
-def test_of_equal_maxima_the_first_in_raster_order_stays():
-    response = np.zeros((9, 20), np.int64)
-    response[4, 3:12] = 500
-    response[5, 7] = 500
-    for radius in (1, 3):
-        y, x = np.nonzero(harmonic.maxima(response, 80, radius))
-        assert (y[0], x[0], len(y)) == (4, 3, 1)
-    assert not harmonic.maxima(response, 500, 3).any()
-    assert harmonic.maxima(response, 499, 3).any()
-
-
-def test_the_noise_bound_is_exact_and_rounded_up():
-    image = np.zeros((40, 50), np.uint8)
-    image[20, 20] = 9  # A is 144 on 38 x 48 pixels
-    rule = RingHarmonic(noise=20)
-    factor = 6680
-    assert harmonic.noise_bounds(image, rule, 255) == (
-        max(80, -(-factor * 144 // (100 * 38 * 48))),
-        max(80, -(-2 * factor * 144 // (100 * 38 * 48))),
-    )
-    assert harmonic.noise_bounds(image[:2], rule, 255) == (80, 80)
-    strong = noise((40, 50))
-    two, four = harmonic.noise_bounds(strong, RingHarmonic(), 255)
-    assert 2 * two - 1 <= four <= 2 * two
-    sixteen = strong.astype(np.uint16) * 257
-    assert harmonic.noise_bounds(sixteen, RingHarmonic(), 65535) == (two, four)
 
 
 # --- what each setting does ----------------------------------------------------------------
@@ -153,13 +108,6 @@ def test_a_corner_is_found_where_a_flake_of_the_print_beside_it_is_gone(angle, x
     image = np.where(np.hypot(columns - x, rows - y) < 3, grey, corner(20, 20, angle))
     found = corners_of(image.astype(np.uint8), fine=False)
     assert (np.hypot(found.x - 20, found.y - 20) < 4).any()
-
-
-def test_a_lower_relative_level_keeps_faint_corners():
-    faint = (corner(20, 20, 0.4) // 16 + 100).astype(np.uint8)
-    image = np.hstack([corner(20, 20, 0.4)] * 3 + [faint])
-    assert (corners_of(image, fine=False).x < 123).all()
-    assert (corners_of(image, fine=False, relative=0.05).x > 123).any()
 
 
 def test_a_corner_in_a_shadow_is_kept_if_it_is_clean():
