@@ -1,32 +1,29 @@
 """Compares random configurations and small images with the oracle, and tries invalid ones.
 
-    python tests/fuzz.py --images 100000 --configs 500 --seed 1 --processes 2 [--device TEXT]
+    python tests/fuzz.py --images 100000 --configs 500 --seed 1 [--device TEXT]
 
 Each configuration gets its share of the images in batches, every eighth of them also one by one
 and as maps. Compiling takes longer than anything else, so the compiled settings are drawn once for
 SHARING configurations in a row. All else, shapes and images too, is drawn for each configuration.
 
-Case K of a seed is always the same, in however many processes: a failure prints the line that
-repeats it, and the status is 1. The last line says how much was done.
+Case K of a seed is always the same: a failure prints the line that repeats it, and the status is 1.
+The last line says how much was done; nm is the largest difference of positions, nm of a pixel.
 """
 
 import argparse
 import dataclasses
-import functools
-import hashlib
-import multiprocessing
-import os
-import resource
 import sys
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import cv2
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent / "support"))
 import tolerances
 from comparison import assert_maps_equal, assert_same_bytes
 from corner_images import board
@@ -49,7 +46,6 @@ from cmp_cl import (
     SpectralCriteria,
     reference,
 )
-from cmp_cl.opencl import program
 
 BATCH = 25
 SHARING = 5  # configurations in a row that compile the same
@@ -266,60 +262,20 @@ def invalid_case(seed: int, number: int, device: str | None) -> bool:
     return False
 
 
-def _megabytes() -> int:
-    """Return the resident memory, MB: now if the system reports it, otherwise its peak."""
-    try:
-        with open("/proc/self/statm") as file:
-            return int(file.read().split()[1]) * resource.getpagesize() // 2**20
-    except OSError:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
-
-
-class Case(NamedTuple):
-    """The outcome of a configuration. programs: digests of everything that was compiled."""
-
-    counts: Counter[str]
-    programs: frozenset[str]
-    megabytes: int
-    process: int
-
-
-def digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def one_case(number: int, seed: int, images: int, device: str | None) -> Case:
+def one_case(number: int, seed: int, images: int, device: str | None, counts: Counter[str]) -> None:
     """Check a valid configuration with its images, and twenty invalid cases; print the failures."""
-    counts: Counter[str] = Counter()
-    again = f"--seed {seed} --first {number} --configs 1 --images {images}"
-
-    def guarded(work: Callable[[], Any]) -> Any:
-        try:
-            return work()
-        except Exception:
-            traceback.print_exc()
-            print(f"FAILED; again: {again}", flush=True)
-            counts["failed"] += 1
-
-    with mock.patch.object(program, "_compiled", wraps=program._compiled) as build:
-        guarded(lambda: valid_case(seed, number, images, device, counts))
-    programs = frozenset(digest(repr(call.args[1:])) for call in build.call_args_list)
-    for k in range(20):
-        refused = guarded(functools.partial(invalid_case, seed, 20 * number + k, device))
-        counts["refused"] += bool(refused)
-        if refused is False:
-            print(f"NOT REFUSED; again: {again}", flush=True)
-            counts["failed"] += 1
-    return Case(counts, programs, _megabytes(), os.getpid())
-
-
-def cases(numbers: Iterable[int], work: Callable[[int], Case], processes: int) -> Iterator[Case]:
-    """Yield the outcome of each case, in order; cases with the same kernels share a process."""
-    if processes == 1:
-        yield from map(work, numbers)
-        return
-    with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        yield from pool.imap(work, numbers, chunksize=SHARING)
+    again = f"again: --seed {seed} --first {number} --configs 1 --images {images}"
+    try:
+        valid_case(seed, number, images, device, counts)
+        for k in range(20):
+            refused = invalid_case(seed, 20 * number + k, device)
+            counts["refused" if refused else "failed"] += 1
+            if not refused:
+                print(f"NOT REFUSED; {again}", flush=True)
+    except Exception:
+        traceback.print_exc()
+        print(f"FAILED; {again}", flush=True)
+        counts["failed"] += 1
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -328,40 +284,23 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--images", type=int, default=100_000, help="in all")
     parser.add_argument("--configs", type=int, default=500)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--device")
     parser.add_argument("--first", type=int, default=0, help="number of the first configuration")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after that")
     options = parser.parse_args(arguments)
     share = -(-options.images // options.configs)
-    work = functools.partial(one_case, seed=options.seed, images=share, device=options.device)
-    numbers = range(options.first, options.first + options.configs)
     begin = time.monotonic()
     counts: Counter[str] = Counter()
-    programs: set[str] = set()
-    memory: dict[int, list[int]] = {}
-    for done, case in enumerate(cases(numbers, work, options.processes), 1):
-        farthest = max(counts["nm"], case.counts["nm"])
-        counts.update(case.counts)
-        counts["nm"] = farthest
-        programs |= case.programs
-        memory.setdefault(case.process, []).append(case.megabytes)
-        if done % 10 == 0:
-            print(f"{done} configurations, {dict(counts)}, {case.megabytes} MB", flush=True)
-        if time.monotonic() - begin > options.seconds:
+    for done in range(1, options.configs + 1):
+        number = options.first + done - 1
+        one_case(number, options.seed, share, options.device, counts)
+        spent = time.monotonic() - begin
+        over = spent > options.seconds or done == options.configs
+        if over or done % 10 == 0:
+            print(f"seed {options.seed}: {done} configurations, {dict(counts)}, {spent:.0f} s")
+        if over:
             break
-    spent = time.monotonic() - begin
-    first, last = ([megabytes[k] for megabytes in memory.values()] for k in (0, -1))
-    print(
-        f"seed {options.seed}: {counts['images']} images, {done} configurations, {len(programs)} "
-        f"programs, {counts['corners']} corners, {counts['undecided']} not compared (a check "
-        f"within {tolerances.MARGIN}), {counts['loose']} loose (rounding moves the oracle's too), "
-        f"largest difference of the others {counts['nm'] * 1e-6:.1e} px, "
-        f"{counts['refused']} of {20 * done} invalid ones refused, memory of each process {first} "
-        f"MB after its first and {last} MB after its last, {spent:.0f} s, "
-        f"{counts['failed']} failed"
-    )
-    return 1 if counts["failed"] else 0
+    return int(counts["failed"] > 0)
 
 
 if __name__ == "__main__":

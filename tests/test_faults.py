@@ -1,7 +1,6 @@
 """Faults around a detector: memory, caches, kills, threads, processes."""
 
 import hashlib
-import linecache
 import multiprocessing
 import os
 import subprocess
@@ -21,7 +20,6 @@ from cmp_cl import BinaryRings, Detector, DetectorConfig
 from cmp_cl.errors import CapacityError, DeviceError
 from cmp_cl.opencl import caches, program
 from cmp_cl.opencl import device as device_module
-from cmp_cl.stages.plan import Plan
 
 TEXTURE = images.texture(images.SHAPE)
 BOARD = images.eight_bits()["board"]
@@ -77,12 +75,6 @@ def test_a_capacity_that_cannot_grow_leaves_a_detector_that_works(device, monkey
                     use(dense)
         assert len(detector(np.full_like(dense, 128))) == 0
         assert len(detector(dense)) > 64
-
-
-def test_a_kernel_that_does_not_compile_says_why(device, monkeypatch):
-    monkeypatch.setattr(program, "source", lambda *_: "__kernel void f(void) { no_such(1); }")
-    with pytest.raises(program.KernelBuildError, match="no_such"):
-        Detector(shape=images.SHAPE, device=device)
 
 
 # --- cached programs -----------------------------------------------------------------------
@@ -153,14 +145,6 @@ def test_a_program_is_compiled_once(device, cache, monkeypatch):
     refuse_to_compile(monkeypatch)
     build(device)
     assert set(cache.iterdir()) == kept
-
-
-def test_a_detector_of_kept_programs_gives_the_same_result(device, cache, monkeypatch):
-    with Detector(shape=images.SHAPE, device=device) as detector:
-        first = detector(BOARD)
-    refuse_to_compile(monkeypatch)
-    with Detector(shape=images.SHAPE, device=device) as detector:
-        assert_same_bytes(detector(BOARD), first)
 
 
 @pytest.mark.parametrize("damage", ["cut", "changed", "no program"])
@@ -291,24 +275,6 @@ def test_a_spawned_process_finds_the_same_corners(device):
         assert pool.map(corners_of_board, [device.index]) == [here]
 
 
-def test_plans_are_released_with_their_detector(device, monkeypatch):
-    living = []
-    made = Plan.__init__
-
-    def counted(self, *arguments, **named):
-        living.append(self)
-        made(self, *arguments, **named)
-
-    monkeypatch.setattr(Plan, "__init__", counted)
-    with Detector(shape=images.SHAPE, device=device) as detector:
-        detector.batch([BOARD] * 3)
-        list(detector.stream([BOARD] * 3))
-        detector.batch([BOARD] * 2)
-        assert any(plan.buffers for plan in living)
-    assert len(living) >= 4
-    assert all(not plan.buffers for plan in living)
-
-
 FORKED = """
 import multiprocessing, os, threading
 import numpy as np
@@ -382,13 +348,3 @@ def test_a_forked_child_of_a_process_that_used_opencl_gets_an_error_and_does_not
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
     )
     assert done.stdout == "['done']\n", done.stderr
-
-
-def test_detectors_that_are_opened_and_closed_leave_no_code_behind(device):
-    def open_one():
-        with Detector(shape=images.SHAPE, device=device):
-            return len(linecache.cache)
-
-    open_one()
-    before = open_one()
-    assert [open_one() for _ in range(3)] == [before] * 3

@@ -102,15 +102,6 @@ def test_points_behind_a_window_are_found_and_their_sigma_is_that_of_the_errors(
     assert chi2.mean() == pytest.approx(3, rel=0.08)
 
 
-def test_air_behind_a_window_of_air_is_air():
-    truth = gel()
-    air = rig_behind(Window((0.1, 0.2, 1.0), 10.0, ((5.0, 1.0),), 1.0))
-    for one, two in zip(
-        air.project(truth.reshape(-1, 3)), toed_in_rig().project(truth.reshape(-1, 3)), strict=True
-    ):
-        np.testing.assert_allclose(one, two, rtol=0, atol=1e-9)
-
-
 def test_derivatives_are_differences():
     points, centre = gel(4, 4).reshape(-1, 3), np.array([14.0, 1.0, 2.0])
     points[0] = centre + 40 * GEL.normal  # on the axis
@@ -137,26 +128,6 @@ def test_points_in_front_of_the_last_face_and_rays_that_miss_the_window_are_nan(
     points = beyond.triangulate(*views)
     assert (points.status == PointStatus.BEHIND).all()
     assert np.isnan(points.xyz).all()
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"normal": (0, 0, 0)}, "normal has length 0"),
-        ({"normal": (0, 0, -1)}, "normal points behind the left camera"),
-        ({"normal": (0, 1)}, "normal must have shape"),
-        ({"distance": -3}, "behind the left camera"),
-        ({"distance": math.nan}, "distance must be finite"),
-        ({"layers": ((5, 1.49), (-1, 1.4))}, "layer 2 of the window has thickness -1"),
-        ({"layers": ((5, 0.9),)}, "layer 1 of the window has index 0.9"),
-        ({"layers": ((1.49, 5),)}, "layer 1 of the window has index 5"),
-        ({"layers": (5, 1.49)}, "layers must have shape"),
-        ({"index": 0.5}, "the medium behind the window has index 0.5"),
-    ],
-)
-def test_an_impossible_window_is_refused(changes, words):
-    with pytest.raises(CalibrationError, match=words):
-        dataclasses.replace(GEL, **changes)
 
 
 def test_a_window_behind_the_right_camera_is_refused():

@@ -144,16 +144,6 @@ def test_the_order_of_the_corners_changes_no_number(name):
     assert again.doubts == grid.doubts
 
 
-def test_12_and_16_bits_get_the_numbers_of_8_bits():
-    whole = grid_of(board(1))
-    for bits in (12, 16):
-        view = board(1, bits=bits)
-        grid = grid_of(view)
-        assert grid.shape == whole.shape
-        assert np.abs(grid.xy - whole.xy).max() < 0.05
-        assert grid.border == whole.border
-
-
 def test_positions_are_nearer_to_the_truth_than_sigma_says_in_most_nodes():
     for name in ("gel, severity 0.0", "board", "board with dots"):
         view, corners = seen(name)
@@ -510,12 +500,6 @@ def test_requests_that_make_no_sense_are_refused_in_one_line():
         assert said in str(caught.value)
         assert "\n" not in str(caught.value)
     assert other.shape[0] == 6
-
-
-def test_a_grid_with_doubts_is_refused_on_demand():
-    view = cut(board(0, ground=205.0), (0.35, 0.35, 0.7, 0.7))
-    with pytest.raises(GridError, match="ambiguous"):
-        grid_of(view, shape=BOARD, strict=True)
 
 
 @pytest.mark.parametrize("name", ["gel, severity 0.5", "torn gel 61"])
