@@ -235,14 +235,25 @@ __kernel void fine_maxima(__global const ushort *restrict fine_plane,
 /* Empty the lists of a frame. One work-item per list. */
 __kernel void clear_lists(__global uint *restrict counts) { counts[get_global_id(0)] = 0; }
 
+/* With two octaves or more, `seen` has a bit for each maximum of the first one, see see_octaves. */
+#if OCTAVES >= 2
+#define SEEN_ARGUMENT __global uint *restrict seen,
+#else
+#define SEEN_ARGUMENT
+#endif
+
 /* Clear the maps of bits. One work-item per row. */
-__kernel void clear_maxima(const uint rows, const uint step, __global uint *restrict row_counts,
-                           __global uint *restrict maxima, __global uint *restrict taken,
-                           __global uint *restrict seen) {
+__kernel void clear_maxima(const uint rows, const uint step, SEEN_ARGUMENT
+                           __global uint *restrict row_counts, __global uint *restrict maxima,
+                           __global uint *restrict taken) {
   const size_t row = get_global_id(1) * rows + get_global_id(0);
   row_counts[row] = 0;
-  for (size_t word = row * (step / 32); word < (row + 1) * (step / 32); ++word)
-    maxima[word] = taken[word] = seen[word] = 0;
+  for (size_t word = row * (step / 32); word < (row + 1) * (step / 32); ++word) {
+    maxima[word] = taken[word] = 0;
+#if OCTAVES >= 2
+    seen[word] = 0;
+#endif
+  }
 }
 
 /* The search for the reference: first by bins of 64 responses, then within a bin. `found` holds
@@ -371,11 +382,12 @@ bool any_bit(__global const uint *bits, const size_t p, const int x, const int y
 /* The cells of a frame are wide if its second octave has three maxima for every five strong ones of
  * the frame. Then a corner of the frame is strong, or the first octave has it too. */
 #define IS_STRONG(r, reference) (2 * (r) >= (reference))
+#if OCTAVES < 2
+#define MAY_BE_CORNER(r, decision) true
+#else
 #define MAY_BE_CORNER(r, decision)                                                  \
-  (OCTAVES < 2 || (decision).strong < 0 || 5 * (decision).there < 3 * (decision).strong || \
+  ((decision).strong < 0 || 5 * (decision).there < 3 * (decision).strong ||         \
    IS_STRONG(r, (decision).reference) || any_bit(seen, p, x, y, 3, 4, rows, step))
-
-#if OCTAVES >= 2
 
 /* Count the strong maxima of a frame and the maxima of its second octave, and mark those of its
  * first. One work-item per maximum; dimension 1 is one of these octaves of a frame. */
@@ -404,9 +416,8 @@ __kernel void see_octaves(__global int *restrict lists, __global const uint *res
 __kernel void keep_coarse(__global int *restrict lists, __global const uint *restrict counts,
                           __global const Decision *restrict found, const uint rows,
                           const uint step, const uint capacity, const int coarse_share,
-                          __global const uint *restrict seen,
-                          __global uint *restrict row_counts, __global uint *restrict maxima,
-                          __global uint *restrict taken) {
+                          SEEN_ARGUMENT __global uint *restrict row_counts,
+                          __global uint *restrict maxima, __global uint *restrict taken) {
   OF_FRAME
   ENTRY(0)
   const Decision decision = DECISION(p, 0);
@@ -434,8 +445,8 @@ __kernel void keep_fine(__global int *restrict lists, __global const uint *restr
                         __global const Decision *restrict found,
                         __global const uint *restrict taken, const uint rows, const uint step,
                         const uint capacity, const int fine_share,
-                        __global const uint *restrict seen,
-                        __global uint *restrict row_counts, __global uint *restrict maxima) {
+                        SEEN_ARGUMENT __global uint *restrict row_counts,
+                        __global uint *restrict maxima) {
   OF_FRAME
   ENTRY(1)
   const Decision decision = DECISION(p, 0);

@@ -57,7 +57,7 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
     decided = {
         "maxima": _bits(plan),
         "taken": _bits(plan),
-        "seen": _bits(plan),
+        **({"seen": _bits(plan)} if plan.octaves >= 2 else {}),
         "row_counts": 4 * rows,
         "row_starts": 4 * rows,
         "squares": 8 * frames * (1 + plan.octaves) * BINS,
@@ -187,6 +187,7 @@ def _decide(plan: PlanBase) -> list[Launch]:
     row_counts, maxima, taken = b["row_counts"], b["maxima"], b["taken"]
     kept = {"row_counts": row_counts, "maxima": maxima}
     planes = plan.frames * (1 + plan.octaves)
+    seen = {"seen": b["seen"]} if plan.octaves >= 2 else {}
     stages = [
         plan.few(
             "clear_maxima",
@@ -194,9 +195,9 @@ def _decide(plan: PlanBase) -> list[Launch]:
             plan.frames,
             rows=rows,
             step=step,
+            **seen,
             **kept,
             taken=taken,
-            seen=b["seen"],
         )
     ]
     for octave in range(1 + plan.octaves):
@@ -248,7 +249,7 @@ def _decide(plan: PlanBase) -> list[Launch]:
         return plan.stage(name, items, (GROUP, 1), **lists, found=b["decision"], **arguments)
 
     limits = {"rows": rows, "step": step, "capacity": capacity}
-    share, seen = {"coarse_share": np.int32(rule.coarse_share)}, {"seen": b["seen"]}
+    share = {"coarse_share": np.int32(rule.coarse_share)}
     if plan.octaves >= 2:
         items = (plan.list_capacity, 3 * plan.frames)
         looked = {**lists, "found": b["decision"], **limits, **share, **seen}
