@@ -179,29 +179,10 @@ class BinaryRings:
         if type(self.outer_radius) is not int or self.outer_radius not in (4, 5):
             raise ConfigError(f"BinaryRings.outer_radius must be 4 or 5, not {self.outer_radius!r}")
 
-    @classmethod
-    def for_cell(cls, cell: float) -> Self:
-        """Choose the window and the outer radius for cells of that side, px (4 to 1000).
-
-        The outer radius is 4 under 12 px. Raises ConfigError for another cell.
-        """
-        check_range("BinaryRings.for_cell(cell)", cell, 4, 1000)
-        return cls(
-            threshold=AdaptiveMean(window=window_for_cell(cell)), outer_radius=4 if cell < 12 else 5
-        )
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EdgeLines:
-    """Refinement by the intersection of the two edge lines (section 6, EDGE_LINES).
-
-    max_shift: largest distance from the rounded centroid, px, 0 to 5.
-    """
-
-    max_shift: float = 2.0
-
-    def __post_init__(self) -> None:
-        check_range("EdgeLines.max_shift", self.max_shift, 0, 5)
+    """Refinement by the intersection of the two edge lines (section 6, EDGE_LINES)."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -226,23 +207,19 @@ class Midlines:
     """Refinement by the centrelines of the black sectors (section 6, MIDLINE and CUSP).
 
     fit: straight or quadratic centrelines.
-    max_shift: largest distance from the rounded centroid, px, 0 to 5.
     """
 
     fit: Fit = Fit.LINEAR
-    max_shift: float = 2.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.fit, Fit):
             raise ConfigError(f"Midlines.fit must be Fit.LINEAR or Fit.QUADRATIC, not {self.fit!r}")
-        check_range("Midlines.max_shift", self.max_shift, 0, 5)
 
 
 _TABLE_2_WINDOWS = {20: 41, 30: 31, 40: 21}
 _WIDE_CELL = 20  # px; wider cells are not squeezed under 6 px
 _DETECTIONS: dict[str, type] = {"ring_harmonic": RingHarmonic, "binary_rings": BinaryRings}
 _CRITERIA: dict[str, type] = {"rapid": RapidCriteria, "spectral": SpectralCriteria}
-_MOVED = ("threshold", "criteria", "contrast", "outer_radius")
 _REFINEMENTS: dict[str, type] = {
     "edge_lines": EdgeLines,
     "edge_step": EdgeStep,
@@ -362,20 +339,12 @@ class DetectorConfig:
 
     @classmethod
     def _from_dict(cls, data: Mapping[str, Any]) -> Self:
-        for key in data:
-            if key in _MOVED:
-                raise ConfigError(_moved(key, data[key]))
         values = _known(data, cls)
         if "detection" in values:
             values["detection"] = _detection(values["detection"])
         if "refinement" in values:
             values["refinement"] = _chosen("refinement", values["refinement"], _REFINEMENTS)
         return cls(**values)
-
-
-def window_for_cell(cell: float) -> int:
-    """Return the window of binarization for a cell, both px: about 1.3 cells, odd, 9 to 255."""
-    return min(max(2 * (math.floor(1.3 * cell) // 2) + 1, 9), 255)
 
 
 def _check_part(part: str, field: str, value: object, *kinds: type) -> None:
@@ -395,14 +364,6 @@ def _known(data: Mapping[str, Any], kind: type) -> dict[str, Any]:
         key: None if value is False and types[key] is not bool else value
         for key, value in data.items()
     }
-
-
-def _moved(key: str, value: object) -> str:
-    """Return a message that says how to write a key that belongs in the table [detection]."""
-    moved = f"[{key}] as [detection.{key}]"
-    if not isinstance(value, Mapping):
-        moved = f"{key} = {_toml(None if value is False else value)} in that table"
-    return f'{key} belongs to the detection: write [detection] with kind = "binary_rings", {moved}'
 
 
 def _detection(value: object) -> RingHarmonic | BinaryRings | None:

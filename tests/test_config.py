@@ -9,7 +9,6 @@ from cmp_cl.config import (
     AdaptiveMean,
     BinaryRings,
     DetectorConfig,
-    EdgeLines,
     EdgeStep,
     Fit,
     Midlines,
@@ -17,7 +16,6 @@ from cmp_cl.config import (
     RingHarmonic,
     SectorContrast,
     SpectralCriteria,
-    window_for_cell,
 )
 from cmp_cl.errors import ConfigError
 
@@ -36,9 +34,7 @@ BOUNDS = [
     (SectorContrast, "minimum", 0, 255, 1e-3),
     (SectorContrast, "relative", 0, 1, 1e-3),
     (SectorContrast, "noise", 0, 100, 1e-3),
-    (EdgeLines, "max_shift", 0, 5, 1e-3),
     (EdgeStep, "cell", 4, 1000, 1e-3),
-    (Midlines, "max_shift", 0, 5, 1e-3),
     (DetectorConfig, "nms_radius", 1, 15, 1),
     (DetectorConfig, "scale", 0.05, 4, 1e-3),
     (DetectorConfig, "full_scale", 1, 65535, 1),
@@ -89,7 +85,7 @@ CONFIGS = {
     "pyramid": DetectorConfig(
         detection=BinaryRings(threshold=AdaptiveMean(window=31)),
         scale=0.5,
-        refinement=Midlines(fit=Fit.QUADRATIC, max_shift=1.5),
+        refinement=Midlines(fit=Fit.QUADRATIC),
         full_scale=4095,
     ),
     "numpy_number": DetectorConfig.for_cell(np.float64(90)),
@@ -138,13 +134,6 @@ def test_a_file_that_is_no_configuration_is_refused_with_its_name(text, message,
         DetectorConfig.load(tmp_path / "bad.toml")
     assert message in str(caught.value)
     assert "bad.toml" in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("cell", "window"), [(4, 9), (7, 9), (10, 13), (12, 15), (15, 19), (16, 21), (300, 255)]
-)
-def test_the_window_is_odd_and_about_1_3_cells(cell, window):
-    assert window_for_cell(cell) == window
 
 
 @pytest.mark.parametrize(("markers", "window"), [(20, 41), (30, 31), (40, 21)])

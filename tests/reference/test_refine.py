@@ -2,6 +2,7 @@
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 from corner_images import board, corner, noise
@@ -123,15 +124,17 @@ def test_the_step_is_right_with_its_default_cell(cell):
     assert (errors[2] > errors[1]) == (cell == 6)
 
 
-def test_corners_whose_refinement_is_rejected_keep_their_centroid():
-    image = corner(20.3, 20.4, 0.7)
-    kept = one(image, EdgeLines(max_shift=0))
-    plain = one(image, None)
-    assert (kept.method[0], kept.refusal[0]) == (Method.KEPT, Refusal.SHIFT)
-    np.testing.assert_array_equal(kept.xy, plain.xy)
-    assert np.isfinite(kept.edges).all()
+@pytest.mark.parametrize("refinement", [EdgeLines(), EdgeStep(), Midlines()])
+def test_corners_whose_refinement_is_rejected_keep_their_centroid(refinement):
+    grain = cv2.GaussianBlur(np.random.default_rng(5).normal(0, 160, (120, 140)), (0, 0), 1.5)
+    image = np.clip(128 + grain, 0, 255).astype(np.uint8)
+    refined, plain = found(image, refinement), found(image, None)
+    kept = refined.method == Method.KEPT
+    assert 0 < kept.sum() < len(kept)
+    assert (refined.refusal[kept] != Refusal.NONE).all()
+    np.testing.assert_array_equal(refined.xy[kept], plain.xy[kept])
+    assert np.isnan(refined.sigma[kept]).all()
     assert np.isnan(plain.edges).all()
-    assert one(image, Midlines(max_shift=0)).method[0] == Method.KEPT
 
 
 def at_centre(image: np.ndarray, refinement: object) -> refine.Refined:
