@@ -427,7 +427,8 @@ def detect(
     """Find the corners of one image, (H, W) uint8 or uint16.
 
     It makes a Detector, runs it and releases it. For many images of one shape make a Detector
-    yourself. config, device: as for a Detector.
+    yourself. config, device: as for a Detector. `Corners.advice` says when the corners seem to be
+    noise or texture, or why there are none.
 
     Raises the errors of Detector.
     """
