@@ -221,7 +221,7 @@ def from_a_file(film: Film) -> Row:
         command = [sys.executable, "-m", "cmp_cl", "run", "film.avi", "--stereo", "rig.yaml"]
         command += ["--grid", f"{MARKERS}x{MARKERS}", "--out", "film.h5"]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
-    rate, limit = re.search(r"([\d.]+) frames a second, (limited by \w+)", done.stdout).groups()
+    rate, limit = re.search(r"([\d.]+) frames a second, (limited by [^;]+);", done.stdout).groups()
     case = f"two views, to .h5, {limit}"
     return "cmp-cl run from MJPG", case, FILE_FRAMES, float(rate), "1/s", "at least 100"
 

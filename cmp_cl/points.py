@@ -69,16 +69,18 @@ def largest_deviation(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     m + 2 s cos(acos(det B / 2) / 3).
     """
     size = covariance.shape[-1]
-    mean = np.trace(covariance, axis1=-2, axis2=-1) / size
+    planes = np.ascontiguousarray(np.moveaxis(covariance, (-2, -1), (0, 1)))
+    mean = np.einsum("kk...->...", planes) / size
     if size == 2:
-        half = (covariance[..., 0, 0] - covariance[..., 1, 1]) / 2
-        return np.asarray(np.sqrt(mean + np.hypot(half, covariance[..., 0, 1])), np.float64)
-    rest = covariance - mean[..., None, None] * np.eye(3)
-    spread = np.sqrt(np.square(rest).sum(axis=(-2, -1)) / 6)
-    scaled = rest / np.where(spread == 0, 1, spread)[..., None, None]
-    (a, f, e), (_, b, d), (_, _, c) = np.moveaxis(scaled, (-2, -1), (0, 1))
+        half = (planes[0, 0] - planes[1, 1]) / 2
+        return np.asarray(np.sqrt(mean + np.hypot(half, planes[0, 1])), np.float64)
+    a, b, c = (planes[k, k] - mean for k in range(3))
+    d, e, f = planes[1, 2], planes[0, 2], planes[0, 1]
+    square = (a * a + b * b + c * c) / 6 + (d * d + e * e + f * f) / 3
+    spread = np.sqrt(square)
     determinant = a * (b * c - d * d) - f * (f * c - d * e) + e * (f * d - b * e)
-    angle = np.arccos(np.clip(determinant / 2, -1, 1)) / 3
+    cosine = determinant / np.where(spread == 0, 1, 2 * square * spread)
+    angle = np.arccos(np.clip(cosine, -1, 1)) / 3
     deviation: NDArray[np.float64] = np.sqrt(mean + 2 * spread * np.cos(angle))
     return deviation
 

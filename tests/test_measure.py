@@ -100,7 +100,7 @@ def test_an_audit_tells_the_nodes_that_tracking_numbered_otherwise(film, monkeyp
         index[[5, 7]] = index[[7, 5]]
         return dataclasses.replace(grid, index=index)
 
-    monkeypatch.setattr("cmp_cl.measure.frames.AUDITED", 2)
+    monkeypatch.setattr("cmp_cl.measure.measurement.AUDITED", 2)
     with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
         found = [following(frame) for frame in film[:4]]
         assert [each.tracked for each in found] == [False, True, True, True]

@@ -20,9 +20,12 @@ a loop in a thread, with the calls that PyTac3D's users know.
 """
 
 from cmp_cl.measure.boards import MAX_SIGMA, find_board, square_sides, trusted
-from cmp_cl.measure.frames import Measured, Measurement, OneView, Tally, TwoViews
+from cmp_cl.measure.measured import Measured, Tally
+from cmp_cl.measure.measurement import Measurement
+from cmp_cl.measure.one_view import OneView
 from cmp_cl.measure.patterns import Region, align_views, cell_of, find_pattern
 from cmp_cl.measure.sensor import Sensor, pytac3d
+from cmp_cl.measure.two_views import TwoViews
 
 __all__ = [
     "MAX_SIGMA",

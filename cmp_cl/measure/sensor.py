@@ -16,7 +16,8 @@ from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError, ImageError, check_kind
 from cmp_cl.field import DisplacementField
 from cmp_cl.image import GreyImage
-from cmp_cl.measure.frames import Measured, TwoViews
+from cmp_cl.measure.measured import Measured
+from cmp_cl.measure.two_views import TwoViews
 from cmp_cl.media.cameras import Source
 from cmp_cl.points import PointStatus
 from cmp_cl.series import SeriesWriter, read_series

@@ -31,6 +31,15 @@ def put(arrays: dict[str, NDArray[Any]], view: int, grid: Grid, corners: Corners
     arrays["seen_sigma"][view] = sigma
 
 
+def positions_of(arrays: Mapping[str, NDArray[Any]], view: int) -> NDArray[np.float32]:
+    """Return the positions of the nodes of a view, (R, C, 2) px, NaN where they are missing.
+
+    arrays: of the frame, see `FieldPlan.read`.
+    """
+    there = arrays["seen_status"][view] != NodeStatus.MISSING
+    return np.where(there[..., None], arrays["nodes"][view], np.float32(np.nan))
+
+
 def grid_of(arrays: Mapping[str, NDArray[Any]], view: int, rest: Grid, corners: int) -> Grid:
     """Return the grid of a view that was tracked.
 
@@ -41,7 +50,7 @@ def grid_of(arrays: Mapping[str, NDArray[Any]], view: int, rest: Grid, corners: 
     index = np.full((corners, 2), -1, np.int32)
     index[owner[row, column]] = np.stack([row, column], axis=1)
     there = status != NodeStatus.MISSING
-    xy = np.where(there[..., None], arrays["nodes"][view], np.float32(np.nan))
+    xy = positions_of(arrays, view)
     sigma = np.where(there, arrays["seen_sigma"][view], np.float32(np.nan))
     return dataclasses.replace(
         rest,

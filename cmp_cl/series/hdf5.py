@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cmp_cl.errors import extra
 from cmp_cl.series.base import Arrays, Description, Format
@@ -33,6 +34,7 @@ class Hdf5Format(Format):
         check_room(part.parent, _ROOM)
         self._file: Any = h5py.File(part, "w", libver="latest")
         self._datasets: dict[str, Any] = {}
+        self._frame_space: dict[str, Any] = {}  # the shape of a frame's part of each
         for name, value in description.entries().items():
             self._file.attrs[name] = value
         compact = h5py.h5p.create(h5py.h5p.DATASET_CREATE)  # in the header, which has a checksum
@@ -54,15 +56,25 @@ class Hdf5Format(Format):
             if not number:
                 self._begin(full)
             for name, value in full.items():
-                dataset = self._datasets[name]
-                dataset.resize(number + 1, axis=0)
-                dataset[number] = value
-                dataset.flush()
+                self._append(name, number, np.asarray(value, order="C"))
         except (RuntimeError, OSError) as error:
             raise _as_os_error(error) from error
 
+    def _append(self, name: str, number: int, value: NDArray[Any]) -> None:
+        """Write a frame's part of a dataset, by the calls of HDF5; h5py's own take twice the
+        time."""
+        dataset = self._datasets[name].id
+        dataset.set_extent((number + 1, *value.shape))
+        if value.size:
+            place = dataset.get_space()
+            place.select_hyperslab((number, *[0] * value.ndim), (1, *value.shape))
+            dataset.write(self._frame_space[name], place, value)
+        dataset.flush()
+
     def _begin(self, frame: Arrays) -> None:
         """Make the datasets; none can be added while others read the file."""
+        import h5py
+
         for name, value in frame.items():
             if name not in self._datasets:
                 self._datasets[name] = self._file.create_dataset(
@@ -73,6 +85,7 @@ class Hdf5Format(Format):
                     dtype=value.dtype,
                     fletcher32=True,
                 )
+                self._frame_space[name] = h5py.h5s.create_simple((1, *value.shape))
                 self._set_unit(name, self._datasets[name])
         self._datasets["time_ms"].attrs["unit"] = "ms"
         self._file.swmr_mode = True

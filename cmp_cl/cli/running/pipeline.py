@@ -2,6 +2,8 @@
 
 import collections
 import contextlib
+import os
+import sys
 import time
 from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -9,6 +11,7 @@ from typing import Any, TypeVar
 
 from cmp_cl.closing import Closing
 
+_BUSY = 0.85  # share of the time of all cores from which on they limit
 _WAITING = 4  # the most results that wait between two stages
 _END: Any = object()
 
@@ -36,12 +39,18 @@ class Pace:
 
     def __init__(self, *names: str) -> None:
         self.stages = [Stage(name) for name in names]
-        self._start = time.perf_counter()
+        self._start, self._used = time.perf_counter(), time.process_time()
+        self._cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count()
 
     @property
     def limit(self) -> str:
-        """Return which stage limits the others, as text: the one that has worked most."""
-        return f"limited by {max(self.stages, key=lambda stage: stage.busy_s).name}"
+        """Return what limits the run, as text: all cores, if this process keeps them busy, else
+        the stage that has worked most."""
+        most = max(self.stages, key=lambda stage: stage.busy_s).name
+        took, used = time.perf_counter() - self._start, time.process_time() - self._used
+        if self._cores and used > _BUSY * self._cores * took:
+            return f"limited by the {self._cores} cores of this machine, which are busy"
+        return f"limited by {most}"
 
     def line(self, frames: int) -> str:
         """Return how many frames a second there were, as text, and what limited them."""

@@ -1,0 +1,111 @@
+"""What becomes of a frame that is measured."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.corners import Corners
+from cmp_cl.field import DisplacementField
+from cmp_cl.grid import Grid
+from cmp_cl.image import GreyImage
+from cmp_cl.space import Bias, Points3D, StereoRig
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Measured:
+    """A frame, measured against the frame at rest.
+
+    field: the displacement of the nodes, in the image, in the plane of a flat pattern, or in space.
+    ambiguous: whether the numbering of a grid is ambiguous, see `Grid.ambiguous`.
+    views, corners: of the one view, or of the left and of the right one.
+    number: returns their grids, see `grids`. seen: returns the positions of their nodes, (R, C, 2)
+        float32, px.
+    rig: the cameras of two views; None from one view.
+    bias: of the rig, where it has a window and a covariance.
+    tracked: whether its nodes have their numbers from the frame before.
+    differing: the nodes for which tracking had another corner than the numbers that were found
+        anew, which hold; 0 where none were looked for.
+    """
+
+    field: DisplacementField
+    ambiguous: bool
+    views: tuple[GreyImage, ...]
+    corners: tuple[Corners, ...]
+    number: Callable[[], tuple[Grid, ...]]
+    seen: Callable[[], tuple[NDArray[np.float32], ...]]
+    rig: StereoRig | None = None
+    bias: Bias | None = None
+    tracked: bool = False
+    differing: int = 0
+
+    @functools.cached_property
+    def grids(self) -> tuple[Grid, ...]:
+        """Return the grid of the one view, or those of the left and of the right one."""
+        return self.number()
+
+    @functools.cached_property
+    def points(self) -> Points3D | None:
+        """Return the positions of the nodes now, in space, triangulated when they are asked for;
+        None from one view."""
+        return None if self.rig is None else self.rig.triangulate(*self.grids)
+
+    @property
+    def bias_sigma(self) -> NDArray[np.float64] | None:
+        """Return the standard deviation of the displacement by the error of the rig, (R, C), see
+        `cmp_cl.space.Bias`; None without a bias."""
+        return None if self.bias is None else self.bias.sigma(self.field.displacement)
+
+    @property
+    def nodes(self) -> int:
+        """Return the number of nodes that are measured both at rest and now."""
+        return int(np.count_nonzero(self.field.valid))
+
+    @property
+    def largest(self) -> float:
+        """Return the largest displacement in the unit of the field, 0 without nodes."""
+        moved = self.field.displacement[self.field.valid]
+        return float(np.linalg.norm(moved, axis=1).max(initial=0))
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays for `SeriesWriter.append`, by name.
+
+        displacement, sigma, status and source of the field; raw_displacement and raw_sigma before
+        the lattice filter; its strain, if it has one, see
+        `DisplacementField.strains`; bias_sigma, if there is one; and the detected positions,
+        (R, C, 2) float32, px: xy of one view, left and right of two.
+        """
+        field = self.field
+        arrays: dict[str, NDArray[Any]] = {
+            "displacement": field.displacement,
+            "sigma": field.sigma,
+            "status": field.status,
+            "source": field.source,
+            **field.strains(),
+        }
+        if field.raw is not None:
+            arrays |= {"raw_displacement": field.raw.displacement, "raw_sigma": field.raw.sigma}
+        if self.bias is not None:
+            arrays["bias_sigma"] = self.bias.sigma(field.displacement)
+        names = ("xy",) if self.rig is None else ("left", "right")
+        return arrays | dict(zip(names, self.seen(), strict=True))
+
+
+@dataclasses.dataclass
+class Tally:
+    """How the frames of a recording got their numbers.
+
+    tracked: frames that have them from the frame before. numbered: frames whose numbers were found
+    anew, those that could not be tracked and those audited. audited: frames that were tracked, and
+    whose numbers were found anew all the same. differing: nodes for which the two had another
+    corner.
+    """
+
+    tracked: int = 0
+    numbered: int = 0
+    audited: int = 0
+    differing: int = 0

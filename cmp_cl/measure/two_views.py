@@ -1,0 +1,193 @@
+"""Displacements in space, from two views in a frame."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.config import DetectorConfig
+from cmp_cl.errors import ConfigError, GridError, ImageError, check_kind
+from cmp_cl.field import DisplacementField
+from cmp_cl.grid import Grid
+from cmp_cl.grid.grid import NO_SIDES
+from cmp_cl.image import GreyImage
+from cmp_cl.measure.measurement import Measurement, constants_of
+from cmp_cl.measure.patterns import Region, align_views, check_two
+from cmp_cl.measure.views import Search, Views
+from cmp_cl.motion import displacement
+from cmp_cl.motion.geometry import InSpace, fits
+from cmp_cl.motion.moments import Moment
+from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.space import Bias, BinocularSplit, Points3D, PointStatus, StereoRig
+
+_FITS = 1.0  # px, largest reprojection error of a node that fits the rig
+_LEAST_FITTING = 0.75  # share of the nodes at rest that must fit
+_FLIP = np.array([-1, 1], np.float32)
+# Rows and columns to the nearest nodes of the same colours; the opposite ones follow from them.
+_SHIFTS = (0, 2), (2, 0), (1, 1), (1, -1)
+_BETTER = 0.25  # share of the reprojection error that is left if the views were swapped or mirrored
+
+
+class TwoViews(Measurement):
+    """Measures displacements in space from frames that hold two views.
+
+    rest: the frame at rest, (H, W) uint8 or uint16. rig: the cameras, calibrated on views that were
+        split in the same way.
+    split: the rectangles of the two views in a frame. regions: regions of the left and of the right
+    view, see `OneView`. The other arguments are those of `OneView`.
+
+    A device without double precision computes in float32: displacements 46 mm away then differ by
+    at most .015 um, behind a window by .05 um (measured).
+
+    Raises GridError if a view of the frame at rest shows no such pattern, or the rig does not fit
+    three quarters of its nodes to 1 px, or it fits other pairs of nodes as well and the two views
+    do not show the pattern's border on the same side; ImageError if a view extends past the frame;
+    ConfigError if rig or split is of another type; and the errors of `Detector`.
+    """
+
+    def __init__(
+        self,
+        rest: GreyImage,
+        rig: StereoRig,
+        split: BinocularSplit,
+        *,
+        shape: tuple[int, int] | None = None,
+        regions: tuple[Region | None, Region | None] = (None, None),
+        config: DetectorConfig | None = None,
+        full_scale: int | None = None,
+        device: Device | str | None = None,
+        track: bool = False,
+        strain: bool = False,
+        profile: bool = False,
+    ) -> None:
+        check_kind("rig", rig, StereoRig, ConfigError)
+        check_kind("split", split, BinocularSplit, ConfigError)
+        super().__init__(device=select_device(device), strain=strain, profile=profile)
+        self._rig: StereoRig = rig
+        self._split = split
+        check_two("regions", regions)
+        search = Search(
+            device=self._device,
+            shape=shape,
+            config=config,
+            full_scale=full_scale,
+            track=track,
+            profile=profile,
+        )
+        with self._closed_on_error():
+            self._views = self._stack.enter_context(Views(split(rest), search, regions))
+            self._size = rest.shape
+            left, right = self._views.views
+            right.rest = align_views(left.rest, right.rest, rig.R)
+            self.rest = self._placed(left.rest, right.rest)
+            if fits(rig):
+                geometry = InSpace(rig, [view.rest.edge_radius for view in self._views.views])
+                self._plan_for(search.device, rest, Moment.in_space(self.rest), geometry)
+        if rig.window is not None and rig.covariance is not None:
+            self._bias = Bias(rig, self.rest.xyz)
+        self.unit = rig.unit
+        self.nodes = self.rest.status.size
+        still = displacement(self.rest, self.rest, device=self._device)
+        positions = {"left_rest": left.rest.xy, "right_rest": right.rest.xy}
+        self.constants = constants_of(still) | positions
+
+    @property
+    def rest_grids(self) -> tuple[Grid, Grid]:
+        """Return the grids of the frame at rest, left and right."""
+        left, right = self._views.views
+        return left.rest, right.rest
+
+    def _placed(self, left: Grid, right: Grid) -> Points3D:
+        points = self._rig.triangulate(left, right)
+        both = np.count_nonzero(left.valid & right.valid)
+        fitting = _fit(points)
+        in_front = np.count_nonzero(points.status == PointStatus.BEHIND)
+        if self._rig.window is not None and in_front > both / 2:
+            raise GridError(
+                f"the rig's window lies beyond the pattern: {in_front} of the {both} nodes would "
+                "lie in front of its last face; check its distance, its layers, and which view is "
+                "the left one"
+            )
+        if not fitting >= _LEAST_FITTING * both or not both:
+            glass = ", a window or gel that the calibration does not know (calibrate --window)"
+            raise GridError(
+                f"the rig fits {fitting} of the {both} nodes that both views show to "
+                f"{_FITS:g} px; check the calibration, the number of corners, the split, mirrored "
+                f"views{glass if self._rig.window is None else ''}, and which view is the left one"
+            )
+        self._check_order(left, right, _middle(points.error))
+        self._check_pairs(left, right)
+        return points
+
+    def _check_pairs(self, left: Grid, right: Grid) -> None:
+        """Raise GridError if the rig fits as well with the numbers of one view shifted, and no side
+        at which both views show the border of the pattern decides.
+
+        Along the epipolar lines another pair of nodes is a point at another depth.
+        """
+        borders = zip(left.border or NO_SIDES, right.border or NO_SIDES, strict=True)
+        both = [here and there for here, there in borders]
+        open_ways = not any(both[:2]), not any(both[2:])
+        for shift in _SHIFTS:
+            if any(step and not is_open for step, is_open in zip(shift, open_ways, strict=True)):
+                continue
+            for sign in (1, -1):
+                rows, columns = shifted = sign * shift[0], sign * shift[1]
+                other = dataclasses.replace(right, origin=shifted).cut_to(left)
+                points = self._rig.triangulate(left, other)
+                pairs = np.count_nonzero(left.valid & other.valid)
+                if pairs and _fit(points) >= _LEAST_FITTING * pairs:
+                    raise GridError(
+                        f"the two views may show different parts of the pattern: the rig fits as "
+                        f"well with the right view's numbers shifted by {rows} rows and {columns} "
+                        "columns; give the pattern's rows and columns, or show its border on the "
+                        "same side of both views"
+                    )
+
+    def _check_order(self, left: Grid, right: Grid, error: float) -> None:
+        """Raise GridError if the rig fits far better to views that are swapped or mirrored.
+
+        A flat pattern near the point at which the cameras look fits to 1 px even so, with its
+        heights reversed. error: the median reprojection error of the views as they are, px.
+        """
+        flipped = [
+            dataclasses.replace(grid, xy=grid.xy * _FLIP + (view[2] - 1, 0))
+            for grid, view in ((left, self._split.left), (right, self._split.right))
+        ]
+        other, how = min(
+            (_middle(self._rig.triangulate(*views).error), how)
+            for how, views in (
+                ("left and right swapped", (right, left)),
+                ("both views mirrored", flipped),
+            )
+        )
+        if other < _BETTER * error:
+            raise GridError(
+                f"the rig fits the nodes to {error:.2g} px, but with {how} to {other:.2g} px; give "
+                "the views as they were in the calibration"
+            )
+
+    def _views_of(self, frame: GreyImage) -> tuple[GreyImage, ...]:
+        views = self._split(frame)
+        if frame.shape != self._size:
+            raise ImageError(
+                f"the frame at rest is {self._size}, this one {frame.shape}; measure a recording "
+                "of another size against its own frame at rest"
+            )
+        return views
+
+    def _between(self, grids: Sequence[Grid]) -> DisplacementField:
+        return displacement(self.rest, self._rig.triangulate(*grids), device=self._device)
+
+
+def _fit(points: Points3D) -> int:
+    """Return the number of nodes that fit the rig."""
+    return int(np.count_nonzero(points.valid & (points.error <= _FITS)))
+
+
+def _middle(error: NDArray[np.float64]) -> float:
+    """Return the median of the known errors; infinity if none is known."""
+    known = error[~np.isnan(error)]
+    return float(np.median(known)) if len(known) else math.inf
