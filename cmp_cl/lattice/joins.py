@@ -264,7 +264,7 @@ def _inward(number: Numbers, all_numbers: Numbers, k: LatticeConstants) -> Numbe
     steps = (around + 1j * around[:, None]).ravel()
     steps = steps[np.abs(steps) <= k.span]
     near = _row_and_column((number - low)[:, None] + steps)
-    total = count[near] @ steps
+    total = (count[near] * steps).sum(axis=1)
     unit: Numbers = total / np.maximum(np.abs(total), 1e-9)
     return unit
 
