@@ -275,23 +275,25 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
     if (near[side]) PAIRS_IN_SIGHT(side, NEAR_SIGHT);
   }
   ALL_TOGETHER;
-  FOR_ALL(m, SIDES * PAIRS * DEPTHS * 2) {
-    const int pair = m / (DEPTHS * 2), depth = m / 2 % DEPTHS, side = pair / PAIRS;
-    levels[m] = 0;
+#define LEVEL(n, depth, square) levels[((n) * 2 + (square)) * DEPTHS + (depth)]
+  FOR_ALL(m, SIDES * PAIRS * 2) {
+    const int pair = m / 2, side = pair / PAIRS;
     if (pair % PAIRS >= pairs[side] || !shown[pair]) continue;
     const int k = first[pair];
     const Square square = SQUARE_AT(side, k + ((k + m) & 1)); /* an even one comes first */
     const float far = near[side] ? NEAR_CELL : FAR_CELL;
-    const float out = depth == 0 ? -0.5f : depth == 1 ? far : 0.1f * (float)(depth + 1);
-    int sum = 0;
-    for (int spot = -1; spot <= 1; ++spot)
-      sum += grey_at(IMAGE, (square.middle + out * square.out) + 0.15f * (float)spot * square.along);
-    levels[m] = sum;
+    for (int depth = 0; depth < DEPTHS; ++depth) {
+      const float out = depth == 0 ? -0.5f : depth == 1 ? far : 0.1f * (float)(depth + 1);
+      int sum = 0;
+      for (int spot = -1; spot <= 1; ++spot)
+        sum += grey_at(IMAGE, (square.middle + out * square.out) + 0.15f * (float)spot * square.along);
+      levels[m * DEPTHS + depth] = sum;
+    }
   }
   ALL_TOGETHER;
-#define LEVEL(n, depth, square) levels[((n) * DEPTHS + (depth)) * 2 + (square)]
 #define DIFFERENCE(n, depth) (LEVEL(n, depth, 0) - LEVEL(n, depth, 1))
   FOR_ALL(n, SIDES * PAIRS) {
+    if (n % PAIRS >= pairs[n / PAIRS] || !shown[n]) continue;
     int share[DEPTHS + 4], sum = 0;
     const int inside = LARGER(MAGNITUDE_OF(DIFFERENCE(n, 0)), 1);
     for (int k = 0; k < DEPTHS + 4; ++k) {

@@ -92,7 +92,7 @@ class Found:
         """Return whether it is a full rectangle, but for a few corners."""
         return self.size >= OTHER and self.smooth >= WHOLE
 
-    @property
+    @functools.cached_property
     def is_whole(self) -> bool:
         """Return whether it is a full rectangle whose border is seen, but for one side; or one that
         has every corner, and a further line on any side would be in view."""

@@ -5,6 +5,8 @@ its last squares reach, and what lies past them, tell one end of a pattern from 
 the edge of an object before it.
 """
 
+import cmath
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -47,14 +49,11 @@ class Border(NamedTuple):
     @classmethod
     def of(cls, found: NDArray[np.int32]) -> "Border":
         """Return the sides from what the kernels found."""
-        four = found[ROOM:STEPS].reshape(-1, SIDES)
-        reach, past = np.where(four[2:] == UNSEEN, np.nan, four[2:])
-        return cls(
-            FIRST_REACH + reach * (HALF_STEP / WHOLE),
-            past / (SPOTS * float(found[CONTRAST])),
-            four[1] > 0,
-            four[0] > 0,
-        )
+        values = [math.nan if value == UNSEEN else value for value in found.tolist()]
+        reach = np.array(values[REACH:PAST], np.float64) * (HALF_STEP / WHOLE) + FIRST_REACH
+        past = np.array(values[PAST:STEPS], np.float64) / (SPOTS * values[CONTRAST])
+        follows, room = (np.array(values[n : n + SIDES], np.bool_) for n in (FOLLOWS, ROOM))
+        return cls(reach, past, follows, room)
 
     @property
     def ends(self) -> Mask:
@@ -80,9 +79,11 @@ class Border(NamedTuple):
 def upright(found: NDArray[np.int32]) -> int:
     """Return the quarter turns after which the columns of a board follow the image's x axis, from
     what the kernels found."""
-    along, down = found[STEPS:FOUND:2] + 1j * found[STEPS + 1 : FOUND : 2]
+    x, y, x_down, y_down = found[STEPS:FOUND].tolist()
+    along, down = complex(x, y), complex(x_down, y_down)
     along, down = along or -1j * down, down or 1j * along
-    return int(np.argmin(np.abs(np.angle([along, down, -along, -down]))))
+    away = [abs(cmath.phase(way)) for way in (along, down, -along, -down)]
+    return away.index(min(away))
 
 
 def sizes(plan: "LatticePlan") -> dict[str, int]:

@@ -216,8 +216,10 @@ class LatticePlan(Binder):
         return self.step if self.device.kind is DeviceKind.CPU else GROUP
 
     def of_corners(self, name: str, **arguments: Any) -> Launch:
-        """Bind a kernel with one work-item per corner."""
-        return self.stage(name, (self.capacity,), (GROUP,), **arguments)
+        """Bind a kernel with one work-item per corner. On a CPU groups are small, because PoCL
+        gives a thread 32 of them at a time."""
+        group = GROUP // 4 if self.device.kind is DeviceKind.CPU else GROUP
+        return self.stage(name, (self.capacity,), (group,), **arguments)
 
     def of_half_edges(self, name: str, **arguments: Any) -> Launch:
         """Bind a kernel with one work-item per half-edge."""
