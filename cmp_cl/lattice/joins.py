@@ -142,8 +142,8 @@ class _Joining:
         self.placed.rotation[corner] = (self.units.rotation[some][fresh] + at.quarter) % 4
         self.used.add(number[fresh])
 
-    def ballots(self, part: int) -> tuple[Whole, Numbers, Float, Whole]:
-        """Return the votes for placements of a part: quarter, offset, weight, unit."""
+    def ballots(self, part: int) -> tuple[Whole, Numbers, Float]:
+        """Return the votes for placements of a part: quarter, offset, weight."""
         units, votes, placed = self.units, self.votes, self.placed
         rows = []
         for a, b, s, t in (
@@ -163,56 +163,39 @@ class _Joining:
         quarter = (placed.rotation[corner] - units.rotation[unit]) % 4
         rows.append((quarter, placed.number[corner], np.ones(len(unit)), unit))
         quarter, number, weight, unit = (np.concatenate(each) for each in zip(*rows, strict=True))
-        return quarter, number - units.number[unit] * DIRECTIONS[quarter], weight, unit
+        return quarter, number - units.number[unit] * DIRECTIONS[quarter], weight
 
     def sure(self, part: int) -> tuple[float, Placement | None]:
-        """Return the placement of a part if it is sure, and by how much its surface is better."""
-        k, units = self.k, self.units
-        quarter, offset, weight, unit = self.ballots(part)
-        if weight.sum() < k.join_votes:
+        """Return the placement of a part if it is sure, and by how much its surface is better.
+
+        It has the most votes, less the numbers that would be used twice, and the surface bends
+        least there. Neither is enough alone: squeezed cells can get lost between the parts, which
+        makes counts too short; and where cells are long the surface expects more of them.
+        """
+        quarter, offset, weight = self.ballots(part)
+        if weight.sum() < self.k.join_votes:
             return 0.0, None
         some = self.members[part]
         key = np.stack([quarter, np.rint(offset.real), np.rint(offset.imag)], axis=1).astype(
             np.int64
         )
         places, which = np.unique(key, axis=0, return_inverse=True)
-        which = which.ravel()
-        # One stretch of a rim has one cause: its votes count as their root.
-        around = np.angle(units.at[unit] - units.at[some].mean())
-        octant = np.floor((around / np.pi + 1) * k.join_octants / 2).astype(np.int64)
-        sums = np.bincount(
-            which * k.join_octants + octant % k.join_octants,
-            weight,
-            minlength=k.join_octants * len(places),
-        ).reshape(-1, k.join_octants)
-        score, raw = np.sqrt(sums).sum(axis=1), sums.sum(axis=1)
-        free = units.number[some[~self.placed.there[units.corner[some]]]]
-        for n, (q, x, y) in enumerate(places):  # numbers that are used already are against it
-            score[n] -= np.count_nonzero(self.used.at(free * DIRECTIONS[q] + complex(x, y)))
-        order = np.argsort(-score, kind="stable")
-        best = order[0]
-        colours = score[best] > 0
-        if len(order) > 1:
-            colours &= bool(score[order[1]] <= k.join_ratio * score[best])
-            colours &= bool(np.sort(raw)[-2] <= k.join_ratio * raw[best])
-        turn, at = int(places[best, 0]), complex(places[best, 1], places[best, 2])
-        away = at - offset
-        same = (np.abs(away) < ROUNDED) & (quarter == turn)
-        inward = _inward(units.number[unit], units.number[some], k) * DIRECTIONS[turn]
-        explained = (away * inward.conj()).real >= k.join_inward * np.abs(away)
-        against = weight[~same & ((quarter != turn) | ~explained)].sum()
-        support = weight[same].sum()
-        alone = support >= k.join_votes
-        if against > k.join_against * support or not (alone or colours):
+        votes = np.bincount(which.ravel(), weight, minlength=len(places))
+        free = self.units.number[some[~self.placed.there[self.units.corner[some]]]]
+        twice = [
+            np.count_nonzero(self.used.at(free * DIRECTIONS[q] + complex(x, y)))
+            for q, x, y in places
+        ]
+        best = int(np.argmax(votes - twice))
+        if votes[best] < self.k.join_votes:
             return 0.0, None
-        ratio = self.ratio(part, turn, at)
-        if not (alone and ratio >= k.join_bend) and not (colours and ratio > 1):
-            return 0.0, None
-        return ratio, Placement(turn, at)
+        at = Placement(int(places[best, 0]), complex(places[best, 1], places[best, 2]))
+        ratio = self.ratio(part, *at)
+        return (ratio, at) if ratio >= self.k.join_bend else (0.0, None)
 
     def ratio(self, part: int, turn: int, offset: complex) -> float:
         """Return by what factor the surface bends more at the second best offset; 0 if this one is
-        not the best: long cells bend a surface, but lost ones are not counted."""
+        not the best."""
         units, placed = self.units, self.placed
         some = self.members[part]
         there = placed.there
@@ -254,21 +237,6 @@ class Occupied:
         return taken
 
 
-def _inward(number: Numbers, all_numbers: Numbers, k: LatticeConstants) -> Numbers:
-    """Return the unit sum of the steps from each node to the part's nodes near it."""
-    low = complex(all_numbers.real.min(), all_numbers.imag.min()) - k.span * (1 + 1j)
-    row, column = _row_and_column(all_numbers - low)
-    count = np.zeros((row.max() + k.span + 1, column.max() + k.span + 1))
-    np.add.at(count, (row, column), 1)
-    around = np.arange(-k.span, k.span + 1)
-    steps = (around + 1j * around[:, None]).ravel()
-    steps = steps[np.abs(steps) <= k.span]
-    near = _row_and_column((number - low)[:, None] + steps)
-    total = (count[near] * steps).sum(axis=1)
-    unit: Numbers = total / np.maximum(np.abs(total), 1e-9)
-    return unit
-
-
 def _row_and_column(number: Numbers) -> tuple[Whole, Whole]:
     return np.rint(number.imag).astype(np.int64), np.rint(number.real).astype(np.int64)
 
@@ -297,7 +265,7 @@ class Tear(NamedTuple):
         middle = moved.at.mean()
         sides = []
         for (z, _, _), other in ((fixed, moved), (moved, fixed)):
-            chosen = _nearest(z, other.at[other.rim], k.tear_deep_cells * cell)
+            chosen = _nearest(z, other.at[other.rim], k.span * cell)
             if len(chosen) > k.tear_most:
                 chosen = chosen[np.linspace(0, len(chosen) - 1, k.tear_most).astype(np.int64)]
             sides.append(chosen)
