@@ -131,6 +131,9 @@ def test_the_gel_at_rest_is_a_flat_sheet_of_the_stated_size_in_front_of_the_came
     rest = synthetic.render_stereo(scene.at_rest(), rig)[2]
     for axis in (0, 1):
         np.testing.assert_allclose(np.linalg.norm(np.diff(rest, axis=axis), axis=-1), 32 / 21)
+    alone = synthetic.render(Scene(markers=20, indenter=Indenter.NONE, shape=(240, 320)))
+    np.testing.assert_allclose(alone.truth.mean(axis=(0, 1)), [159.5, 119.5])
+    np.testing.assert_allclose(np.ptp(alone.truth, axis=(0, 1)), 0.92 * 240 * 19 / 21)
     matrix = np.array([[500.0, 0, 249.5], [0, 500, 199.5], [0, 0, 1]])
     parallel = synthetic.Cameras(
         matrix, np.zeros(5), matrix, np.zeros(5), np.eye(3), np.array([-6.0, 0, 0])
