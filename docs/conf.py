@@ -7,10 +7,6 @@ import tomllib
 from pathlib import Path
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))
-
-import pictures  # noqa: E402
-
 PROJECT = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 project = "cmp_cl"
@@ -42,6 +38,7 @@ copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
 autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True}
 autodoc_preserve_defaults = True
 python_use_unqualified_type_names = True
 autodoc_typehints_format = "short"
@@ -125,4 +122,3 @@ def setup(app):
     app.connect("source-read", with_output)
     app.connect("autodoc-process-signature", with_short_arrays)
     app.connect("autodoc-process-docstring", as_restructured_text)
-    app.connect("builder-inited", lambda app: pictures.gallery(HERE / "_generated"))

@@ -1,8 +1,6 @@
 """The pictures of the documentation, from the library's own results.
 
-    python docs/pictures.py        # those of algorithm.md, into docs/pictures
-
-The gallery's are drawn when the site is built.
+python docs/pictures.py        # those of algorithm.md, into docs/pictures
 """
 
 from pathlib import Path
@@ -16,10 +14,9 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 import cmp_cl
-from cmp_cl import media, viz
 from cmp_cl.reference import detect, maps, refine
 from cmp_cl.reference.edges import edge_points, fit_lines
-from cmp_cl.synthetic import Indenter, Mode, Rendered, Scene, default_rig, render, render_stereo
+from cmp_cl.synthetic import Indenter, Rendered, Scene, render
 
 HERE = Path(__file__).parent
 SEED = 900_100
@@ -132,37 +129,6 @@ def grid() -> Figure:
     axes.set_ylim(middle[1] + 130, middle[1] - 130)
     axes.legend(fontsize=7, loc="lower right")
     return figure
-
-
-def gallery(folder: Path) -> None:
-    """Draw corners of gels by indenter, and sheets by motion."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for indenter in (Indenter.BALL, Indenter.TORUS, Indenter.CUBE, Indenter.WEDGE):
-        scene = gel(indenter=indenter, severity=1.0)
-        overlay = viz.corner_overlay(scene.image, cmp_cl.detect(scene.image))
-        media.write_image(folder / f"corners-{indenter.value}.jpg", overlay)
-    for mode in Mode:
-        gallery_of_two_views(folder, mode)
-
-
-def gallery_of_two_views(folder: Path, mode: Mode) -> None:
-    """Draw the sheet of a gel that two cameras see."""
-    rig = cmp_cl.StereoRig(*default_rig((480, 480)))
-    scene = Scene(markers=20, shape=(480, 480), mode=mode, severity=0.7, seed=SEED)
-    grids = []
-    for moment in (scene.at_rest(), scene):
-        views = [view.image for view in render_stereo(moment, rig)[:2]]
-        likes = grids[-1] if grids else (None, None)
-        grids.append(
-            [
-                cmp_cl.build_grid(cmp_cl.detect(view), view, shape=(20, 20), like=like)
-                for view, like in zip(views, likes, strict=True)
-            ]
-        )
-    rest, now = (rig.triangulate(*pair) for pair in grids)
-    field = cmp_cl.displacement(rest, now)
-    figure = viz.sheet_figure(viz.Moment.of(field), title=f"a {mode.value}")
-    viz.save_figure(folder / f"{mode.value}.png", figure, dpi=70)
 
 
 def main() -> int:
