@@ -122,16 +122,15 @@ def calibrate_window(
         raise CalibrationError(
             "the search for the window does not end; check the pitch, the layers and the rig"
         )
-    whole = np.zeros((size + WINDOW, size + WINDOW))
+    known = np.zeros((size + WINDOW, size + WINDOW))
     if rig.covariance is not None:
-        whole[:size, :size] = rig.covariance[:size, :size]
+        known[:size, :size] = rig.covariance[:size, :size]
     if stepped is None:
-        whole[-1, -1] = index_sigma**2
-    known = whole[np.ix_(given, given)]
-    by_given = -inverse @ normal[np.ix_(free, given)]
-    whole[np.ix_(free, given)] = by_given @ known
-    whole[np.ix_(given, free)] = known @ by_given.T
-    whole[np.ix_(free, free)] = covariance + by_given @ known @ by_given.T
+        known[-1, -1] = index_sigma**2
+    by_known = np.eye(size + WINDOW)
+    by_known[np.ix_(free, given)] = -inverse @ normal[np.ix_(free, given)]
+    whole = by_known @ known @ by_known.T
+    whole[np.ix_(free, free)] += covariance
     _check_sigma(np.sqrt(np.diag(whole)[free]), rig)
     mean = float(np.nanmean(np.concatenate([s.ravel() for s in sides(before.points)])))
     if abs(mean / pitch - 1) > _LARGEST_SCALE:
