@@ -17,7 +17,7 @@ from cmp_cl.measure.measurement import Measurement, constants_of
 from cmp_cl.measure.patterns import Region, align_views, check_two
 from cmp_cl.measure.views import Search, Views
 from cmp_cl.motion import displacement
-from cmp_cl.motion.geometry import InSpace, fits
+from cmp_cl.motion.geometry import InSpace
 from cmp_cl.motion.moments import Moment
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.space import Bias, BinocularSplit, Points3D, PointStatus, StereoRig
@@ -82,9 +82,8 @@ class TwoViews(Measurement):
             left, right = self._views.views
             right.rest = align_views(left.rest, right.rest, rig.R)
             self.rest = self._placed(left.rest, right.rest)
-            if fits(rig):
-                geometry = InSpace(rig, [view.rest.edge_radius for view in self._views.views])
-                self._plan_for(search.device, rest, Moment.in_space(self.rest), geometry)
+            geometry = InSpace(rig, [view.rest.edge_radius for view in self._views.views])
+            self._plan_for(search.device, rest, Moment.in_space(self.rest), geometry)
         if rig.window is not None and rig.covariance is not None:
             self._bias = Bias(rig, self.rest.xyz)
         self.unit = rig.unit

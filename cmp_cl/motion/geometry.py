@@ -80,18 +80,12 @@ def _radius(radius: float) -> np.float32:
     return np.float32(radius if radius >= 0 else 0)
 
 
-def fits(rig: StereoRig) -> bool:
-    """Return whether kernels/space.cl has the lens model of both cameras: not a tilted sensor's."""
-    return max(len(rig.D1), len(rig.D2)) <= _COEFFICIENTS
-
-
 def camera_numbers(
     matrix: Array, distortion: Array, rotation: Array, move: Array, *, window: Window | None = None
 ) -> Array:
     """Return a camera as kernels/space.cl takes it, (31,), and its window after it.
 
-    rotation, move: from the frame of the left camera. The coefficients of distortion are at most
-    12; those of a tilted sensor have no place. window: before the camera; None is air.
+    rotation, move: from the frame of the left camera. window: before the camera; None is air.
     """
     coefficients = np.zeros(_COEFFICIENTS)
     coefficients[: len(distortion)] = distortion

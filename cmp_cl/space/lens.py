@@ -103,12 +103,12 @@ def checked_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def checked_distortion(name: str, value: ArrayLike) -> Array:
-    """Return coefficients of distortion, 5 for none; raises CalibrationError for a number of them
-    that OpenCV does not take."""
+    """Return coefficients of distortion, 5 for none; raises CalibrationError for another number
+    than OpenCV takes, or for those of a tilted sensor, 14."""
     array = as_numbers(name, value, CalibrationError)
     size = array.size
-    if size not in (0, 4, 5, 8, 12, 14):
-        raise CalibrationError(f"{name} must have 0, 4, 5, 8, 12 or 14 coefficients, not {size}")
+    if size not in (0, 4, 5, 8, 12):
+        raise CalibrationError(f"{name} must have 0, 4, 5, 8 or 12 coefficients, not {size}")
     return checked_array(name, array.reshape(-1), (size,)) if size else np.zeros(5)
 
 

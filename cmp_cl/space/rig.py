@@ -62,7 +62,7 @@ class StereoRig:
     """Two calibrated cameras in OpenCV's convention: X_right = R X_left + T.
 
     K1, K2: (3, 3) camera matrices, px, pixel centres at integers.
-    D1, D2: 4, 5, 8, 12 or 14 distortion coefficients, empty for none.
+    D1, D2: 4, 5, 8 or 12 distortion coefficients, empty for none.
     R: (3, 3) rotation matrix.
     T: (3,) translation, in `unit`.
     unit: name of the unit of length.

@@ -13,7 +13,6 @@ from cmp_cl.space.calibration.adjustment import (
     Look,
     State,
     adjust,
-    covariance,
     residuals,
     root_mean_square,
 )
@@ -186,10 +185,7 @@ def calibrate(
         board.reshape(-1, 3),
     )
     free = unknowns(lens, len(seen))
-    if len(seen) == 1:
-        cov = covariance(lens, looks, state, free)
-    else:
-        state, cov = adjust(lens, looks, state, free)
+    state, cov = adjust(lens, looks, state, free)
     _check_fit(lens, looks, state, alone, places.odd)
     side = 1.0
     if free_board:
