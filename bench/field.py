@@ -1,7 +1,8 @@
 """From a frame to its field: its time, its errors against exact truth, and what its sigma covers.
 
-    python bench/field.py --quick       a film of each kind, two minutes
-    python bench/field.py               everything, about ten minutes
+    python bench/field.py --quick           a film of each kind, two minutes
+    python bench/field.py                   everything, about ten minutes
+    python bench/field.py --endure 20000    so many frames of one press, to and fro: memory, drift
 
 Rendered films: two views of 40 x 40 corners on 32 mm in a frame of 1600 x 1200, through cameras
 that are known exactly. A row of results/field.csv is a figure: `what` was measured, in which
@@ -54,6 +55,7 @@ JUMPS = {  # severities; a jump comes before the last AFTER frames
     "slip": (0.25, 0.5, 0.1, 0.11, 0.12),
 }
 AFTER = 3
+APART = 0.1  # um
 FILE_FRAMES = 300
 COLUMNS = ("what", "case", "frames", "value", "unit", "goal")
 
@@ -118,6 +120,62 @@ def errors(made: Sequence[Film]) -> list[Row]:
     ):
         rows.append((what, "all", len(every), value, unit, goal))
     return rows
+
+
+def anew(made: Sequence[Film]) -> list[Row]:
+    """Measure the films in their order, and with numbers that are found anew in each frame; return
+    by how much these differ where frames were tracked."""
+    frames = other = 0
+    apart: list[float] = []
+    for film in made:
+        with (
+            TwoViews(film[0].frame, RIG, SPLIT, shape=(MARKERS, MARKERS)) as following,
+            TwoViews(film[0].frame, RIG, SPLIT, shape=(MARKERS, MARKERS)) as numbering,
+        ):
+            for shot in film[1:]:
+                for _ in range(2):  # of more than one missing frame no number is continued
+                    numbering.skip()
+                one, two = following(shot.frame), numbering(shot.frame)
+                frames += one.tracked
+                off = np.linalg.norm(one.field.displacement - two.field.displacement, axis=2)
+                apart.append(1e3 * np.nanmax(off) if one.tracked else 0.0)
+                other += one.tracked and sum(
+                    np.count_nonzero(
+                        (a.index >= 0).all(axis=1)
+                        & (b.index >= 0).all(axis=1)
+                        & (a.index != b.index).any(axis=1)
+                    )
+                    for a, b in zip(one.grids, two.grids, strict=True)
+                )
+    what = "tracked, against numbered anew"
+    return [
+        (what, "corners of another node", frames, other, "", "0"),
+        (what, "frames over .1 um apart", frames, sum(each > APART for each in apart), "", "0"),
+        (what, "largest distance of a node", frames, max(apart), "um", ""),
+    ]
+
+
+def endure(film: Film, count: int) -> list[Row]:
+    """Measure so many frames of a press, to and fro; return what memory does, and how far fields
+    drift from those of the first time that a frame came after the same one."""
+    from endurance import resident
+
+    order = to_and_fro(len(film), count // (2 * len(film) - 3) + 1)[:count]
+    frames, first, used, apart = [shot.frame for shot in film], {}, [], 0.0
+    with TwoViews(frames[0], RIG, SPLIT, shape=(MARKERS, MARKERS)) as measure:
+        for before, number in zip([0, *order], order, strict=False):
+            found = measure(frames[number]).field.displacement
+            then = first.setdefault((before, number), found)
+            apart = max(apart, 1e3 * float(np.nanmax(np.abs(found - then))))
+            used.append(resident())
+        tally = measure.tally
+    return [
+        ("frames in a row", "memory after a tenth", count, used[count // 10], "MB", ""),
+        ("frames in a row", "memory at the end", count, used[-1], "MB", "the same"),
+        ("frames in a row", "drift of the field", count, apart, "um", "0"),
+        ("frames in a row", "audits", count, tally.audited, "", ""),
+        ("frames in a row", "nodes that they number otherwise", count, tally.differing, "", "0"),
+    ]
 
 
 def error_of(measured: Measured, rest: Shot, now: Shot) -> np.ndarray:
@@ -199,6 +257,7 @@ def ratios(what: str, case: str, spent: Sequence[Sequence[float]], goal: str) ->
         (what, case, len(field), middle / np.median(detection), "times", goal),
         (what, case, len(field), middle, "ms", ""),
         (f"{what}, 99 %", case, len(field), late / np.median(detection), "times", ""),
+        (f"{what}, 99 %", case, len(field), late, "ms", ""),
     ]
 
 
@@ -227,20 +286,25 @@ def from_a_file(film: Film) -> Row:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    arguments = parser_of(__doc__, quick="two minutes").parse_args(argv)
-    made = films(1 if arguments.quick else 4)
+    parser = parser_of(__doc__, quick="two minutes")
+    parser.add_argument("--endure", metavar="FRAMES", type=int, help="measure so many, alone")
+    arguments = parser.parse_args(argv)
+    made = films(1 if arguments.quick or arguments.endure else 4)
     presses = [film for film in made if len(film) > len(STEPS)]
     parts = (
         lambda: times(presses[:3], 1 if arguments.quick else 4),
         lambda: [from_a_file(presses[0])],
         lambda: errors(made),
+        lambda: anew(made),
     )
+    if arguments.endure:
+        parts = (lambda: endure(presses[0], arguments.endure),)
     rows: list[Row] = []
     for part in parts:
         for what, case, frames, value, unit, goal in part():
             print(f"{what:34}{case:40}{frames:6} frames {value:9.3g} {unit:6}{goal}", flush=True)
             rows.append((what, case, frames, value, unit, goal))
-    if not arguments.quick or arguments.out:
+    if arguments.out or not (arguments.quick or arguments.endure):
         table = [dict(zip(COLUMNS, row, strict=True)) for row in rows]
         write_table("field", table, arguments.out)
     return 0

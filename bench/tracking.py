@@ -9,7 +9,8 @@ there are false ones from the surround, and missing ones. Each kind of jump is m
 of tracking:
 
     jump            shift, turn and zoom of the whole board, up to three cells
-    slip            whole cells of the right colour, up to four: every corner is where one was
+    slip            each of the 40 of whole cells of the right colour, up to four, in turn: every
+                    corner is where one was
     push            parts of the board, by up to three cells in their middle, steep
     wide push       the same, wider and less steep
     hidden slip     a slip, and an object hides one of its sides
@@ -35,6 +36,12 @@ NODES, CELL, SIZE, FINE = 24, 15.0, 480, 2
 WRONG = 0.35  # cells from its node that a corner has the number of
 KINDS = ("jump", "slip", "push", "wide push", "hidden slip", "slip at squares")
 GROUPS, EACH = 14, 25  # frames at rest, and jumps from each
+SLIPS = [
+    (across, down)
+    for across in range(-4, 5)
+    for down in range(-4, 5)
+    if (across + down) % 2 == 0 and (across or down)
+]  # cells
 y, x = (np.mgrid[: SIZE * FINE, : SIZE * FINE] + 0.5) / FINE - 0.5
 Push = tuple[float, float, float, float, float]  # column, row, its motion, and its width, cells
 
@@ -126,8 +133,10 @@ def surround_of(rng: np.random.Generator) -> np.ndarray:
     return 120 + 40 * cloud
 
 
-def jump(kind: str, before: Pose, rng: np.random.Generator) -> tuple[Pose, dict[str, Any]]:
-    """Return the pose after a jump, and what else `drawn` needs."""
+def jump(
+    kind: str, number: int, before: Pose, rng: np.random.Generator
+) -> tuple[Pose, dict[str, Any]]:
+    """Return the pose after the jump of that number, and what else `drawn` needs."""
     shift, turn, zoom, pushes = before.shift, before.turn, before.zoom, []
     also: dict[str, Any] = {}
     if kind == "jump":
@@ -142,10 +151,8 @@ def jump(kind: str, before: Pose, rng: np.random.Generator) -> tuple[Pose, dict[
             column, row = rng.uniform(-1, NODES, 2)
             pushes.append((column, row, far * np.cos(way), far * np.sin(way), width))
     else:
-        cells = rng.integers(-4, 5, 2) if kind == "slip" else rng.integers(-3, 4, 2)
+        cells = np.array(SLIPS[number % len(SLIPS)]) if kind == "slip" else rng.integers(-3, 4, 2)
         cells[0] += cells.sum() % 2
-        if kind == "slip" and not cells.any():
-            cells[:] = 2
         shift = shift + cells + rng.normal(0, 0.05, 2)
         turn, zoom = turn + rng.normal() * 0.004, zoom * (1 + rng.normal() * 0.002)
     pose = Pose(shift, turn, zoom, tuple(pushes))
@@ -162,7 +169,7 @@ def jump(kind: str, before: Pose, rng: np.random.Generator) -> tuple[Pose, dict[
 
 
 def trials_of(
-    kind: str, count: int, rng: np.random.Generator, config: DetectorConfig, device: Any
+    kind: str, numbers: range, rng: np.random.Generator, config: DetectorConfig, device: Any
 ) -> Iterator[str | int]:
     """Yield for each jump from one frame at rest "not tracked" if the frame before is not,
     "refused", or how many nodes of the frame after it have a wrong position."""
@@ -172,17 +179,17 @@ def trials_of(
     try:
         view = OneView(rest, shape=(NODES, NODES), config=config, device=device)
     except GridError:
-        yield from ["not tracked"] * count
+        yield from ["not tracked"] * len(numbers)
         return
     with view:
-        for _ in range(count):
+        for number in numbers:
             view(rest)
             step = rng.uniform(-0.2, 0.2, 2) * rng.integers(0, 2)
             before = dataclasses.replace(at_rest, shift=at_rest.shift + step)
             if not view(drawn(before, surround, rng)).tracked:
                 yield "not tracked"
                 continue
-            pose, also = jump(kind, before, rng)
+            pose, also = jump(kind, number, before, rng)
             measured = view(drawn(pose, surround, rng, **also))
             if not measured.tracked:
                 yield "refused"
@@ -203,8 +210,9 @@ def main() -> int:
         for number, kind in enumerate(KINDS):
             rng = np.random.default_rng(7000 + number)
             counts: collections.Counter[str] = collections.Counter()
-            for _ in range(groups):
-                for found in trials_of(kind, EACH, rng, config, device):
+            for group in range(groups):
+                numbers = range(group * EACH, (group + 1) * EACH)
+                for found in trials_of(kind, numbers, rng, config, device):
                     if isinstance(found, str):
                         counts[found] += 1
                     else:
