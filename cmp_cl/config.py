@@ -182,7 +182,15 @@ class BinaryRings:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EdgeLines:
-    """Refinement by the intersection of the two edge lines (section 6, EDGE_LINES)."""
+    """Refinement by the intersection of the two edge lines (section 6, EDGE_LINES).
+
+    max_shift: largest distance from the rounded centroid, px, 0 to 5.
+    """
+
+    max_shift: float = 2.0
+
+    def __post_init__(self) -> None:
+        check_range("EdgeLines.max_shift", self.max_shift, 0, 5)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -207,13 +215,16 @@ class Midlines:
     """Refinement by the centrelines of the black sectors (section 6, MIDLINE and CUSP).
 
     fit: straight or quadratic centrelines.
+    max_shift: largest distance from the rounded centroid, px, 0 to 5.
     """
 
     fit: Fit = Fit.LINEAR
+    max_shift: float = 2.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.fit, Fit):
             raise ConfigError(f"Midlines.fit must be Fit.LINEAR or Fit.QUADRATIC, not {self.fit!r}")
+        check_range("Midlines.max_shift", self.max_shift, 0, 5)
 
 
 _TABLE_2_WINDOWS = {20: 41, 30: 31, 40: 21}

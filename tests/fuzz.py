@@ -96,9 +96,9 @@ def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
     )
     refinement = {
         None: None,
-        EdgeLines: EdgeLines(),
+        EdgeLines: EdgeLines(max_shift=_one(rng, 2.0, 0, 5, float(rng.uniform(0, 5)))),
         EdgeStep: EdgeStep(cell=_one(rng, 12.0, 4, 1000, float(rng.uniform(4, 40)))),
-        Midlines: Midlines(fit=fit),
+        Midlines: Midlines(fit=fit, max_shift=float(rng.uniform(0, 5))),
     }
     scale = float(rng.uniform(0.3, 2))
     detection = {

@@ -14,14 +14,12 @@ from cmp_cl.config import EdgeLines, EdgeStep, Midlines
 from cmp_cl.corners import Method, Refusal
 from cmp_cl.image import GreyImage
 from cmp_cl.reference.edge_lines import edge_lines, lines_sigma
-from cmp_cl.reference.edge_step import disc_radius, edge_step
+from cmp_cl.reference.edge_step import STEP_SHIFT, disc_radius, edge_step
 from cmp_cl.reference.edges import EdgePoints, edge_points
 from cmp_cl.reference.midlines import midlines
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-
-MAX_SHIFT = 2.0  # px, of lines from the start
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -68,12 +66,13 @@ def refine(
         )
     points = edge_points(image, start, scale)
     enough = points.valid.sum(axis=1) >= 2
+    max_shift = STEP_SHIFT if isinstance(refinement, EdgeStep) else refinement.max_shift
     sigma = unknown
     doubtful = np.zeros(count, np.bool_)
     if isinstance(refinement, Midlines):
-        shift, method, refusal, margin = midlines(points, refinement.fit, MAX_SHIFT / scale)
+        shift, method, refusal, margin = midlines(points, refinement.fit, max_shift / scale)
     else:
-        shift, method, refusal, margin = edge_lines(points, MAX_SHIFT / scale, scale)
+        shift, method, refusal, margin = edge_lines(points, max_shift / scale, scale)
         sigma = np.where(method == Method.EDGE_LINES, lines_sigma(points), np.nan)
     method = np.where(enough, method, Method.KEPT).astype(np.uint8)
     refusal = np.where(enough, refusal, Refusal.RINGS).astype(np.uint8)

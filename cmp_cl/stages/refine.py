@@ -21,7 +21,6 @@ RESPONSE, METHOD, VARIANCE, CORRELATION = 8, 9, 10, 11
 SHARES = 32  # shares of the corners for each unit of the device
 RADII = (3, 4, 5)  # of the rings, px of the working image
 RING_SAMPLES = 32
-LARGEST_SHIFT = 2.0  # px of the working image, of a refined position from its start
 STEP_RADIUS = (0.75, 4.5, 9.0)  # of EDGE_STEP's disc: cells, and its least and largest px
 DOUBTFUL_EXCESS = 0.010  # excess of the residual's autocorrelation over the frame's median
 VARIANCE_OF_EXCESS = 1000  # px^2 per squared excess, fitted on rendered scenes and on boards
@@ -157,7 +156,7 @@ def _refined(
         capacity=np.uint32(room),
         count_offset=np.uint32(plan.frames * plan.lists),
         length=np.uint32(plan.frames * room),
-        max_shift=np.float32(LARGEST_SHIFT / factor),
+        max_shift=_largest_shift(plan),
         scale=np.float32(factor),
         **rings,
         **disc,
@@ -179,6 +178,13 @@ def _step_radius(refinement: EdgeStep, scale: float) -> float:
     """Return the radius of EDGE_STEP's disc, px of the image."""
     share, least, most = STEP_RADIUS
     return min(max(share * refinement.cell * scale, least), most) / scale
+
+
+def _largest_shift(plan: PlanBase) -> np.float32:
+    """Return the largest distance of a refined position from its start, px of the image."""
+    refinement = plan.config.refinement
+    shift = refinement.max_shift if isinstance(refinement, EdgeLines | Midlines) else 2.0
+    return np.float32(shift / (plan.scale or 1.0))
 
 
 def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
