@@ -28,6 +28,7 @@ SHIFTS = np.array([x + 1j * y for x in range(-2, 3) for y in range(-2, 3) if (x 
 FULL = 4  # closed half-edges of a node inside its part
 ROUNDED = 0.1  # numbers nearer than that are equal
 TREND = 6  # terms of a quadratic
+PROBES = 32  # points that bound the least distance of two parts
 SPARE = 8  # steps between parts, on the map of numbers
 
 
@@ -182,10 +183,8 @@ class _Joining:
         places, which = np.unique(key, axis=0, return_inverse=True)
         votes = np.bincount(which.ravel(), weight, minlength=len(places))
         free = self.units.number[some[~self.placed.there[self.units.corner[some]]]]
-        twice = [
-            np.count_nonzero(self.used.at(free * DIRECTIONS[q] + complex(x, y)))
-            for q, x, y in places
-        ]
+        turned = free * DIRECTIONS[places[:, :1]] + (places[:, 1:2] + 1j * places[:, 2:])
+        twice = np.count_nonzero(self.used.at(turned), axis=1)
         best = int(np.argmax(votes - twice))
         if votes[best] < self.k.join_votes:
             return 0.0, None
@@ -314,9 +313,8 @@ def _nearest(z: Numbers, others: Numbers, reach: float) -> Whole:
     the nearest one, px."""
     if not len(z) or not len(others):
         return np.arange(0)
-    beyond = _from_box(z, others)
-    most = float(np.abs(z[beyond.argmin()] - others).min()) + reach
-    some = np.flatnonzero(beyond <= most)
+    most = np.sqrt(_squares(z[:: len(z) // PROBES + 1], others).min()) + reach
+    some = np.flatnonzero(_from_box(z, others) <= most)
     squares = _squares(z[some], others[_from_box(others, z) <= most]).min(axis=1)
     chosen: Whole = some[np.sqrt(squares) < np.sqrt(squares.min()) + reach]
     return chosen

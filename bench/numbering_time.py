@@ -1,0 +1,103 @@
+"""The time of numbering against that of the detection of the same frame, in turns.
+
+    python bench/numbering_time.py --quick      a third of the rounds
+    python bench/numbering_time.py              half a minute on two quiet cores
+
+Numbering is `Detector.grid` less `Detector.__call__`. A row of results/numbering_time.csv is a kind
+of frame: medians of wall time, and of processor time, which other programs disturb less.
+"""
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from environment import environment, parser_of, write_table
+from patterns import gels, torn, torn_otherwise
+
+from cmp_cl import Detector, DetectorConfig
+from cmp_cl.errors import GridError
+from cmp_cl.image import GreyImage
+
+SEED = 5_300_000
+ROUNDS = 60
+FINE, ANGLE, SIZE = 6.0, 17.0, (1200, 1600)  # px, degrees, of the finest board
+
+
+def frames() -> Iterator[tuple[str, GreyImage, float]]:
+    """Yield kinds of frames, images, and sides of cells, px."""
+    yield from (("whole gels", view.image, view.cell) for view in gels(SEED, 6))
+    for views in (torn(SEED, 6), torn_otherwise(SEED, 6)):
+        yield from (("torn gels", view.image, view.cell) for view in views)
+    yield "cells of 6 px", fine(), FINE
+
+
+def fine() -> GreyImage:
+    """Return a board that fills an image, with noise."""
+    y, x = (np.mgrid[: 3 * SIZE[0], : 3 * SIZE[1]] + 0.5) / 3
+    along, across = np.cos(np.radians(ANGLE)), np.sin(np.radians(ANGLE))
+    u, v = x * along + y * across, y * along - x * across
+    bright = (np.floor(u / FINE) + np.floor(v / FINE)) % 2
+    level = bright.reshape(SIZE[0], 3, SIZE[1], 3).mean(axis=(1, 3)) * 130 + 60
+    level += np.random.default_rng(SEED).normal(0, 2, SIZE)
+    return level.clip(0, 255).astype(np.uint8)
+
+
+def spent(call: Callable[[], object]) -> tuple[float, float]:
+    """Return the milliseconds of a call: wall time, and processor time of all threads."""
+    wall, processor = time.perf_counter(), time.process_time()
+    call()
+    return 1e3 * (time.perf_counter() - wall), 1e3 * (time.process_time() - processor)
+
+
+def times(image: GreyImage, cell: float, rounds: int) -> dict[str, float]:
+    """Return corners and parts of a frame, and the times of its detection and its numbering."""
+    with Detector(shape=image.shape, config=DetectorConfig.for_cell(cell)) as detector:
+
+        def number() -> None:
+            with contextlib.suppress(GridError):
+                detector.grid(image)
+
+        for _ in range(2):  # the first calls compile
+            count = len(detector(image))
+            number()
+        found = [(spent(lambda: detector(image)), spent(number)) for _ in range(rounds)]
+    detected, numbered = np.median(found, axis=0)
+    wall, processor = (numbered - detected).tolist()
+    return {
+        "corners": count,
+        "detection": float(detected[0]),
+        "numbering": wall,
+        "processor_detection": float(detected[1]),
+        "processor_numbering": processor,
+    }
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    arguments = parser_of(__doc__, quick="a third of the rounds").parse_args(argv)
+    print(f"cores at other work: {environment()['others']}")
+    kinds: dict[str, list[dict[str, float]]] = {}
+    for kind, image, cell in frames():
+        rounds = 4 if kind == "cells of 6 px" else ROUNDS
+        found = times(image, cell, max(rounds // (3 if arguments.quick else 1), 3))
+        kinds.setdefault(kind, []).append(found)
+    rows, gel = [], 0.0
+    for kind, found in kinds.items():
+        row = {name: float(np.median([each[name] for each in found])) for name in found[0]}
+        for name, one, other in (
+            ("ratio", "numbering", "detection"),
+            ("processor_ratio", "processor_numbering", "processor_detection"),
+        ):
+            ratios = [each[one] / each[other] for each in found]
+            row[name], row[f"{name}_worst"] = float(np.median(ratios)), max(ratios)
+        own = row["processor_numbering"] / row["corners"]
+        gel = gel or own
+        row["per_corner_of_gel"] = own / gel
+        rows.append({"kind": kind, "frames": len(found), **row})
+        print(kind, ", ".join(f"{name} {value:.4g}" for name, value in row.items()), flush=True)
+    write_table("numbering_time", rows, arguments.out)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
