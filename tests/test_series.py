@@ -10,6 +10,7 @@ import re
 import shlex
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -81,7 +82,7 @@ def clouds(path):
         try:
             for _, _, _, cloud in messages:
                 found.append(np.frombuffer(cloud.data, "<f4").reshape(*SHAPE, 9))
-        except (mcap_errors.McapError, EOFError):
+        except (mcap_errors.McapError, EOFError, struct.error):
             assert path.name.endswith(".part")
     return found
 
