@@ -48,7 +48,7 @@ class CapacityError(CmpClError, RuntimeError):
 
 
 class GridError(CmpClError, ValueError):
-    """The corners do not form one grid: no closed cell, two patterns, or too few corners in a
+    """The corners do not form one grid: no board of nine, two patterns, or too few corners in a
     grid."""
 
 

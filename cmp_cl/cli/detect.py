@@ -298,8 +298,8 @@ class _Search(Closing):
         if self._arguments.grid is not None:
             try:
                 grid = build_grid(corners, image, shape=self._arguments.grid)
-                if grid.seen_shape is not None:  # it is unknown which part of the board is wanted
-                    raise GridError(grid.doubts[0])
+                if grid.seen_shape is not None or not grid.valid.any():
+                    raise GridError(grid.doubts[0])  # which part of a board is wanted, or no board
             except GridError as error:
                 found.refused[number] = one_line(error)
                 return drawn

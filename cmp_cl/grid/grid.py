@@ -171,6 +171,11 @@ class Grid:
         """Return the reasons to doubt the numbers, one sentence each; empty if there are none."""
         rows, columns = self.shape
         found = []
+        if not self.valid.any():
+            found.append(
+                "no board is seen: it has nine corners or more that sides of cells link; marks in "
+                "the cells, blur and noise hide sides"
+            )
         if self.seen_shape is not None:
             seen = " x ".join(map(str, self.seen_shape))
             found.append(f"the board looks like {seen} corners; {rows} x {columns} were asked for")
