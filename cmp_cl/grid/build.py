@@ -89,8 +89,9 @@ def grid_of(
     """Return the grid of the board that is meant; count: corners that may belong to it."""
     chosen, others = chosen_of(found_in(found, asked), asked, count)
     if chosen is None:
-        return empty_like(len(given.xy), asked)
-    grid = placed(chosen, given, asked, others)
+        grid = empty_like(len(given.xy), asked)
+    else:
+        grid = placed(chosen, given, asked, others)
     if strict and grid.doubts:
         raise GridError("; ".join(grid.doubts))
     return grid
