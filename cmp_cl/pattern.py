@@ -51,16 +51,15 @@ class Checkerboard:
     shape: rows and columns of inner corners, each 1 or more; each side has one cell more. The top
         left cell is black.
     cell: side of a cell, mm, 0.01 to 1000.
-    border: width of the white border around the cells, mm, 0 to 1000; None means one cell.
-    scale_bar: draw a scale bar along x and one along y, with the size of the pattern.
+    bare: leave out the white border around the cells, one cell wide, and the scale bars along x and
+        y, for a mask that covers a gel up to its rim.
     paper: width and height of the sheet, mm; the pattern is centred on it. None means a sheet that
         just holds the pattern.
     """
 
     shape: tuple[int, int]
     cell: float
-    border: float | None = None
-    scale_bar: bool = True
+    bare: bool = False
     paper: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
@@ -71,15 +70,13 @@ class Checkerboard:
                 f"{rows} x {columns} corners are more than {_MOST_CELLS} cells; draw fewer"
             )
         check_range("cell", self.cell, 0.01, 1000)
-        if self.border is not None:
-            check_range("border", self.border, 0, 1000)
         if self.paper is not None:
             check_pair("paper", self.paper, 10, 2000)
         needed, sheet = self._needed(), self.size
         if needed[0] > sheet[0] or needed[1] > sheet[1]:
             raise ConfigError(
                 f"the pattern needs {needed[0]:.1f} x {needed[1]:.1f} mm and the paper has "
-                f"{sheet[0]:g} x {sheet[1]:g}; take smaller cells, a smaller border or other paper"
+                f"{sheet[0]:g} x {sheet[1]:g}; take smaller cells or other paper"
             )
         if max(sheet) > _LONGEST_SIDE:
             raise ConfigError(
@@ -120,22 +117,17 @@ class Checkerboard:
         """Return the width and height of all cells together, mm."""
         return (self.shape[1] + 1) * self.cell, (self.shape[0] + 1) * self.cell
 
-    def _border(self) -> float:
-        return self.cell if self.border is None else self.border
-
     def _needed(self) -> tuple[float, float]:
         """Return the width and height of the cells with borders and scale bars, mm."""
         width, height = self._board()
-        around = 2 * self._border() + (_STRIP if self.scale_bar else 0.0)
+        around = 0.0 if self.bare else 2 * self.cell + _STRIP
         return width + around, height + around
 
     def _origin(self) -> tuple[float, float]:
         """Return the top-left corner of the cells on the sheet, mm."""
         (width, height), needed = self.size, self._needed()
-        return (
-            (width - needed[0]) / 2 + self._border(),
-            (height - needed[1]) / 2 + self._border(),
-        )
+        border = 0.0 if self.bare else self.cell
+        return (width - needed[0]) / 2 + border, (height - needed[1]) / 2 + border
 
     def _drawing(self) -> _Drawing:
         rows, columns = self.shape
@@ -143,13 +135,13 @@ class Checkerboard:
         left, top = self._origin()
         black = np.column_stack([column, row, column + 1, row + 1]) * self.cell
         black = black + np.array([left, top, left, top])
-        if not self.scale_bar:
+        if self.bare:
             return _Drawing(black, [])
         width, height = self._board()
-        right, bottom = left + width + self._border() + _GAP, top + height + self._border() + _GAP
+        right, bottom = left + width + self.cell + _GAP, top + height + self.cell + _GAP
         along, down = (next((x for x in _LENGTHS if x <= side), 1) for side in (width, height))
         title = f"{along} mm   {rows} x {columns} corners   cell {self.cell:.4g} mm"
-        if _WIDTH * _LETTER * len(title) > width + self._border() + _STRIP:
+        if _WIDTH * _LETTER * len(title) > width + self.cell + _STRIP:
             title = f"{along} mm"
         beside = _bar(down, top, right)[:, [1, 0, 3, 2]]
         labels = [

@@ -40,10 +40,10 @@ def test_corners_are_found_where_they_were_drawn(tmp_path, suffix):
 
 @pytest.mark.parametrize("suffix", RENDERERS)
 def test_a_sheet_has_its_size_in_millimetres(tmp_path, suffix):
-    board = Checkerboard(shape=(4, 7), cell=2, border=3, scale_bar=False)
-    assert board.size == (22, 16)
+    board = Checkerboard(shape=(4, 7), cell=2, bare=True)
+    assert board.size == (16, 10)
     board.save(tmp_path / f"board.{suffix}", dpi=DPI)
-    assert RENDERERS[suffix](tmp_path / f"board.{suffix}").shape == (160, 220)
+    assert RENDERERS[suffix](tmp_path / f"board.{suffix}").shape == (100, 160)
 
 
 def test_a_png_states_its_resolution(tmp_path):
@@ -59,7 +59,6 @@ def test_a_png_states_its_resolution(tmp_path):
         ({"shape": (2000, 2000)}, "more than"),
         ({"cell": -1}, "cell"),
         ({"cell": float("nan")}, "cell"),
-        ({"border": -1}, "border"),
         ({"paper": (20, 20)}, "the paper has"),
     ],
 )

@@ -31,17 +31,15 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--out", metavar="FILE", required=True, help="what to write: .svg or .png")
     parser.add_argument(
-        "--border",
-        metavar="MM",
-        type=float,
-        help="white border around the cells, 0 for none; default: one cell",
-    )
-    parser.add_argument(
         "--paper",
         choices=list(PAPERS),
         help="centre the pattern on such a sheet; default: a sheet that just holds it",
     )
-    parser.add_argument("--no-scale-bar", action="store_true", help="leave out the scale bars")
+    parser.add_argument(
+        "--bare",
+        action="store_true",
+        help="leave out the white border and the scale bars, for a mask that covers a gel",
+    )
     parser.add_argument(
         "--dpi", type=float, default=600, help="pixels per inch of a .png; default: 600"
     )
@@ -56,8 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     board = Checkerboard(
         shape=arguments.grid,
         cell=cell,
-        border=arguments.border,
-        scale_bar=not arguments.no_scale_bar,
+        bare=arguments.bare,
     )
     if arguments.paper is not None:
         short, long = PAPERS[arguments.paper]
