@@ -98,5 +98,5 @@ def _between(rest: Moment, now: Moment, device: Device) -> DisplacementField:
         displacement=change.values - (now.bend - rest.bend),
         covariance=change.covariance,
         raw_covariance=change.raw_covariance,
-        strain_of=functools.partial(at_rest.strain_of, moved, measured, now.own),
+        strain_of=functools.partial(at_rest.strain_of, moved, now.own),
     )

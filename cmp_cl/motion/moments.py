@@ -152,11 +152,11 @@ class AtRest:
     def strain_of(
         self,
         moved: Array,
-        measured: NDArray[np.bool_],
         own: NDArray[np.floating],
         field: DisplacementField,
     ) -> tuple[Array, Array]:
         """Return the strain of a field, and its covariance; the others are those of `change`."""
+        measured = field.valid & np.isin(field.source, MEASURED)
         slopes = self.change(moved, measured, own, slopes=True).slopes
         assert slopes is not None
         return strain_of(
@@ -178,14 +178,16 @@ def field_of(
     """Return the field with these displacements, and before the filter.
 
     moved, displacement: (R, C, D), before the filter and after it, without the shift by bent edges.
-    covariance, raw_covariance: their covariances. strain_of: as in `DisplacementField`.
+    covariance, raw_covariance: their covariances, which become NaN where the field is. strain_of:
+    as in `DisplacementField`.
     """
     missing = status != PointStatus.VALID
+    covariance[missing] = raw_covariance[missing] = np.nan
     rest, found = at_rest.moment, at_rest.filtered
     raw = DisplacementField(
         position=_without(missing, rest.at),
         displacement=moved,
-        covariance=_without(missing, raw_covariance),
+        covariance=raw_covariance,
         position_covariance=_without(missing, found.raw_covariance),
         status=status,
         source=source,
@@ -196,7 +198,7 @@ def field_of(
         raw,
         position=_without(missing, at_rest.position),
         displacement=displacement,
-        covariance=_without(missing, covariance),
+        covariance=covariance,
         position_covariance=_without(missing, found.covariance),
         raw=raw,
         strain_of=strain_of,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners
 from cmp_cl.field import DisplacementField
-from cmp_cl.grid.grid import MEASURED, Grid
+from cmp_cl.grid.grid import Grid
 from cmp_cl.motion.filter import (
     ROUNDS,
     STRAIN,
@@ -37,7 +37,6 @@ from cmp_cl.motion.track import Tracker
 from cmp_cl.opencl.device import Device
 from cmp_cl.opencl.launches import Launch
 from cmp_cl.opencl.program import Programs
-from cmp_cl.points import PointStatus
 
 Array = NDArray[np.float64]
 
@@ -183,7 +182,6 @@ class FieldPlan:
     def field(self, results: dict[str, NDArray[Any]]) -> DisplacementField:
         """Return the field that the results of `read` describe."""
         status, source = results["status"], results["source"]
-        measured = (status == PointStatus.VALID) & np.isin(source, MEASURED)
         moved = nodes(results["raw_displacement"])
         field = field_of(
             self._at_rest,
@@ -193,9 +191,7 @@ class FieldPlan:
             displacement=nodes(results["displacement"]),
             covariance=matrices(results["covariance"]),
             raw_covariance=matrices(results["raw_covariance"]),
-            strain_of=functools.partial(
-                self._at_rest.strain_of, moved, measured, results["own"][0]
-            ),
+            strain_of=functools.partial(self._at_rest.strain_of, moved, results["own"][0]),
         )
         if not self._strained:
             return field
