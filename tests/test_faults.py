@@ -5,14 +5,12 @@ import multiprocessing
 import os
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 
 import images
 import numpy as np
 import pyopencl as cl
 import pytest
 from comparison import assert_same_bytes
-from configs import rings
 from disks import full_after
 from workers import corners_of_board
 
@@ -251,22 +249,6 @@ def test_processes_share_the_folder(device, cache):
 
 
 # --- threads and processes -----------------------------------------------------------------
-
-
-def test_two_detectors_run_in_two_threads(device):
-    frames, configs = (BOARD, TEXTURE), (rings(), rings(nms_radius=1))
-
-    def found(frame, config, times):
-        with Detector(shape=images.SHAPE, config=config, device=device) as detector:
-            return [detector(frame) for _ in range(times)]
-
-    with ThreadPoolExecutor(2) as threads:
-        together = list(threads.map(found, frames, configs, (30, 30)))
-    for frame, config, results in zip(frames, configs, together, strict=True):
-        (alone,) = found(frame, config, 1)
-        assert len(alone) > 5
-        for corners in results:
-            assert_same_bytes(corners, alone)
 
 
 def test_a_spawned_process_finds_the_same_corners(device):

@@ -296,7 +296,7 @@ try:
 except OSError as error:
     print(error)
 """
-DRAWS = some(range(50), [0, 1])
+DRAWS = some(range(50), [0])
 
 
 def stopped(path, how, seconds):

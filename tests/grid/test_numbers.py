@@ -32,7 +32,6 @@ from scenes import (
 )
 
 from cmp_cl import Corners, Detector, Grid, GridError, ImageError, NodeStatus, build_grid, detect
-from cmp_cl import number as number_points
 from cmp_cl.grid import build_grids
 from cmp_cl.synthetic import Indenter, random_scene
 
@@ -510,17 +509,6 @@ def test_a_detector_gives_the_grid_of_its_own_corners(name):
         again = build_grid(corners, view.image)
     for field in ("xy", "status", "index", "sigma"):
         np.testing.assert_array_equal(getattr(grid, field), getattr(again, field))
-
-
-def test_points_of_any_detector_get_the_same_numbers():
-    for name in ("gel, severity 1.0", "board, cut at left", "endless"):
-        view, corners = seen(name)
-        grid = number_points(corners.xy, view.image)
-        whole = build_grid(corners, view.image)
-        assert grid.shape == whole.shape
-        both = (grid.index[:, 0] >= 0) & (whole.index[:, 0] >= 0)
-        assert both.mean() > 0.98
-        np.testing.assert_array_equal(grid.index[both], whole.index[both])
 
 
 # photographs, where they lie beside the repository
