@@ -506,7 +506,7 @@ OTHER = {  # than the default of each field
         "criteria": SpectralCriteria(),
         "contrast": None,
     },
-    AdaptiveMean: {"window": 9, "offset": 20},
+    AdaptiveMean: {"window": 9},
     RapidCriteria: {"sector_threshold": 2, "ring_threshold": 2, "corrosion_threshold": 17},
     SpectralCriteria: {"correlation": 0.95, "phase": 0.1, "corrosion_threshold": 1},
     SectorContrast: {"minimum": 60, "relative": 1, "noise": 30},
