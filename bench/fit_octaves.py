@@ -42,7 +42,7 @@ class Settings(NamedTuple):
     one: bool = True
     strong: int = 64
     wide: float = 0.6
-    seen: float = 2
+    seen: float = 1.5
 
 
 class Maxima(NamedTuple):
@@ -116,15 +116,14 @@ def seen(maxima: Maxima, board: Listed, chosen: Settings, level: int) -> np.ndar
     strong = 128 * maxima.response >= chosen.strong * level
     if len(board.octaves) < 3 or not level:
         return strong | True
-    one, two = (
-        octave.xy[
-            (128 * octave.response >= chosen.share * level) & (4 * octave.wide >= octave.response)
-        ]
-        for octave in board.octaves[1:3]
-    )
+    half, quarter = board.octaves[1:3]
     voting = np.count_nonzero(128 * board.octaves[0].response >= chosen.strong * level)
-    if len(two) < chosen.wide * voting:
+    there = (128 * quarter.response >= chosen.share * level) & (
+        4 * quarter.wide >= quarter.response
+    )
+    if np.count_nonzero(there) < chosen.wide * voting:
         return strong | True
+    one = half.xy[128 * half.response >= chosen.share * level]
     if not len(one) or not len(maxima.xy):
         return strong
     beside: np.ndarray = cKDTree(one).query(maxima.xy, p=np.inf)[0] <= 2 * chosen.seen

@@ -380,14 +380,14 @@ bool any_bit(__global const uint *bits, const size_t p, const int x, const int y
 }
 
 /* The cells of a frame are wide if its second octave has three maxima for every five strong ones of
- * the frame. Then a corner of the frame is strong, or the first octave has it too. */
+ * the frame. Then a corner of the frame is strong, or the first octave has a maximum within 1 px of it. */
 #define IS_STRONG(r, reference) (2 * (r) >= (reference))
 #if OCTAVES < 2
 #define MAY_BE_CORNER(r, decision) true
 #else
 #define MAY_BE_CORNER(r, decision)                                                  \
   ((decision).strong < 0 || 5 * (decision).there < 3 * (decision).strong ||         \
-   IS_STRONG(r, (decision).reference) || any_bit(seen, p, x, y, 3, 4, rows, step))
+   IS_STRONG(r, (decision).reference) || any_bit(seen, p, x & ~1, y & ~1, 1, 3, rows, step))
 
 /* Count the strong maxima of a frame and the maxima of its second octave, and mark those of its
  * first. One work-item per maximum; dimension 1 is one of these octaves of a frame. */
@@ -403,9 +403,9 @@ __kernel void see_octaves(__global int *restrict lists, __global const uint *res
     if (IS_STRONG(r, reference)) atomic_inc(&DECISION(p, 0).strong);
     return;
   }
-  if (!(entry[3 * capacity] & CLEAN) || 128 * r < coarse_share * reference) return;
+  if (128 * r < coarse_share * reference) return;
   if (octave == 1) atomic_or(seen + word, 1u << x % 32);
-  else atomic_inc(&DECISION(p, 0).there);
+  else if (entry[3 * capacity] & CLEAN) atomic_inc(&DECISION(p, 0).there);
 }
 
 #endif

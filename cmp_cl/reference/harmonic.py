@@ -36,7 +36,7 @@ OCTAVE_APART = 5  # px of the halved frame: nearer to a corner found before it i
 # for every 5 strong ones of the frame. SEEN is in px of the frame halved once.
 STRONG = 2
 WIDE_CELLS = (3, 5)
-SEEN = 2
+SEEN = 1
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -263,15 +263,14 @@ def is_seen(
     x: Whole, y: Whole, response: Whole, half: Octave, rule: RingHarmonic, level: int
 ) -> NDArray[np.bool_]:
     """Return (N,): whether maxima of a frame with wide cells are strong, or the halved frame has a
-    maximum within SEEN of its px in both axes.
+    maximum within SEEN of the pixel that they lie in, in both axes.
 
     There, noise is weaker, and independent of that of the frame; the corners of wide cells stay.
     """
-    there = of_octave(half, level, rule.coarse_share)
-    # Twice the distances from the places of the halved frame, px of the frame.
-    apart_x = np.abs(2 * x[:, None] - (4 * half.x[there] + 1))
-    apart_y = np.abs(2 * y[:, None] - (4 * half.y[there] + 1))
-    seen: NDArray[np.bool_] = (np.maximum(apart_x, apart_y) <= 4 * SEEN).any(axis=1)
+    there = 128 * half.levels() >= rule.coarse_share * level
+    apart_x = np.abs((x[:, None] >> 1) - half.x[there])
+    apart_y = np.abs((y[:, None] >> 1) - half.y[there])
+    seen: NDArray[np.bool_] = (np.maximum(apart_x, apart_y) <= SEEN).any(axis=1)
     return seen | (STRONG * response >= level)
 
 

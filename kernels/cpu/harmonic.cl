@@ -393,17 +393,17 @@ int bound_of_octave(__global const ulong *noise, const uint n, const uint rows,
 #define LEAST_SHARE 48 /* of the reference, in 1/128 */
 #define MARK_AT(x, n) (((x) + (1 << (n) >> 1)) >> (n))
 
-/* Whether a mark is within x - before .. x + before + 1, and in such rows. The nearest rows come
- * first. */
+/* Whether a mark is within x - before .. x + behind, and in such rows; behind is before, or one more.
+ * The nearest rows come first. */
 int is_marked(__global const uint *marks, const int x, const int y, const int before,
-              const int last, const uint width) {
+              const int behind, const int last, const uint width) {
   const uint first = (uint)(PAD + x - before);
-  for (int line = 0; line <= 2 * before + 1; ++line) {
+  for (int line = 0; line <= before + behind; ++line) {
     const int row = y + (line % 2 ? line / 2 + 1 : -(line / 2));
     if (row < 0 || row > last) continue;
     __global const uint *word = marks + (uint)row * width + first / 32;
     const ulong both = (ulong)word[1] << 32 | word[0];
-    if (both >> first % 32 & ((2ul << (2 * before + 1)) - 1)) return 1;
+    if (both >> first % 32 & ((2ul << (before + behind)) - 1)) return 1;
   }
   return 0;
 }
@@ -448,13 +448,13 @@ void remove_unseen(__global int *lists, __global const uint2 *spans, const int *
   const uint width = smaller.step / 32;
   for (uint k = 0; k < smaller.rows * width; ++k) marks[k] = 0;
   count_maxima(lists, spans, KIND_OF_OCTAVE(1), bands_of(1, rows, bands), capacity, bounds[1],
-               coarse_share, reference, 1, marks, width);
+               coarse_share, reference, 0, marks, width);
   for (uint kind = 0; kind <= FINE; ++kind)
     for (uint band = 0; band < bands; ++band) {
       __global int *list = LIST_OF(band, kind);
       for (uint k = 0; k < SMALLER(SPAN_OF(band, kind).y, capacity); ++k)
         if (2 * list[2 * capacity + k] < reference &&
-            !is_marked(marks, (list[k] - 1) >> 1, (list[capacity + k] - 1) >> 1, 1,
+            !is_marked(marks, list[k] >> 1, list[capacity + k] >> 1, 1, 1,
                        (int)smaller.rows - 1, width))
           list[2 * capacity + k] = 0;
     }
@@ -494,7 +494,7 @@ uint add_octave(const uint n, const Octave octave, __global uint2 *spans, __glob
     __global int *list = LIST_OF(band, kind);
     uint kept = 0;
     for (uint k = 0; k < SPAN_OF(band, kind).y; ++k) {
-      if (is_marked(marks, list[k], list[capacity + k], 4, (int)octave.rows + 1, width)) continue;
+      if (is_marked(marks, list[k], list[capacity + k], 4, 5, (int)octave.rows + 1, width)) continue;
       if (kept < k) copy_entries(list + k, capacity, 1, list + kept, capacity);
       ++kept;
     }
