@@ -19,7 +19,6 @@ from cmp_cl.errors import CapacityError, DeviceError
 from cmp_cl.opencl import caches, program
 from cmp_cl.opencl import device as device_module
 
-TEXTURE = images.texture(images.SHAPE)
 BOARD = images.eight_bits()["board"]
 
 # --- memory --------------------------------------------------------------------------------
