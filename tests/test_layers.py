@@ -1,12 +1,15 @@
 """Which module may import which: only those of the layers below it, and none in a circle."""
 
 import ast
+import dataclasses
 import functools
+import inspect
 import re
 from collections import Counter
 from pathlib import Path
 
 import cmp_cl
+from cmp_cl.lattice.constants import LatticeConstants
 
 ROOT = Path(cmp_cl.__file__).parent
 # From the bottom up; a name is that of a module, or of a package and everything in it.
@@ -118,3 +121,9 @@ def test_nothing_but_tests_and_benches_imports_the_oracle():
 def test_a_folder_has_at_most_twelve_modules():
     counts = Counter(path.parent for path in modules().values() if path.name != "__init__.py")
     assert {path.name: count for path, count in counts.items() if count > 12} == {}
+
+
+def test_every_constant_of_the_lattice_is_explained_and_there_are_at_most_45():
+    names = [field.name for field in dataclasses.fields(LatticeConstants)]
+    assert len(names) <= 45
+    assert names == re.findall(r"^(\w+): ", inspect.getdoc(LatticeConstants) or "", re.M)

@@ -72,7 +72,7 @@ class Border(NamedTuple):
 
         The edge of an object continues past the pattern. It is 0 where no end is seen.
         """
-        nats = np.where(np.abs(self.past) > k.passing, k.edge_nats, k.end_nats)
+        nats = np.where(np.abs(self.past) > k.passing, k.end_nats / 2, k.end_nats)
         return np.where(self.ends, nats, 0.0)
 
 
@@ -119,7 +119,7 @@ def measure(plan: "LatticePlan") -> Launch:
         step=np.uint32(plan.step),
         **plan.size,
         end_share=np.float32(k.end_share),
-        follow_share=np.float32(k.follow_share),
+        follow_share=np.float32(k.passing),
         parallel=np.int32(k.parallel_cells / HALF_STEP * WHOLE),
         nodes=b["nodes"],
         owner=b["node_owner"],

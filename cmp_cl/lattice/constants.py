@@ -1,7 +1,7 @@
 """Every number that the lattice is tuned by.
 
-They were chosen on rendered gels and boards that no report uses: bench/numbering.py has other
-seeds. What each idea is worth, the same script measures with --ablation.
+They were chosen on rendered gels and boards that no report uses. bench/fit_lattice.py gives them
+other values, one at a time; what each idea is worth, bench/numbering.py measures with --ablation.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ class LatticeConstants:
     link_rings: bins, most rings of bins around a corner, which bounds the work.
     turn_price: lengths, price of a bend between a way and a boundary. With 4 the corners that dots
         make in cells of 24 px took the links; with 8 a part of 300 nodes in 24 torn gels was lost.
-    least_cosine: least cosine of that bend.
+    least_cosine: least cosine of that bend; .9 for ways of several steps changed nothing.
     side_points: shares of a side, points at which both sides of a way are read; with three of
         them the votes across tears lost parts.
     side_depth_cells: shares of a side, how far beside a way the levels are read; with .2 marks
@@ -38,8 +38,6 @@ class LatticeConstants:
     least_line: share, of its places in view that an outer line must hold. With .7 a line of noise
         beside one of 75 boards was taken for theirs; .8 loses nothing on 50 005 corners of gels.
     span: steps, of the longest way across a tear, and cells beside it whose nodes show the surface.
-    way_cosine: least cosine of the bend of a way of several steps.
-    least_way: share, of the contrast that a way of several steps must show.
     join_votes: votes, that a placement needs. With 4, waves that stretch cells 2.5 times had wrong
         joins; right ones in torn gels have 8 to 80.
     join_bend: factor, by which the second placement must bend the surface more. None of 140 parts
@@ -63,12 +61,11 @@ class LatticeConstants:
     rounds: times, that nodes are looked for.
     edge_px: px, nearer to the edge of the image no node is predicted.
     end_share: share, of the contrast of the last squares that is no sign of further ones.
-    follow_share: share of it, by which levels two cells apart differ where cells follow.
-    parallel_cells: cells, by which squares that end together may reach differently far.
-    passing: share, of the contrast; a line that shows so much past the pattern is an object's edge.
-    alike_cells: cells, by which the reach of one border differs between two images.
-    end_nats: nats, for a whole border, against the edge of an object.
-    edge_nats: nats, for a border that may be such an edge.
+    parallel_cells: cells, by which squares that end together may reach differently far, and the
+        squares at one border in two images.
+    passing: share, of the contrast; levels two cells apart that differ by less show that cells
+        follow, and a line that shows more past the pattern is an object's edge.
+    end_nats: nats, for a border; half as much for one that may be the edge of an object.
     place_nats: nats, against a line that a known size lacks, or whose places in view are empty.
     rest_sd_cells: cells, standard deviation of the motion since rest.
     step_sd_cells: cells, the same from one frame to the next.
@@ -99,8 +96,6 @@ class LatticeConstants:
     least_line: float = 0.8
     # Joins
     span: int = 4
-    way_cosine: float = 0.9
-    least_way: float = 0.5
     join_votes: float = 6.0
     join_bend: float = 1.02
     tear_rough: float = 0.1
@@ -121,12 +116,9 @@ class LatticeConstants:
     edge_px: float = 3.0
     # Borders, numberings, boards
     end_share: float = 0.3
-    follow_share: float = 0.2
     parallel_cells: float = 0.11
     passing: float = 0.2
-    alike_cells: float = 0.12
     end_nats: float = 6.0
-    edge_nats: float = 3.0
     place_nats: float = 4.0
     rest_sd_cells: float = 1.0
     step_sd_cells: float = 0.2

@@ -206,12 +206,12 @@ def _of_ends(
     total = np.zeros(len(first))
     beyond = (there[0] - (first + here[0]), first + here[1] - there[1])  # lines, outwards
     for n, lines in zip((side, side + 1), beyond, strict=True):
-        unlike = abs(now.reach[n] - rest.reach[n]) > k.alike_cells
+        unlike = abs(now.reach[n] - rest.reach[n]) > k.parallel_cells
         unlike |= abs(now.past[n] - rest.past[n]) > k.passing
         moved = abs(there[n - side] - here[n - side] - unmoved) > MOVED
         if moved and not unlike and now.ends[n] and rest.ends[n]:
             nats_now[n] = nats_rest[n] = k.end_nats
-        same = -k.edge_nats if unlike else 0.0
+        same = -k.end_nats / 2 if unlike else 0.0
         if rest.ends[n] and now.follows[n]:
             same = -nats_rest[n]
         elif now.ends[n] and rest.follows[n]:

@@ -32,12 +32,12 @@ def ways(plan: "LatticePlan") -> NDArray[np.float32]:
     k = plan.constants
     rows = [
         [
-            k.least_cosine if m == 1 else k.way_cosine,
+            k.least_cosine,
             0.5 * m,
             1.5 * m + 0.2,
             1 / m,
             2 / (len(k.side_points) * m),
-            k.least_side if m == 1 else k.least_way,
+            k.least_side,
             1 / np.sqrt(m),
         ]
         for m in range(1, k.span + 1)

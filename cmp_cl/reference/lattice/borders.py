@@ -169,7 +169,7 @@ class Sides:
         level = np.array([sum(self._grey(*at(d, spot)) for spot in SPOTS) for d in depths])
         inside, beyond = (abs(int((level[n, :, 0] - level[n, :, 1]).sum())) for n in (0, 1))
         change = int(np.abs(level[0] - level[1]).sum())
-        follows = bool(F(change) < F(2) * F(self.k.follow_share) * F(inside))
+        follows = bool(F(change) < F(2) * F(self.k.passing) * F(inside))
         if not F(beyond) < F(self.k.end_share) * F(inside):
             return follows, UNSEEN
         return follows, self._common(np.abs(level[..., 0] - level[..., 1]), x.shape[1])

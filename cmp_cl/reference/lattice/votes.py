@@ -65,7 +65,7 @@ def votes(
     mean = F(0.5) * (step[a] + step[b])
     found = []
     for m in range(1, k.span + 1):
-        cosine = k.least_cosine if m == 1 else k.way_cosine
+        cosine = k.least_cosine
         good = (along > F(cosine) * length) & ((s + t - m) % 2 == 0)
         good &= (length > F(0.5 * m) * mean) & (length < F(1.5 * m + 0.2) * mean)
         n = np.flatnonzero(good)
@@ -85,7 +85,7 @@ def votes(
             np.float32
         )
         share = (total.astype(np.float32) * F(2 / (len(k.side_points) * m))) * inverse_root(product)
-        seen = share > F(k.least_side if m == 1 else k.least_way)
+        seen = share > F(k.least_side)
         n, share = n[seen], share[seen]
         weight = (np.minimum(share, F(1)) * F(1 / np.sqrt(m))).astype(np.float64)
         found.append((first[n], second[n], s[n], t[n], np.full(len(n), m), weight))
