@@ -81,7 +81,7 @@ def measured(rig: StereoRig, views: list[list[Grid]], truth: list[np.ndarray]) -
 
 def without_the_model(*, quick: bool) -> Iterator[Row]:
     truth = [nodes(PRESS.at_rest()), nodes(PRESS)]
-    for gel in (5.0, 20.0) if quick else (2.0, 5.0, 10.0, 20.0):
+    for gel in (5.0, 20.0) if quick else (5.0, 10.0, 20.0):
         for index in (1.33, 1.41, 1.5):
             views = [seen(behind(gel, index), xyz) for xyz in truth]
             found = measured(AIR, views, truth)
