@@ -30,15 +30,16 @@ class Fit(enum.Enum):
 class AdaptiveMean:
     """Binarization against the mean of a window (section 1).
 
-    A pixel is black if it is darker than the mean of its window.
-
     window: side of the square window, px, odd, 3 to 255.
+    offset: C, grey levels of the image as given, 0 to 65535; black iff I + C < mean.
     """
 
     window: int = 21
+    offset: int = 0
 
     def __post_init__(self) -> None:
         check_range("AdaptiveMean.window", self.window, 3, 255, kind=int, odd=True)
+        check_range("AdaptiveMean.offset", self.offset, 0, 65535, kind=int)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

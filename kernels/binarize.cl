@@ -52,10 +52,10 @@ __kernel void column_sums(__global const PIXEL *restrict image, const uint rows,
 __kernel void binarize(__global const PIXEL *restrict image,
                        __global const COLUMN *restrict sums, const uint rows,
                        const uint step, const uint first, const uint slab, const LEVEL count,
-                       const uint zero, __global uchar *restrict binary) {
+                       const LEVEL offset, const uint zero, __global uchar *restrict binary) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
   const size_t i = ROW(p, first + y) + x, window = SUMS_ROW(p, y) + x;
 #define TERM(k) sums[window + (k)]
-  binary[i] = (uchar)((LEVEL)image[i] * count < (LEVEL)WIDE_SUM(uint, TERM));
+  binary[i] = (uchar)(((LEVEL)image[i] + offset) * count < (LEVEL)WIDE_SUM(uint, TERM));
 #undef TERM
 }

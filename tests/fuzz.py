@@ -65,12 +65,13 @@ def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
     window = _one(compiled, 21, 9, 3, 255, 2 * int(compiled.integers(1, 40)) + 1)
     outer_radius = _one(compiled, 4, 5)
     nms_radius = _one(compiled, 3, 1, 15, int(compiled.integers(1, 16)))
-    has_corrosion, has_gate, is_scaled = compiled.random(3) < (0.67, 0.67, 0.33)
+    has_offset, has_corrosion, has_gate, is_scaled = compiled.random(4) < (0.5, 0.67, 0.67, 0.33)
     kind = _one(compiled, RapidCriteria, RapidCriteria, SpectralCriteria)
     refined = _one(compiled, None, EdgeLines, EdgeStep, Midlines)
     fit = _one(compiled, *Fit)
     harmonic, fine = compiled.random(2) < (0.5, 0.67)
 
+    offset = _one(rng, 5, int(rng.integers(1, 65536))) if has_offset else 0
     corrosion = _one(rng, 6, int(rng.integers(-4, 18))) if has_corrosion else None
     criteria = {
         RapidCriteria: RapidCriteria(
@@ -108,7 +109,7 @@ def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
             octaves=0 if is_scaled else int(rng.integers(0, 4)),
         ),
         False: BinaryRings(
-            threshold=AdaptiveMean(window=window),
+            threshold=AdaptiveMean(window=window, offset=offset),
             outer_radius=outer_radius,
             criteria=criteria[kind],
             contrast=contrast if has_gate else None,

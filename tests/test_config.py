@@ -25,6 +25,7 @@ BOUNDS = [
     (RingHarmonic, "noise", 0, 100, 1e-3),
     (RingHarmonic, "relative", 0, 1, 1e-3),
     (AdaptiveMean, "window", 3, 255, 2),
+    (AdaptiveMean, "offset", 0, 65535, 1),
     (RapidCriteria, "sector_threshold", 1, 16, 1),
     (RapidCriteria, "ring_threshold", 1, 17, 1),
     (RapidCriteria, "corrosion_threshold", -4, 17, 1),

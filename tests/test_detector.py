@@ -496,7 +496,7 @@ INK = cv2.GaussianBlur(cv2.erode(INK, np.ones((7, 7))), (0, 0), 0.7)
 SHOWN = [EIGHT["texture"], EIGHT["noise"], EIGHT["faint board"], images.scene(1.5, seed=3).image]
 SHOWN += [images.sixteen_bits()["12-bit board"], INK]
 ROLES = {AdaptiveMean: "threshold", SectorContrast: "contrast", RapidCriteria: "criteria"}
-ROLES |= {SpectralCriteria: "criteria", EdgeStep: "refinement"}
+ROLES |= {SpectralCriteria: "criteria", EdgeLines: "refinement", EdgeStep: "refinement"}
 ROLES |= {Midlines: "refinement", RingHarmonic: "detection", BinaryRings: "detection"}
 OTHER = {  # than the default of each field
     RingHarmonic: {"noise": 0, "relative": 0.8, "octaves": 0, "fine": False},
@@ -506,12 +506,13 @@ OTHER = {  # than the default of each field
         "criteria": SpectralCriteria(),
         "contrast": None,
     },
-    AdaptiveMean: {"window": 9},
+    AdaptiveMean: {"window": 9, "offset": 20},
     RapidCriteria: {"sector_threshold": 2, "ring_threshold": 2, "corrosion_threshold": 17},
     SpectralCriteria: {"correlation": 0.95, "phase": 0.1, "corrosion_threshold": 1},
     SectorContrast: {"minimum": 60, "relative": 1, "noise": 30},
+    EdgeLines: {"max_shift": 0.3},
     EdgeStep: {"cell": 6.0},
-    Midlines: {"fit": Fit.QUADRATIC},
+    Midlines: {"fit": Fit.QUADRATIC, "max_shift": 0.3},
     DetectorConfig: {
         "detection": RingHarmonic(),
         "nms_radius": 1,

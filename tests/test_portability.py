@@ -58,8 +58,8 @@ CONFIGS = {
 }
 SIXTEEN_BITS = {
     "harmonic": DetectorConfig(full_scale=4095),
-    "rings": DetectorConfig(
-        detection=BinaryRings(threshold=AdaptiveMean(window=9)), full_scale=4095
+    "offset": DetectorConfig(
+        detection=BinaryRings(threshold=AdaptiveMean(window=9, offset=3)), full_scale=4095
     ),
     "spectral": DetectorConfig(
         detection=BinaryRings(criteria=SpectralCriteria()),

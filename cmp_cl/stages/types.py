@@ -15,7 +15,7 @@ _BY_PIXEL: dict[str, tuple[type[np.generic], type[np.generic]]] = {
     "ROW_NOISE": (np.uint32, np.uint64),  # the same, summed over a row
     "WEIGHTED": (np.uint32, np.uint64),  # a resampled pixel, times the sum of its weights
     "COLUMN": (np.uint16, np.uint32),  # the sum of a window's column
-    "LEVEL": (np.int32, np.uint32),  # I n, compared with the sum of a window
+    "LEVEL": (np.int32, np.uint32),  # (I + C) n, compared with the sum of a window
     "CONTRAST": (np.int16, np.int32),  # of the gate
 }
 _IN_C: dict[type[np.generic], str] = {
@@ -34,6 +34,8 @@ def types_of(pixel: DType, config: DetectorConfig) -> dict[str, DType]:
     types = {name: np.dtype(pair[deep]) for name, pair in _BY_PIXEL.items()}
     rule = config.detection
     if isinstance(rule, BinaryRings):
+        if deep and rule.threshold.offset:
+            types["LEVEL"] = np.dtype(np.uint64)
         rapid = isinstance(rule.criteria, RapidCriteria)
         types["RESPONSE"] = np.dtype(np.uint8 if rapid else np.uint16)
         types["SCORE"] = np.dtype(np.uint16 if rapid else np.int32)

@@ -67,6 +67,7 @@ CONFIGS = {
     "rings": PLAIN,
     "rings, small window": rings(PLAIN, threshold=AdaptiveMean(window=3)),
     "rings, large window": rings(PLAIN, threshold=AdaptiveMean(window=41)),
+    "rings, offset": rings(PLAIN, threshold=AdaptiveMean(offset=7)),
     "rings, radius 4": rings(PLAIN, outer_radius=4),
     "rings, strict sectors": rings(PLAIN, criteria=RapidCriteria(sector_threshold=1)),
     "rings, strict rings": rings(PLAIN, criteria=RapidCriteria(ring_threshold=1)),
@@ -86,7 +87,7 @@ CONFIGS = {
     "rings, double scale": rings(PLAIN, scale=2.0),
 }
 FEW = ("harmonic", "harmonic, all", "rings, all, radius 7", "rings, gate by the best", "spectral")
-FEW += ("harmonic, half the noise", "rings, odd scale")
+FEW += ("harmonic, half the noise", "rings, odd scale", "rings, offset")
 
 
 def assert_equal(detector, image, **mask):
@@ -185,9 +186,9 @@ def test_odd_scales(detector_for, factor):
 # the largest numbers
 
 
-def test_the_largest_sum_of_a_window_does_not_overflow(detector_for):
-    """The sum of 255 x 255 pixels at full scale is near 2^32."""
-    config = rings(PLAIN, threshold=AdaptiveMean(window=255))
+def test_a_threshold_beyond_32_bits_does_not_overflow(detector_for):
+    """The sums of 255 x 255 pixels at full scale, and of as many offsets, are near 2^32 each."""
+    config = rings(PLAIN, threshold=AdaptiveMean(window=255, offset=65535))
     assert not assert_maps_equal(detector_for(DEEP["white"], config), DEEP["white"]).binary.any()
 
 

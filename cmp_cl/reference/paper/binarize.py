@@ -10,12 +10,12 @@ from cmp_cl.image import GreyImage
 def binarize(image: GreyImage, threshold: AdaptiveMean) -> NDArray[np.bool_]:
     """Return (H, W), True where black.
 
-    With S the window sum and n the window's area, a pixel is black iff I n < S.
+    With S the window sum and n the window's area, a pixel is black iff (I + C) n < S.
     """
     n = threshold.window**2
     grey = image.astype(np.int64)
     total = window_sum(grey, threshold.window)
-    black: NDArray[np.bool_] = grey * n < total
+    black: NDArray[np.bool_] = (grey + threshold.offset) * n < total
     return black
 
 

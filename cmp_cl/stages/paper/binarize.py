@@ -73,6 +73,8 @@ def _slab(plan: PlanBase, rule: BinaryRings, first: int) -> list[Launch]:
     image, sums = {"image": plan.image}, {"sums": b["sums"]}
     stages = [plan.dense("column_sums", height, **image, **window, zero=column(0), **sums)]
     level = plan.types["LEVEL"].type
-    levels = {"count": level(count), "zero": np.uint32(0)}
+    # A mean of bytes is never above 255.
+    offset = threshold.offset if plan.dtype == np.uint16 else min(threshold.offset, 255)
+    levels = {"count": level(count), "offset": level(offset), "zero": np.uint32(0)}
     given = {**image, **sums, **window, **levels, "binary": b["binary"]}
     return [*stages, plan.dense("binarize", height, **given)]
