@@ -210,6 +210,18 @@ def test_pocl_runs_no_kernels_of_a_folder_that_everybody_may_write_to(device, tm
     assert not list(shared.rglob("*.so"))
 
 
+def test_a_damaged_cache_of_pocl_is_told(device, tmp_path):
+    if not device_module.is_pocl(device.handle):
+        pytest.skip("only PoCL keeps programs as bit code")
+    assert detected(device, POCL_CACHE_DIR=str(tmp_path))[0] == 0
+    for program_file in tmp_path.rglob("program.bc"):
+        program_file.write_bytes(program_file.read_bytes()[:99])
+    status, said = detected(device, POCL_CACHE_DIR=str(tmp_path))
+    assert status
+    assert "DeviceError: a compiled program has no kernels" in said
+    assert f"remove it, for PoCL the folder {str(tmp_path)!r}" in said
+
+
 def test_without_a_linker_pocl_does_not_end_the_process(device, tmp_path):
     if not device_module.is_pocl(device.handle):
         pytest.skip("only PoCL needs a linker")

@@ -25,7 +25,7 @@ from typing import Any
 
 import pyopencl as cl
 
-from cmp_cl.errors import KernelBuildError
+from cmp_cl.errors import DeviceError, KernelBuildError
 from cmp_cl.files import write_bytes
 from cmp_cl.opencl import caches
 from cmp_cl.opencl.device import check_process, is_pocl
@@ -90,6 +90,11 @@ class Kernels:
 
     def __init__(self, programs: Sequence[cl.Program]) -> None:
         caches.guard_invokers()
+        if not all(each.kernel_names for each in programs):
+            raise DeviceError(
+                "a compiled program has no kernels, so the cache of compiled kernels is damaged; "
+                f"remove it, for PoCL the folder {str(caches.pocl_folder())!r}"
+            )
         self._programs = {name: each for each in programs for name in each.kernel_names.split(";")}
 
     @property
