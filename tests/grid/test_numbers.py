@@ -314,26 +314,27 @@ def test_a_board_before_larger_squares_is_the_one_that_is_like_the_rest():
     assert not grid.doubts
 
 
-@pytest.mark.parametrize("turn", [-40, -20, 10, 30, 50])
-def test_a_wave_that_stretches_cells_makes_no_wrong_number(turn):
+@pytest.mark.parametrize(("turn", "height"), [(0, 1.2), (15, 1.4), (30, 1.4), (45, 1.4)])
+def test_a_wave_that_stretches_cells_makes_no_wrong_number(turn, height):
     """Where cells are long the surface through two parts expects more of them than there are."""
-    side, cell = 400, 16.0
+    side, cell = 400, 17.0
     y, x = np.mgrid[: 3 * side, : 3 * side] / 3 - 1 / 3
-    wave = 1.3 * cell * np.sin(2 * np.pi * (x / 210 + y / 330))
+    wave = height * cell * np.sin(2 * np.pi * (x / 210 + y / 330 + 0.13))
     at = ((x - wave) + 1j * (y - 0.4 * wave)) * np.exp(1j * np.deg2rad(turn)) / cell
     white = (np.floor(at.real) + np.floor(at.imag)) % 2
     image = cv2.resize(np.float32(45 + 160 * white), (side, side), interpolation=cv2.INTER_AREA)
-    grid = build_grid(detect(image.astype(np.uint8)), image.astype(np.uint8))
-    row, column = np.nonzero(grid.valid & (grid.status != NodeStatus.INTERPOLATED))
-    places = np.rint(3 * grid.xy[row, column] + 1).astype(int)
-    truth = at[places[:, 1], places[:, 0]]
-    number = column + 1j * row
-    ways = [
-        np.unique(np.rint(truth - number * 1j**quarter), return_counts=True)[1].max()
-        for quarter in range(4)
-    ]
-    assert len(number) > 150
-    assert max(ways) >= 0.99 * len(number) or grid.doubts
+    grids = build_grids(detect(image.astype(np.uint8)), image.astype(np.uint8))
+    assert np.count_nonzero(grids[0].valid) > 150
+    for grid in grids:
+        row, column = np.nonzero(grid.valid & (grid.status != NodeStatus.INTERPOLATED))
+        places = np.rint(3 * grid.xy[row, column] + 1).astype(int)
+        truth = at[places[:, 1], places[:, 0]]
+        number = column + 1j * row
+        ways = [
+            np.unique(np.rint(truth - number * 1j**quarter), return_counts=True)[1].max()
+            for quarter in range(4)
+        ]
+        assert max(ways) >= 0.98 * len(number)
 
 
 FRAMES = [44, 45, pytest.param(46, marks=TURNED), 47]
