@@ -452,7 +452,8 @@ __kernel void keep_fine(__global int *restrict lists, __global const uint *restr
   const Decision decision = DECISION(p, 0);
   const int r = entry[2 * capacity];
   if (r <= decision.bound[1] || 128 * r < fine_share * decision.reference) return;
-  if (taken[word] >> x % 32 & 1 || !MAY_BE_CORNER(r, decision)) return;
+  if (taken[word] >> x % 32 & 1) return;
+  if (!MAY_BE_CORNER(r, decision)) return;
   entry[3 * capacity] |= KEPT;
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);
