@@ -43,6 +43,12 @@ def test_nothing_is_said_of_a_pattern(cell):
     assert advice(images.scene(1.5).image) == ""
 
 
+def test_nothing_is_said_of_a_sheared_pattern():
+    upright, _ = board(400, 500, 20)
+    sheared = cv2.warpAffine(upright, np.array([[0.6, 0.5, -90], [0, 0.75, 0]]), (200, 290))
+    assert advice(sheared) == ""
+
+
 @pytest.mark.parametrize("shape", [(0, 0), (3, 3), SHAPE])
 def test_nothing_is_said_of_an_image_without_edges(shape):
     assert advice(np.full(shape, 90, np.uint8)) == ""
