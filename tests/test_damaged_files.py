@@ -36,7 +36,7 @@ def run(*arguments):
     return done.stdout
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.exhaustive)])
 def test_a_damaged_file_is_read_or_refused(seed):
     assert "'refused'" in run(SCRIPT, "--cases", 90, "--seed", seed)
 
