@@ -380,7 +380,8 @@ bool any_bit(__global const uint *bits, const size_t p, const int x, const int y
 }
 
 /* The cells of a frame are wide if its second octave has three maxima for every five strong ones of
- * the frame. Then a corner of the frame is strong, or the first octave has a maximum within 1 px of it. */
+ * the frame. Then a corner of the frame is strong, or the first octave has a maximum within 1 px of
+ * it. */
 #define IS_STRONG(r, reference) (2 * (r) >= (reference))
 #if OCTAVES < 2
 #define MAY_BE_CORNER(r, decision) true

@@ -46,12 +46,6 @@ class Sides(NamedTuple):
     left: bool = False
     right: bool = False
 
-    @property
-    def opposed(self) -> "Sides":
-        """Return the sides whose opposite side is in the set too."""
-        upright, level = self.top and self.bottom, self.left and self.right
-        return Sides(upright, upright, level, level)
-
     def turned(self, quarters: int) -> "Sides":
         """Return the same sides after `Grid.turned(quarters)`."""
         return Sides(*turned_sides(self, quarters))
