@@ -17,10 +17,13 @@ int root_of(__global volatile int *part, int f) {
   return f;
 }
 
+/* A root that another work-item has meanwhile hung elsewhere brings its new root along. */
 void unite(__global volatile int *part, int a, int b) {
   while ((a = root_of(part, a)) != (b = root_of(part, b))) {
     const int low = SMALLER(a, b), high = LARGER(a, b);
-    if (atomic_min(part + high, low) == high) return;
+    b = atomic_min(part + high, low);
+    if (b == high) return;
+    a = low;
   }
 }
 
