@@ -62,13 +62,17 @@ int undistort(__global const REAL *camera, const REAL *pixel, REAL *point) {
   return off_x * off_x + off_y * off_y < ROUND_TRIP * ROUND_TRIP;
 }
 
-/* The pixel of a point in the frame of the left camera, its two derivatives by the point, and its
- * depth. */
-REAL project(__global const REAL *camera, const REAL *point, REAL *pixel, REAL *by_point) {
-  REAL there[3], slope[4];
+/* A vector (3) of the left camera's frame in that of a camera. */
+void turned_to(__global const REAL *camera, const REAL *vector, REAL *turned) {
   for (int j = 0; j < 3; ++j)
-    there[j] = ROTATION[3 * j] * point[0] + ROTATION[3 * j + 1] * point[1] +
-               ROTATION[3 * j + 2] * point[2] + TRANSLATION[j];
+    turned[j] = ROTATION[3 * j] * vector[0] + ROTATION[3 * j + 1] * vector[1] +
+                ROTATION[3 * j + 2] * vector[2];
+}
+
+/* The pixel of a point in the frame of its camera, and its two derivatives by the point in that of
+ * the left camera. */
+void see(__global const REAL *camera, const REAL *there, REAL *pixel, REAL *by_point) {
+  REAL slope[4];
   const REAL x = there[0] / there[2], y = there[1] / there[2];
   distort(camera, x, y, pixel, slope);
   for (int j = 0; j < 3; ++j) {
@@ -77,7 +81,6 @@ REAL project(__global const REAL *camera, const REAL *point, REAL *pixel, REAL *
     by_point[j] = slope[0] * by_x + slope[1] * by_y;
     by_point[3 + j] = slope[2] * by_x + slope[3] * by_y;
   }
-  return there[2];
 }
 
 REAL dot_3(const REAL *a, const REAL *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
@@ -90,6 +93,15 @@ void cross_3(const REAL *a, const REAL *b, REAL *result) {
 
 #if MEDIA
 #include "window.clh"
+#else
+/* The same of a point in the frame of the left camera. Returns its depth. */
+REAL project(__global const REAL *camera, const REAL *point, REAL *pixel, REAL *by_point) {
+  REAL there[3];
+  turned_to(camera, point, there);
+  for (int j = 0; j < 3; ++j) there[j] += TRANSLATION[j];
+  see(camera, there, pixel, by_point);
+  return there[2];
+}
 #endif
 
 /* The middle of the shortest segment between two rays, the first from 0, the second from `offset`. */
@@ -111,7 +123,7 @@ void meet_behind(__global const REAL *left, __global const REAL *right, const RE
                  const REAL *turned, REAL *point, REAL *tangents, REAL *passed) {
   REAL from_one[3], from_two[3], first[3], second[3], offset[3];
   tangents[0] = refract(left, one, passed, from_one, first);
-  tangents[1] = refract(right, turned, passed + 3, from_two, second);
+  tangents[1] = refract(right, turned, passed + PASSED, from_two, second);
   for (int k = 0; k < 3; ++k) offset[k] = from_two[k] - from_one[k];
   between(first, second, offset, point);
   for (int k = 0; k < 3; ++k) point[k] += from_one[k];
@@ -187,11 +199,11 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
   /* One Gauss-Newton step */
   REAL jacobian[12];
 #if MEDIA
-  REAL tangents[2], passed[6];
+  REAL tangents[2], passed[2 * PASSED];
   meet_behind(left, right, one, turned, point, tangents, passed);
   const REAL depth_left = project_behind(left, point, tangents[0], passed, seen, jacobian);
   const REAL depth_right =
-      project_behind(right, point, tangents[1], passed + 3, seen + 2, jacobian + 6);
+      project_behind(right, point, tangents[1], passed + PASSED, seen + 2, jacobian + 6);
 #else
   meet(right, one, two, point);
   const REAL depth_left = project(left, point, seen, jacobian);

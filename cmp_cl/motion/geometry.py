@@ -29,7 +29,7 @@ class InSpace:
         window = self._rig.window
         return {
             "MEDIA": 0 if window is None else len(window.layers) + 1,
-            "NEAR": "1e-5" if double else "1e-3f",
+            "NEAR": "1e-4" if double else "1e-3f",
             "EXACT": "1e-9" if double else "1e-3f",
             "TINY": "1e-300" if double else "1e-30f",
         }
@@ -92,6 +92,9 @@ def camera_numbers(
     focal, middle, centre = matrix[[0, 1], [0, 1]], matrix[:2, 2], -move @ rotation
     numbers = [focal, middle, coefficients, rotation.ravel(), move, centre]
     if window is not None:
-        media = [*window.layers, (0.0, window.index)]
-        numbers += [window.normal, np.array([window.height(centre)]), np.ravel(media)]
+        first = window.height(centre)
+        media = [
+            (thickness, index**2) for thickness, index in [*window.layers, (0.0, window.index)]
+        ]
+        numbers += [window.normal, np.array([first, first + window.thickness]), np.ravel(media)]
     return np.concatenate(numbers)
