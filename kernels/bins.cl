@@ -84,7 +84,7 @@ __kernel void fill_bins(__global const float *restrict corners, const uint capac
   const uint me = get_local_id(0), all = get_local_size(0), count = COUNT(corners);
   __global const float2 *at = POSITIONS(corners);
   uint shift = 2;
-  while ((rows * columns) >> 2 * shift > LARGER(count, 1)) ++shift;
+  while ((rows * columns) >> 2 * shift > 4 * LARGER(count, 1)) ++shift;
   const int across = ((columns - 1) >> shift) + 1, down = ((rows - 1) >> shift) + 1;
   if (me == 0) {
     layout[BIN_SHIFT] = shift;

@@ -17,8 +17,8 @@ LEAST_CONTRAST = 32  # twice a grey level, in sixteenths: below it a ratio means
 def sizes(plan: "LatticePlan") -> dict[str, int]:
     """Return the bytes of the buffers."""
     corners, (rows, columns) = plan.capacity, plan.shape
-    # A bin is as large as the area of a corner, or larger, and 4 px wide or wider.
-    bins = corners + rows // 4 + columns // 4 + 2
+    # A bin is as large as a quarter of the area of a corner, or larger, and 4 px wide or wider.
+    bins = 4 * corners + rows // 4 + columns // 4 + 2
     return {
         "levels": 2 * rows * plan.step,
         "lines": 16 * corners,

@@ -127,7 +127,7 @@ def candidates(shape: tuple[int, int], corners: Directed, constants: LatticeCons
     height, width = shape
     some = np.flatnonzero(corners.placed)
     shift = 2
-    while ((width * height) >> (2 * shift)) > max(len(corners.x), 1):
+    while ((width * height) >> (2 * shift)) > 4 * max(len(corners.x), 1):
         shift += 1
     column = np.clip(np.floor(corners.x[some]).astype(np.int64), 0, width - 1) >> shift
     row = np.clip(np.floor(corners.y[some]).astype(np.int64), 0, height - 1) >> shift
