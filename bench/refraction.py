@@ -56,7 +56,7 @@ def seen(rig: StereoRig, xyz: np.ndarray, noise: np.random.Generator | None = No
         status = np.full(xy.shape[:2], NodeStatus.DETECTED, np.uint8)
         sigma = np.full(xy.shape[:2], NOISE, np.float32)
         none = np.zeros((0, 2), np.int32)
-        found.append(Grid(xy=xy.astype(np.float32), status=status, sigma=sigma, index=none))
+        found.append(Grid(xy=xy.astype(np.float32), status=status, image_sigma=sigma, index=none))
     return found
 
 

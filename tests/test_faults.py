@@ -278,7 +278,7 @@ image = np.zeros((40, 40), np.uint8)
 rest = cmp_cl.Grid(
     xy=np.indices((3, 3)).T.astype(np.float32) * 10 + 5,
     status=np.ones((3, 3), np.uint8),
-    sigma=np.zeros((3, 3), np.float32),
+    image_sigma=np.zeros((3, 3), np.float32),
     index=np.empty((0, 2), np.int32),
 )
 device = cmp_cl.select_device({device!r})

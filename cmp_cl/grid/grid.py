@@ -2,6 +2,7 @@
 
 import dataclasses
 import enum
+import functools
 import math
 from numbers import Integral
 from os import PathLike
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, GridError, check_kind, check_positive
 from cmp_cl.files import check_path, read_npz, suffix_of, whole_file
-from cmp_cl.filter import bend_variance
+from cmp_cl.filter import bent_sigma
 from cmp_cl.grid.curves import points_between
 from cmp_cl.grid.limits import check_size
 from cmp_cl.grid.saved import SAVED, packed, unpacked
@@ -81,8 +82,8 @@ class Grid:
 
     xy: (R, C, 2) float32, px, NaN where missing.
     status: (R, C) uint8 of `NodeStatus`.
-    sigma: (R, C) float32, standard deviation of the position per axis, px, NaN where unknown. It
-        includes the shift by bent edges, see `edge_radius`.
+    image_sigma: (R, C) float32, the standard deviation of the position per axis that comes from the
+        image of the corner, px, NaN where unknown; `sigma` is the whole one.
     index: (N, 2) int32, (row, column) in these arrays of each corner that the grid was built
         from, -1 where unassigned.
     parity: 0 where the cell between the first node and its diagonal neighbour, indices (0, 0)
@@ -110,7 +111,7 @@ class Grid:
 
     xy: NDArray[np.float32]
     status: NDArray[np.uint8]
-    sigma: NDArray[np.float32]
+    image_sigma: NDArray[np.float32]
     index: NDArray[np.int32]
     parity: int = 0
     origin: tuple[int, int] = (0, 0)
@@ -139,18 +140,13 @@ class Grid:
         """Return (R, C) bool, True where there is a position."""
         return ~np.isnan(self.xy[..., 0])
 
-    @property
-    def image_sigma(self) -> NDArray[np.float64]:
-        """Return sigma without the shift by bent edges, (R, C), px.
+    @functools.cached_property
+    def sigma(self) -> NDArray[np.float32]:
+        """The standard deviation of the position per axis, (R, C) float32, px, NaN where unknown.
 
-        It is the part that comes from the images of the corners. A sigma smaller than that shift
-        does not contain it, and is returned as it is.
+        It includes the shift by bent edges, see `edge_radius`.
         """
-        whole = np.square(self.sigma, dtype=np.float64)
-        if not math.isfinite(self.edge_radius):
-            return np.sqrt(whole)
-        own = whole - bend_variance(self.xy, self.edge_radius)
-        return np.sqrt(np.where(own > 0, own, whole))
+        return bent_sigma(self.xy, self.image_sigma, self.edge_radius)
 
     @property
     def ambiguous(self) -> bool:
@@ -209,7 +205,7 @@ class Grid:
             self,
             xy=np.rot90(self.xy, quarters).copy(),
             status=np.rot90(self.status, quarters).copy(),
-            sigma=np.rot90(self.sigma, quarters).copy(),
+            image_sigma=np.rot90(self.image_sigma, quarters).copy(),
             index=index,
             parity=(self.parity + (0, columns, rows + columns, rows)[quarters]) % 2,
             origin=(0, 0),
@@ -262,7 +258,7 @@ class Grid:
             self,
             xy=cut(self.xy, np.nan),
             status=cut(self.status, 0),
-            sigma=cut(self.sigma, np.nan),
+            image_sigma=cut(self.image_sigma, np.nan),
             index=index,
             parity=(self.parity + top + left) % 2,
             origin=rest.origin,
@@ -332,7 +328,7 @@ class Grid:
             self,
             xy=xy,
             status=status,
-            sigma=sigma,
+            image_sigma=sigma,
             index=index,
             origin=(times * self.origin[0], times * self.origin[1]),
             seen_shape=seen and (times * (seen[0] - 1) + 1, times * (seen[1] - 1) + 1),
@@ -350,7 +346,7 @@ def empty_grid(corners: int, shape: tuple[int, ...] | None, like: Grid | None = 
     return Grid(
         xy=np.full((rows, columns, 2), np.nan, np.float32),
         status=np.zeros((rows, columns), np.uint8),
-        sigma=np.full((rows, columns), np.nan, np.float32),
+        image_sigma=np.full((rows, columns), np.nan, np.float32),
         index=np.full((corners, 2), -1, np.int32),
         origin=(0, 0) if like is None else like.origin,
     )

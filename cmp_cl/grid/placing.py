@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners
-from cmp_cl.filter import bent_sigma
 from cmp_cl.grid.choice import Asked, Found
 from cmp_cl.grid.grid import Grid, NodeStatus, Rival, Sides, empty_grid
 from cmp_cl.grid.limits import check_size
@@ -65,7 +64,7 @@ def placed(found: Found, given: Given, asked: Asked, others: int) -> Grid:
     return Grid(
         xy=xy,
         status=status,
-        sigma=bent_sigma(xy, sigma, given.edge_radius),
+        image_sigma=sigma,
         index=index,
         parity=((board.sign < 0) + top + left) % 2,
         origin=first,

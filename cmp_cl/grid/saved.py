@@ -13,7 +13,7 @@ SAVED: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "status": ("uint8", ("R", "C")),
     "index": ("int32", ("N", 2)),
     "xy": ("float32", ("R", "C", 2)),
-    "sigma": ("float32", ("R", "C")),
+    "image_sigma": ("float32", ("R", "C")),
     "parity": ("int64", ()),
     "origin": ("int64", (2,)),
     "border": ("bool", (4,)),
@@ -26,7 +26,7 @@ SAVED: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "edge_radius": ("float64", ()),
 }
 _MAY_BE_NONE = ("border", "seen_shape", "rival")  # then the array has no elements
-_ARRAYS = ("status", "index", "xy", "sigma")
+_ARRAYS = ("status", "index", "xy", "image_sigma")
 _STATUSES = 6  # of `NodeStatus`
 
 

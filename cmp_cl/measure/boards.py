@@ -67,7 +67,7 @@ def trusted(
         grid,
         xy=np.where(good[..., None], grid.xy, np.float32(np.nan)),
         status=np.where(good, grid.status, NodeStatus.MISSING).astype(np.uint8),
-        sigma=np.where(good, grid.sigma, np.float32(np.nan)),
+        image_sigma=np.where(good, grid.image_sigma, np.float32(np.nan)),
     )
     return filter_positions(kept, device=device)
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners
-from cmp_cl.filter import bent_sigma
 from cmp_cl.filter.holes import filled
 from cmp_cl.grid.grid import Grid, NodeStatus
 
@@ -50,13 +49,11 @@ def grid_of(arrays: Mapping[str, NDArray[Any]], view: int, rest: Grid, corners: 
     index = np.full((corners, 2), -1, np.int32)
     index[owner[row, column]] = np.stack([row, column], axis=1)
     there = status != NodeStatus.MISSING
-    xy = positions_of(arrays, view)
-    sigma = np.where(there, arrays["seen_sigma"][view], np.float32(np.nan))
     return dataclasses.replace(
         rest,
-        xy=xy,
+        xy=positions_of(arrays, view),
         status=status,
-        sigma=bent_sigma(xy, sigma, rest.edge_radius),
+        image_sigma=np.where(there, arrays["seen_sigma"][view], np.float32(np.nan)),
         index=index,
         confidence=math.inf,
         rival=None,

@@ -1,6 +1,7 @@
 """The filtered positions of a grid."""
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -25,4 +26,9 @@ def filter_positions(grid: Grid, *, device: Device | str | None = None) -> Grid:
     found = AtRest(Moment.in_plane(grid, PlaneScale.pixels()), select_device(device)).filtered
     values = found.values - bend_shift(found.values, grid.edge_radius)
     sigma = np.sqrt(found.covariance[..., 0, 0])
-    return dataclasses.replace(grid, xy=values.astype(np.float32), sigma=sigma.astype(np.float32))
+    return dataclasses.replace(
+        grid,
+        xy=values.astype(np.float32),
+        image_sigma=sigma.astype(np.float32),
+        edge_radius=math.nan,
+    )

@@ -233,7 +233,7 @@ class StereoRig:
             )
         both = left.valid & right.valid
         seen = np.hstack([left.xy[both], right.xy[both]]).astype(np.float64)
-        deviation = np.column_stack([grid.image_sigma[both] for grid in (left, right)])
+        deviation = np.column_stack([grid.image_sigma[both] for grid in (left, right)]).astype("f8")
         deviation[~(deviation > 0)] = sigma if sigma > 0 else np.nan
         xyz, status = self._first_order(seen)
         error = np.full(len(seen), np.nan)

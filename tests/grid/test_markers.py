@@ -18,7 +18,7 @@ def grid_at(xy: np.ndarray, parity: int = 0) -> Grid:
     return Grid(
         xy=xy.astype(np.float32),
         status=status.astype(np.uint8),
-        sigma=np.full(shape, 0.1, np.float32),
+        image_sigma=np.full(shape, 0.1, np.float32),
         index=np.argwhere(~np.isnan(xy[..., 0])).astype(np.int32),
         parity=parity,
     )

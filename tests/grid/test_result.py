@@ -41,7 +41,11 @@ def test_a_saved_grid_comes_back_as_it_was(grid, changes, tmp_path):
 @pytest.mark.parametrize(
     ("name", "values", "said"),
     [
-        ("sigma", np.zeros((6, 8), "f4"), r"sigma must be \(6, 9\) of float32, found \(6, 8\) of"),
+        (
+            "image_sigma",
+            np.zeros((6, 8), "f4"),
+            r"image_sigma must be \(6, 9\) of float32, found",
+        ),
         ("status", np.zeros((6, 9), "u1"), "xy must be NaN where status is 0 and finite elsewhere"),
         (
             "index",

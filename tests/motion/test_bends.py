@@ -112,10 +112,7 @@ def test_sigma_holds_for_positions_on_a_perfect_print(pressed):
 
 def test_the_difference_of_the_shifts_is_subtracted_from_displacements(pressed):
     rest, now, _ = pressed
-    blind = [
-        dataclasses.replace(grid, edge_radius=math.nan, sigma=grid.image_sigma.astype(np.float32))
-        for grid in (rest, now)
-    ]
+    blind = [dataclasses.replace(grid, edge_radius=math.nan) for grid in (rest, now)]
     scale = PlaneScale.of_pixel(0.1, "mm")
     shifted, better = (displacement(*pair, scale=scale) for pair in (blind, (rest, now)))
     shift = 0.1 * (bend_shift(now.xy, now.edge_radius) - bend_shift(rest.xy, rest.edge_radius))

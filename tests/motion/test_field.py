@@ -76,7 +76,7 @@ def views_of(rig, xyz, rng, noise=0.03, shared=0.0):
             Grid(
                 xy=(pixels + noise * (error + shared * sum(around))).astype(np.float32),
                 status=np.full(xyz.shape[:2], NodeStatus.DETECTED, np.uint8),
-                sigma=rng.uniform(0.5 * noise, 1.5 * noise, xyz.shape[:2]).astype(np.float32),
+                image_sigma=rng.uniform(0.5 * noise, 1.5 * noise, xyz.shape[:2]).astype(np.float32),
                 index=np.zeros((0, 2), np.int32),
                 edge_radius=RADIUS,
             )

@@ -44,7 +44,7 @@ def grid_of(xy):
     return Grid(
         xy=xy.astype(np.float32),
         status=np.full((rows, columns), NodeStatus.DETECTED, np.uint8),
-        sigma=np.full((rows, columns), 0.03, np.float32),
+        image_sigma=np.full((rows, columns), 0.03, np.float32),
         index=index.reshape(-1, 2).astype(np.int32),
         border=Sides(True, True, True, True),
     )

@@ -34,7 +34,7 @@ def grid_of(xy: np.ndarray, sigma: float = np.nan) -> Grid:
     return Grid(
         xy=xy,
         status=np.where(missing, NodeStatus.MISSING, NodeStatus.DETECTED).astype(np.uint8),
-        sigma=np.where(missing, np.nan, sigma).astype(np.float32),
+        image_sigma=np.where(missing, np.nan, sigma).astype(np.float32),
         index=np.stack([rows[~missing], columns[~missing]], axis=1).astype(np.int32),
     )
 
