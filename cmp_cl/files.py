@@ -39,14 +39,12 @@ def suffix_of(path: str | PathLike[str], error: type[CmpClError]) -> str:
 
 
 @contextlib.contextmanager
-def whole_file(path: str | PathLike[str], *, durable: bool = False) -> Iterator[BinaryIO]:
+def whole_file(path: str | PathLike[str]) -> Iterator[BinaryIO]:
     """Write a file that appears under its name only if the block ends without an error.
 
     The data go to a temporary file in the same folder, which is renamed at the end. An older file
     stays until then, and its mode and owner are kept. Devices and pipes are written directly.
-    durable: flush to the disk before the rename, so that a power cut leaves either the old or the
-    new file. Raises OSError if the folder is missing, not writable or full, or the file is
-    read-only.
+    Raises OSError if the folder is missing, not writable or full, or the file is read-only.
     """
     target = check_target(path)
     if target.exists() and not target.is_file():
@@ -58,9 +56,6 @@ def whole_file(path: str | PathLike[str], *, durable: bool = False) -> Iterator[
         with _named(path, temporary):
             with open(temporary, "wb") as file:
                 yield file
-                if durable:
-                    file.flush()
-                    os.fsync(file.fileno())
             os.replace(temporary, target)
     except BaseException:
         temporary.unlink(missing_ok=True)
@@ -91,8 +86,7 @@ def temporary_beside(target: Path, suffix: str = ".tmp") -> Path:
 
     suffix: the suffix of its name. Raises OSError, also if the target is a device or a pipe.
     """
-    if target.exists() and not target.is_file():
-        raise OSError(errno.EINVAL, "only a regular file can hold this format", str(target))
+    _check_regular(target)
     temporary = target.with_name(f".{secrets.token_hex(8)}{suffix}")
     try:
         with _named(target, temporary), open(temporary, "xb"):
@@ -104,19 +98,19 @@ def temporary_beside(target: Path, suffix: str = ".tmp") -> Path:
 
 
 def part_of(target: Path) -> tuple[Path, list[Path]]:
-    """Make an empty file NAME.part beside a target, with its mode and owner, for data that are
-    complete at any time.
+    """Make a folder NAME.part beside a target.
 
     Returns it, and the parts of that name that were there before: the new one is then NAME.part-2,
     and so on. Raises OSError, also if the target is a device or a pipe.
     """
+    _check_regular(target)
+    earlier: list[Path] = []
+    return first_free(target.with_name(f"{target.name}.part"), Path.mkdir, earlier), earlier
+
+
+def _check_regular(target: Path) -> None:
     if target.exists() and not target.is_file():
         raise OSError(errno.EINVAL, "only a regular file can hold this format", str(target))
-    earlier: list[Path] = []
-    part = target.with_name(f"{target.name}.part")
-    part = first_free(part, lambda path: open(path, "xb").close(), earlier)
-    _keep_rights(target, part)
-    return part, earlier
 
 
 def first_free(path: Path, make: Callable[[Path], object], taken: list[Path] | None = None) -> Path:
@@ -161,9 +155,9 @@ def _named(path: str | PathLike[str], temporary: Path | None = None) -> Iterator
         raise
 
 
-def write_bytes(path: str | PathLike[str], data: bytes, *, durable: bool = False) -> None:
+def write_bytes(path: str | PathLike[str], data: bytes) -> None:
     """Write data to a file whole or not at all, see `whole_file`; raises OSError."""
-    with whole_file(path, durable=durable) as file:
+    with whole_file(path) as file:
         file.write(data)
 
 

@@ -49,19 +49,6 @@ def test_a_kill_in_the_middle_of_writing_leaves_what_was_there(tmp_path, before)
     assert (target.read_bytes() if target.exists() else None) == before
 
 
-def test_a_durable_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
-    synced = []
-
-    def sync(number):
-        synced.append((os.fstat(number).st_size, os.path.exists(tmp_path / "a")))
-
-    monkeypatch.setattr(os, "fsync", sync)
-    write_bytes(tmp_path / "b", b"data")
-    assert synced == []
-    write_bytes(tmp_path / "a", b"data", durable=True)
-    assert synced == [(4, False)]
-
-
 @posix
 def test_a_file_keeps_its_mode_from_the_first_byte_on_and_a_link_stays_a_link(tmp_path):
     secret = tmp_path / "secret"

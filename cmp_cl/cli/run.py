@@ -152,8 +152,6 @@ class _Settings:
             "device": str(self.device),
             "configuration": repr(self.config) if self.config else "for the cells seen at rest",
         }
-        if self.source.start_ns is not None:
-            settings["start_ns"] = str(self.source.start_ns)
         return Description(units=units, settings=settings)
 
     def measurement(self, rest: GreyImage) -> OneView | TwoViews:

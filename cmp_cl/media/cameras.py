@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, ImageError, as_size, check_kind, check_positive
 from cmp_cl.image import GreyImage
-from cmp_cl.media.bags import mcap_images
 from cmp_cl.media.images import find_inputs
 from cmp_cl.media.videos import LONGEST_GAP, Frame, VideoInfo, read_frames, video_info
 
@@ -71,7 +70,7 @@ def is_live(name: str) -> bool:
 class Source:
     """The source of frames.
 
-    name: a file (.mcap too), a folder of images, the number of a camera, a device such as
+    name: a file, a folder of images, the number of a camera, a device such as
     /dev/video0, or an address such as rtsp://camera/stream.
 
     settings: those to request of a camera, or None.
@@ -79,8 +78,7 @@ class Source:
     paths: the files, () of a live source. period_ms: time between frames, NaN if unknown.
     full_scale: largest grey level, None if unknown. total: how many frames, or how many files if
     there are several; None if unknown.
-    start_ns: time of the first frame of an .mcap, ns since 1970; None before it is read.
-    from_start: whether times of a camera or an .mcap count from its first frame; else two of them
+    from_start: whether times of a camera count from its first frame; else two of them
         have one clock, and can be paired.
 
     Raises ConfigError for a name or settings of another type, and FileNotFoundError and ImageError
@@ -101,7 +99,6 @@ class Source:
         self.live = is_live(name)
         self._opened_as: int | str = int(name) if self.live and name.isdigit() else name
         self.paths = () if self.live else tuple(find_inputs([name]))
-        self.start_ns: int | None = None
         info = VideoInfo(rate=self._settings.fps) if self.live else VideoInfo()
         if len(self.paths) == 1:
             info = video_info(self.paths[0])
@@ -120,12 +117,6 @@ class Source:
     def _file_frames(self) -> Generator[Frame, None, None]:
         numbers = itertools.count()
         for path in self.paths:
-            if path.suffix.lower() == ".mcap":
-                for stamp, image in mcap_images(path):
-                    self.start_ns = self.start_ns or stamp
-                    zero = self.start_ns if self._from_start else 0
-                    yield Frame(next(numbers), image, (stamp - zero) / 1e6)
-                continue
             try:
                 for each in read_frames(path):
                     time_ms = each.time_ms if len(self.paths) == 1 else math.nan

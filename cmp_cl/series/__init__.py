@@ -2,6 +2,6 @@
 
 from cmp_cl.series.base import Description
 from cmp_cl.series.reading import read_series
-from cmp_cl.series.writer import SERIES_SUFFIXES, SeriesWriter
+from cmp_cl.series.writer import SERIES_SUFFIXES, SeriesWriter, complete
 
-__all__ = ["SERIES_SUFFIXES", "Description", "SeriesWriter", "read_series"]
+__all__ = ["SERIES_SUFFIXES", "Description", "SeriesWriter", "complete", "read_series"]

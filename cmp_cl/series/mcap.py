@@ -1,9 +1,6 @@
 """A series as MCAP, with the nodes as ROS 2 point clouds; it needs no ROS."""
 
-import contextlib
-import errno
 import importlib
-import os
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import extra
-from cmp_cl.series.base import Arrays, Description, Format, at_rest, moved_by
+from cmp_cl.series.base import moved_by
+from cmp_cl.series.part import Stored
 
 TOPIC = "/cmp_cl/nodes"
 POINT_FIELDS = ("x", "y", "z", "dx", "dy", "dz", "sigma", "row", "column")
@@ -89,68 +87,34 @@ def point_cloud(
     }
 
 
-class McapFormat(Format):
+def mcap_writer() -> Any:
+    """Return the writer of the package mcap-ros2-support; raises ConfigError without it."""
+    with extra("mcap", "MCAP"):
+        return importlib.import_module("mcap_ros2.writer")
+
+
+def write_mcap(series: Stored, path: Path, _target: Path) -> None:
     """MCAP with one PointCloud2 per frame on /cmp_cl/nodes, for ROS 2, Foxglove and rosbags.
 
-    It needs the constant `rest`, and `displacement` or `xy` in each frame. Lengths are in the
-    series' unit, not in m. Stamps are the times of the frames, added to the setting `start_ns`
-    if there is one; the stamp of a frame without a time is its number in ms. The description is the
-    metadata record `cmp_cl`. Every frame is a chunk of its own. The part has no summary: `mcap
-    recover` makes it a whole file.
-
-    Raises ConfigError without the packages, FieldError without `rest`.
+    Lengths are in the series' unit, not in m. Stamps are the times of the frames; that of a frame
+    without a time is its number in ms. The description is the metadata record `cmp_cl`.
     """
-
-    def __init__(self, part: Path, description: Description, constants: Arrays) -> None:
-        super().__init__(part, description, constants)
-        rest = at_rest(constants, "an MCAP")
-        with extra("mcap", "MCAP"):
-            writing = importlib.import_module("mcap_ros2.writer")
-        self._start_ns = int(description.settings.get("start_ns", "0"))
-        self._file = open(part, "wb")  # noqa: SIM115, closed by close
-        size = 4 * len(POINT_FIELDS) * rest[..., 0].size
-        self._writer: Any = writing.Writer(self._file, chunk_size=max(size, 1))
-        self._writer.add_metadata("cmp_cl", _about(description))
-        self._file.flush()
-        self._schema = self._writer.register_msgdef("sensor_msgs/msg/PointCloud2", _POINT_CLOUD)
-        self._whole = True
-
-    def write(self, number: int, index: int, time_ms: float, frame: Arrays) -> None:
-        rest, shift = moved_by(self.constants, frame, "an MCAP")
-        sigma = frame.get("sigma", np.full(rest.shape[:2], np.nan))
-        stamp = self._start_ns + round((time_ms if np.isfinite(time_ms) else index) * 1e6)
-        frame_id = "camera" if rest.shape[2] == 3 else "image"
-        self._check_whole()
-        self._whole = False  # if the disk refuses this frame, nothing can follow it
-        self._writer.write_message(
-            topic=TOPIC,
-            schema=self._schema,
-            message=point_cloud(rest, shift, sigma, stamp, frame_id),
-            log_time=stamp,
-            publish_time=stamp,
-            sequence=number,
-        )
-        self._file.flush()
-        self._whole = True
-
-    def _check_whole(self) -> None:
-        if not self._whole:
-            raise OSError(
-                errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}; mcap recover repairs the file"
+    texts = {name: text for name, text in series.about.items() if isinstance(text, str)}
+    texts |= {f"unit of {name}": unit for name, unit in series.about["units"].items()}
+    with open(path, "wb") as file:
+        writer = mcap_writer().Writer(file)
+        writer.add_metadata("cmp_cl", texts)
+        schema = writer.register_msgdef("sensor_msgs/msg/PointCloud2", _POINT_CLOUD)
+        for index, time_ms, frame in series.frames():
+            rest, shift = moved_by(series.constants, frame)
+            sigma = frame.get("sigma", np.full(rest.shape[:2], np.nan))
+            stamp = round((time_ms if np.isfinite(time_ms) else index) * 1e6)
+            frame_id = "camera" if rest.shape[2] == 3 else "image"
+            writer.write_message(
+                topic=TOPIC,
+                schema=schema,
+                message=point_cloud(rest, shift, sigma, stamp, frame_id),
+                log_time=stamp,
+                publish_time=stamp,
             )
-
-    def finish(self, target: Path, frames: int) -> None:
-        self._check_whole()
-        self._writer.finish()
-        self._file.flush()
-        self.close()
-        super().finish(target, frames)
-
-    def close(self) -> None:
-        with contextlib.suppress(OSError):  # what a full disk refused is tried again, and told
-            self._file.close()
-
-
-def _about(description: Description) -> dict[str, str]:
-    units = {f"unit of {name}": unit for name, unit in description.units.items()}
-    return description.entries() | units
+        writer.finish()

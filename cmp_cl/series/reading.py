@@ -1,9 +1,7 @@
-"""Series read back and checked: .npz and HDF5, whole, growing, or left by a killed program."""
+"""Series read back and checked: .npz and HDF5, and the parts of all formats."""
 
 import os
 import re
-import subprocess
-import sys
 from collections.abc import Collection
 from os import PathLike
 from pathlib import Path
@@ -12,12 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError, FieldError, extra
+from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.files import check_memory, check_path, read_npz, suffix_of
-from cmp_cl.series.npz import CONSTANTS
+from cmp_cl.series.formats import h5py_module
+from cmp_cl.series.part import read_part
 
-_LONGEST_READ = 30.0  # s, for a growing HDF5; more is allowed for its size at
-_LEAST_RATE = 10e6  # bytes a second
 _LARGEST = np.float64(1e100)  # of a number; the square of a larger one has no float
 # The axes of the arrays that are drawn and replayed: F frames, R rows, C columns, K = 2 or 3.
 _AXES: dict[str, tuple[str | int, ...]] = {
@@ -39,25 +36,24 @@ def read_series(
 ) -> dict[str, NDArray[Any]]:
     """Read the arrays of a series by name: `index`, `time_ms`, constants, and (F, ...) frames.
 
-    path: .npz or .h5, or the NAME.part of one that still grows or whose writer was killed: then the
-    frames so far. names: the arrays to read, as far as they are there; None is all. Only these are
-    read.
+    path: .npz or .h5, or the NAME.part of a series of any format that still grows or whose writer
+    was killed: then the frames so far. names: the arrays to read, as far as they are there; None is
+    all. Only these are read.
 
     Raises ConfigError on another suffix or without the package of the format, FieldError if the
     file is damaged, is no series, does not fit into the memory, or holds one of the arrays that
     this library writes with another shape or kind of values.
     """
     check_path(path, ConfigError)
-    suffix = suffix_of(re.sub(r"\.part(-\d+)?$", "", os.fspath(path)), ConfigError)
-    if suffix not in (".npz", ".h5", ".hdf5"):
-        raise ConfigError(
-            f"{str(path)!r}: the name of a series must end in .npz, .h5 or .hdf5, or that and .part"
-        )
+    part = re.search(r"\.part(-\d+)?$", os.fspath(path)) is not None
+    suffix = suffix_of(path, ConfigError)
+    if not (part or suffix in (".npz", ".h5", ".hdf5")):
+        raise ConfigError(f"{str(path)!r}: a series that is read ends in .npz, .h5, .hdf5 or .part")
     if not os.access(path, os.R_OK):
         missing = "right to read" if os.path.exists(path) else "file"
         raise FieldError(f"there is no {missing} {str(path)!r}")
     wanted = None if names is None else {"index", *names}
-    read = _hdf5 if suffix != ".npz" else _npz_part if Path(path).is_dir() else read_npz
+    read = read_part if part else read_npz if suffix == ".npz" else _hdf5
     try:
         found = read(Path(path), wanted)
         _check(found)
@@ -95,65 +91,12 @@ def _check(found: _Found) -> None:
         raise ValueError("unit must be a short text")
 
 
-def _npz_part(path: Path, wanted: set[str] | None) -> _Found:
-    """Read the folder that a growing .npz is, see `NpzFormat`; `index` counts its whole frames."""
-    frames = len(np.load(path / "index.npy"))
-    files = [*path.glob("*.npy"), *(path / CONSTANTS).glob("*.npy")]
-    files = [file for file in files if wanted is None or file.stem in wanted]
-    check_memory(sum(file.stat().st_size for file in files))
-    found = {}
-    for file in files:
-        array = np.load(file, allow_pickle=False)
-        found[file.stem] = array[:frames] if file.parent == path else array
-    return found
-
-
 def _hdf5(path: Path, wanted: set[str] | None) -> _Found:
-    with extra("hdf5", "HDF5"):
-        import h5py
-    try:
-        file = h5py.File(path, "r")
-    except OSError as error:
-        if "already open for" not in str(error):
-            raise
-        _try_beside_writer(path)
-        file = h5py.File(path, "r", libver="latest", swmr=True)
-    with file:
-        names = [name for name in file if wanted is None or name in wanted]
-        return _arrays({name: file[name] for name in names})
-
-
-def _arrays(datasets: dict[str, Any]) -> _Found:
-    """Read the datasets of an HDF5; `index` counts the whole frames of those that grow."""
-    check_memory(sum(dataset.nbytes for dataset in datasets.values()))
-    frames = datasets["index"].size if "index" in datasets else 0
-    found = {}
-    for name, dataset in datasets.items():
-        growing = dataset.maxshape[:1] == (None,)
-        array = np.asarray(dataset[:frames] if growing else dataset[()])
-        found[name] = np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array
-    return found
-
-
-def _try_beside_writer(path: Path) -> None:
-    """Raise ValueError if an HDF5 file cannot be read beside its writer in time.
-
-    HDF5 waits without end for damaged parts to be completed, and no signal interrupts it. So
-    another process tries first.
-    """
-    code = (
-        f"import sys; sys.path[:] = {sys.path!r}; import h5py\n"
-        "with h5py.File(sys.argv[1], 'r', libver='latest', swmr=True) as file:\n"
-        "    for dataset in file.values():\n"
-        "        for first in range(0, len(dataset) if dataset.shape else 0, 256):\n"
-        "            dataset[first : first + 256]"
-    )
-    limit = _LONGEST_READ + os.path.getsize(path) / _LEAST_RATE
-    command = [sys.executable, "-c", code, os.fspath(path)]
-    try:
-        subprocess.run(command, check=True, capture_output=True, timeout=limit)
-    except subprocess.TimeoutExpired:
-        raise ValueError(f"it was not read within {limit:.0f} s") from None
-    except subprocess.CalledProcessError as error:
-        said = error.stderr.decode(errors="replace").strip().splitlines() or ["no reason given"]
-        raise ValueError(said[-1]) from None
+    with h5py_module().File(path, "r") as file:
+        datasets = {name: file[name] for name in file if wanted is None or name in wanted}
+        check_memory(sum(dataset.nbytes for dataset in datasets.values()))
+        arrays = {name: np.asarray(dataset[()]) for name, dataset in datasets.items()}
+    return {
+        name: np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array
+        for name, array in arrays.items()
+    }

@@ -1,33 +1,92 @@
 """Writes a series frame by frame, in the format of the suffix."""
 
+import json
+import os
 import re
+import shutil
+import sys
+from collections.abc import Callable, Mapping
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError, check_kind
-from cmp_cl.files import check_target, part_of, suffix_of
-from cmp_cl.series.base import Description, Format
-from cmp_cl.series.hdf5 import Hdf5Format
-from cmp_cl.series.mcap import McapFormat
-from cmp_cl.series.npz import NpzFormat
-from cmp_cl.series.paraview import ParaViewFormat
-from cmp_cl.series.tables import CsvFormat, JsonLines
+from cmp_cl.field.nodes import node_columns
+from cmp_cl.files import check_target, part_of, suffix_of, temporary_beside
+from cmp_cl.series import formats, mcap
+from cmp_cl.series.base import Arrays, Description, moved_by, plain
+from cmp_cl.series.part import Part, Stored
 
-_FORMATS: dict[str, type[Format]] = {
-    ".npz": NpzFormat,
-    ".h5": Hdf5Format,
-    ".hdf5": Hdf5Format,
-    ".csv": CsvFormat,
-    ".pvd": ParaViewFormat,
-    ".mcap": McapFormat,
+
+class _Format(NamedTuple):
+    """How a format is written. check: raises FieldError if the constants and the arrays of a frame
+    lack what it needs. package: raises ConfigError without its package."""
+
+    write: Callable[[Stored, Path, Path], None]
+    check: Callable[[Arrays, Arrays], object] = lambda constants, frame: None
+    package: Callable[[], object] = lambda: None
+
+
+_HDF5 = _Format(formats.write_hdf5, package=formats.h5py_module)
+_FORMATS = {
+    ".npz": _Format(formats.write_npz),
+    ".h5": _HDF5,
+    ".hdf5": _HDF5,
+    ".csv": _Format(formats.write_csv, lambda constants, frame: dict(node_columns(frame, {}))),
+    ".pvd": _Format(formats.write_pvd, moved_by),
+    ".mcap": _Format(mcap.write_mcap, moved_by, mcap.mcap_writer),
 }
 SERIES_SUFFIXES = tuple(_FORMATS)
+
+
+def complete(part: str | PathLike[str], target: str | PathLike[str]) -> None:
+    """Make the file of a series from its part, in the format of the suffix, and remove the part.
+
+    part: NAME.part, as a process that was killed leaves it. target: an older file is replaced.
+
+    Raises ConfigError on another suffix or if the format's package is missing, FieldError if the
+    part is damaged or lacks what the format needs, OSError if the file cannot be written; then the
+    part stays.
+    """
+    suffix = _known_suffix(target)
+    try:
+        stored = Stored.of(Path(part))
+    except (OSError, ValueError, KeyError) as error:
+        raise FieldError(f"{str(part)!r} is damaged or no part of a series: {error}") from error
+    temporary = temporary_beside(check_target(target), suffix)
+    try:
+        _FORMATS[suffix].write(stored, temporary, Path(target))
+        with open(temporary, "rb+") as file:
+            os.fsync(file.fileno())  # the part goes, so a power cut must find the file
+        os.replace(temporary, check_target(target))
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    shutil.rmtree(part)
+
+
+class _Lines:
+    """One line of JSON per frame on standard output, flushed after each.
+
+    The first line has the description and the constants. A missing number is null.
+    """
+
+    def __init__(self, about: Mapping[str, Any], constants: Arrays) -> None:
+        self._line({**about, "constants": {name: plain(each) for name, each in constants.items()}})
+
+    def _line(self, members: Mapping[str, Any]) -> None:
+        sys.stdout.buffer.write(json.dumps(members).encode() + b"\n")
+        sys.stdout.buffer.flush()
+
+    def append(self, _number: int, index: int, time_ms: float, frame: Arrays) -> None:
+        """Write a frame."""
+        arrays = {"time_ms": np.array(time_ms), **frame}
+        self._line({"frame": index, **{name: plain(each) for name, each in arrays.items()}})
 
 
 class SeriesWriter(Closing):
@@ -41,10 +100,11 @@ class SeriesWriter(Closing):
             series.append(index=i, time_ms=t, displacement=field.displacement)
 
     Every frame has the same arrays, of the same shapes and types; those of the nodes begin with (R,
-    C). While it is written the series is at NAME.part (press.npz.part), and every frame that was
-    appended can be read there, even if the process is killed. When the `with` block ends, also by
-    an exception or Ctrl-C, it is renamed to NAME, and an older file is replaced; without a frame,
-    an error keeps the older file.
+    C). While it is written the series is in the folder NAME.part (press.npz.part), whatever the
+    format, and every frame that was appended can be read there, even if the process is killed. When
+    the `with` block ends, also by an exception or Ctrl-C, the file is made from it, and an older
+    file is replaced; so the disk must hold both for a moment. Without a frame, an error keeps the
+    older file.
 
     earlier: the parts of that name that were there before, of a process that was killed or still
     writes. They are kept; this one is then NAME.part-2.
@@ -70,19 +130,17 @@ class SeriesWriter(Closing):
         self._open = True
         self.earlier: list[Path] = []
         self._target = Path("-")
+        self._check: Callable[[Arrays, Arrays], object] = lambda constants, frame: None
+        about = description.about()
         if isinstance(path, str) and path == "-":
-            self._format: Format = JsonLines(self._target, description, self._constants)
+            self._sink: Part | _Lines = _Lines(about, self._constants)
             return
-        suffix = suffix_of(path, ConfigError)
-        if suffix not in _FORMATS:
-            raise ConfigError(f"{str(path)!r}: the suffix must be one of {', '.join(_FORMATS)}")
+        form = _FORMATS[_known_suffix(path)]
+        form.package()
+        self._check = form.check
         self._target = check_target(path)
         part, self.earlier = part_of(self._target)
-        try:
-            self._format = _FORMATS[suffix](part, description, self._constants)
-        except BaseException:
-            part.unlink(missing_ok=True)
-            raise
+        self._sink = Part(part, about, self._constants)
 
     def __len__(self) -> int:
         """Return the number of frames so far."""
@@ -108,8 +166,10 @@ class SeriesWriter(Closing):
         taken = sorted(layout.keys() & self._constants.keys())
         if taken:
             raise FieldError(f"the series already has constants of the names {taken}")
+        if self._layout is None:
+            self._check(self._constants, frame)
         try:
-            self._format.write(self._count, int(index), float(time_ms), frame)
+            self._sink.append(self._count, int(index), float(time_ms), frame)
         except BrokenPipeError:
             raise
         except OSError as error:
@@ -118,34 +178,44 @@ class SeriesWriter(Closing):
         self._count += 1
 
     def __exit__(self, *raised: object) -> None:
-        if raised[0] is not None and self._open and not self._count:
+        if (
+            raised[0] is not None
+            and self._open
+            and not self._count
+            and isinstance(self._sink, Part)
+        ):
             self._open = False
-            self._format.close()
-            self._format.discard()
+            self._sink.discard()
         self.close()
 
     def close(self) -> None:
-        """Finish the file; closing again does nothing.
+        """Make the file; closing again does nothing.
 
         Raises OSError if the disk has no room for it; what was added is then at NAME.part.
         """
-        if not self._open:
+        if not self._open or isinstance(self._sink, _Lines):
+            self._open = False
             return
         self._open = False
+        self._sink.close()
         try:
-            self._format.finish(self._target, self._count)
-        except BrokenPipeError:
-            raise
+            complete(self._sink.path, self._target)
         except OSError as error:
-            self._format.close()
             frames = "1 frame" if self._count == 1 else f"{self._count} frames"
-            why = f"{error.strerror or error}; what was added, {frames}, is in {self._format.part}"
+            why = f"{error.strerror or error}; what was added, {frames}, is in {self._sink.path}"
             raise OSError(error.errno, why, str(self._target)) from error
+
+
+def _known_suffix(path: str | PathLike[str]) -> str:
+    suffix = suffix_of(path, ConfigError)
+    if suffix not in _FORMATS:
+        raise ConfigError(f"{str(path)!r}: the suffix must be one of {', '.join(_FORMATS)}")
+    return suffix
 
 
 def _array(name: object, value: ArrayLike, kinds: str) -> NDArray[Any]:
     """Return an array of a series, of one of NumPy's kinds; raises FieldError if it is none."""
-    if not isinstance(name, str) or re.fullmatch(r"[\w .-]{1,100}", name) is None:
+    if not isinstance(name, str) or re.fullmatch(r"(?!about$)[\w .-]{1,100}", name) is None:
         raise FieldError(f"the name of an array must be letters and digits, not {name!r}")
     try:
         array = np.asarray(value)

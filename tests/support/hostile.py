@@ -12,32 +12,17 @@ from stereo_data import grid_of, toed_in_rig
 from videos import write_deep_video, write_video
 
 from cmp_cl import DetectorConfig, EdgeStep, Grid, SeriesWriter, StereoRig, media
-from cmp_cl.media.bags import mcap_images
 from cmp_cl.series import read_series
 
 BOARD = (np.indices((60, 80)) // 9).sum(axis=0).astype(np.uint8) % 2 * 150 + 40
 RGBA = np.dstack([BOARD, BOARD, BOARD, BOARD])
 NODES = np.stack(np.meshgrid(np.arange(5.0), np.arange(4.0)), axis=-1) * 10 + 5
-RULE = f"{'=' * 80}\nMSG: "
-IMAGE = (
-    "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\n"
-    f"uint32 step\nuint8[] data\n{RULE}std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring "
-    f"frame_id\n{RULE}builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-)
 
 
 def write_series(path: Path) -> None:
     with SeriesWriter(path, rest=NODES, unit="px") as series:
         for number in range(3):
             series.append(index=number, time_ms=40.0 * number, xy=NODES + number)
-
-
-def write_part(path: Path) -> None:
-    """Write what a process that is killed leaves."""
-    with SeriesWriter(path.with_suffix(""), rest=NODES, unit="px") as series:
-        series.append(index=0, time_ms=0, xy=NODES)
-        data = path.read_bytes()
-    path.write_bytes(data)
 
 
 def write_rig(path: Path) -> None:
@@ -47,16 +32,6 @@ def write_rig(path: Path) -> None:
         storage.write(name, np.atleast_2d(getattr(rig, name)))
     storage.write("unit", "mm")
     storage.release()
-
-
-def write_bag(path: Path) -> None:
-    with open(path, "wb") as file:
-        writer = importlib.import_module("mcap_ros2.writer").Writer(file)
-        image = writer.register_msgdef("sensor_msgs/msg/Image", IMAGE)
-        stamp = {"stamp": {"sec": 1, "nanosec": 5}, "frame_id": "camera"}
-        shown = {"height": 60, "width": 80, "encoding": "mono8", "is_bigendian": 0, "step": 80}
-        writer.write_message("/image", image, {"header": stamp, "data": BOARD.tobytes()} | shown)
-        writer.finish()
 
 
 def read_all(path: Path) -> None:
@@ -101,16 +76,9 @@ KINDS: dict[str, tuple[Any, ...]] = {  # how a file is written, read, and given 
     "a.gif": image_kind(RGBA[..., :3]),
     "press.npz": (write_series, read_series, PLOT),
     "press.h5": (write_series, read_series, PLOT),
-    "press.h5.part": (write_part, read_series, PLOT),
-    "a.mcap": (
-        write_bag,
-        lambda path: list(itertools.islice(mcap_images(path), 40)),
-        ("run", "FILE", "--out", "press.npz"),
-    ),
 }
-for suffix, package in ((".h5", "h5py"), (".part", "h5py"), (".mcap", "mcap_ros2")):
-    if importlib.util.find_spec(package) is None:
-        KINDS = {name: kind for name, kind in KINDS.items() if not name.endswith(suffix)}
+if importlib.util.find_spec("h5py") is None:
+    KINDS.pop("press.h5")
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:

@@ -24,7 +24,7 @@ def add_arguments(group: Any) -> None:
         "source",
         metavar="SOURCE",
         nargs="?",
-        help="video, folder of images, image, .mcap, number of a camera, device such as "
+        help="video, folder of images, image, number of a camera, device such as "
         "/dev/video0, or address such as rtsp://camera/stream",
     )
     group.add_argument(
@@ -80,7 +80,6 @@ class Pairs:
     The attributes that it shares with `Source` mean the same for pairs.
     """
 
-    start_ns: int | None = None
     total: int | None = None
 
     def __init__(self, arguments: argparse.Namespace, camera: CameraSettings) -> None:

@@ -1,0 +1,128 @@
+"""A series while it is written: a folder with an .npy for each array, which grows."""
+
+import io
+import json
+import shutil
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.files import check_memory
+from cmp_cl.series.base import Arrays
+
+_CONSTANTS = "constants"  # the folder for them
+_OF_FRAMES = "index", "time_ms"  # what every series has of each frame
+
+
+class Part:
+    """Appends frames to the folder of a part, which is made.
+
+    A frame is complete on the disk when `append` returns, and can be read from then on. A frame
+    that a full disk refuses is not counted.
+    """
+
+    def __init__(self, path: Path, about: Mapping[str, Any], constants: Arrays) -> None:
+        self.path = path
+        self._columns: dict[str, _Column] = {}
+        try:
+            (path / _CONSTANTS).mkdir()
+            for name, constant in {"about": np.array(json.dumps(about)), **constants}.items():
+                np.save(path / _CONSTANTS / f"{name}.npy", constant, allow_pickle=False)
+            for name, kind in zip(_OF_FRAMES, (np.int64, np.float64), strict=True):
+                self._add(name, np.zeros((), kind))
+        except BaseException:
+            self.discard()
+            raise
+
+    def _add(self, name: str, like: NDArray[Any]) -> None:
+        self._columns[name] = _Column(self.path / f"{name}.npy", like)
+
+    def append(self, number: int, index: int, time_ms: float, frame: Arrays) -> None:
+        """Write a frame, the one of that number in the series; raises OSError."""
+        if not number:
+            for name, value in frame.items():
+                self._add(name, value)
+        times = {"time_ms": np.asarray(time_ms), "index": np.asarray(index, np.int64)}
+        for name, value in {**frame, **times}.items():  # index comes last: it counts whole frames
+            self._columns[name].write(number, value)
+
+    def close(self) -> None:
+        """Close the files; the part stays."""
+        for column in self._columns.values():
+            column.file.close()
+
+    def discard(self) -> None:
+        """Remove the part."""
+        self.close()
+        shutil.rmtree(self.path, ignore_errors=True)
+
+
+class _Column:
+    """The frames of one array so far. like: an array as in each frame."""
+
+    def __init__(self, path: Path, like: NDArray[Any]) -> None:
+        self.file = open(path, "w+b", buffering=0)  # noqa: SIM115, closed by Part
+        self._shape, self._size = like.shape, like.nbytes
+        self._dtype = np.lib.format.dtype_to_descr(like.dtype)
+        self._write_at(0, self._header(0))
+
+    def write(self, number: int, value: NDArray[Any]) -> None:
+        """Write a frame at its offset, even over one that was interrupted."""
+        header = self._header(number + 1)
+        self._write_at(len(header) + number * self._size, value.tobytes())
+        self._write_at(0, header)
+
+    def _header(self, frames: int) -> bytes:
+        """Return the header of an .npy of that many frames; its length is the same for any."""
+        header = io.BytesIO()
+        about = {"descr": self._dtype, "fortran_order": False, "shape": (frames, *self._shape)}
+        np.lib.format.write_array_header_2_0(header, about)
+        return header.getvalue()
+
+    def _write_at(self, offset: int, data: bytes) -> None:
+        self.file.seek(offset)
+        rest = memoryview(data)
+        while rest:  # a nearly full disk may take only some of it
+            rest = rest[self.file.write(rest) :]
+
+
+class Stored(NamedTuple):
+    """The whole frames of a part. about: the units and the entries of `Description`. arrays: (F,
+    ...) of all frames by name, in the order of the names, not read before they are used."""
+
+    about: Mapping[str, Any]
+    constants: Arrays
+    arrays: Arrays
+
+    @classmethod
+    def of(cls, path: Path) -> Self:
+        constants = {file.stem: np.load(file) for file in (path / _CONSTANTS).glob("*.npy")}
+        about = json.loads(str(constants["about"]))
+        return cls(about, constants, _frames(path, sorted(path.glob("*.npy")), "r"))
+
+    def frames(self) -> Iterator[tuple[int, float, Arrays]]:
+        """Yield the number, the time and the arrays of each frame."""
+        others = {name: each for name, each in self.arrays.items() if name not in _OF_FRAMES}
+        for place, (index, time) in enumerate(zip(*map(self.arrays.get, _OF_FRAMES), strict=True)):
+            yield int(index), float(time), {name: each[place] for name, each in others.items()}
+
+
+def read_part(path: Path, wanted: Collection[str] | None) -> dict[str, NDArray[Any]]:
+    """Read the arrays of those names, and the constants, from a part; None means all.
+
+    Raises ValueError if they do not fit into the memory that is free.
+    """
+    files = [*path.glob("*.npy"), *(path / _CONSTANTS).glob("*.npy")]
+    files = [file for file in files if wanted is None or file.stem in wanted]
+    check_memory(sum(file.stat().st_size for file in files))
+    constants = {file.stem: np.load(file) for file in files if file.parent != path}
+    return constants | _frames(path, [file for file in files if file.parent == path])
+
+
+def _frames(path: Path, files: Collection[Path], mode: Any = None) -> dict[str, NDArray[Any]]:
+    """Return the arrays of the whole frames in such files of a part, which `index` counts."""
+    count = len(np.load(path / "index.npy"))
+    return {file.stem: np.load(file, mmap_mode=mode)[:count] for file in files}

@@ -1,0 +1,84 @@
+"""The example of a ROS 2 node, against a stand-in for ROS."""
+
+import importlib.util
+import sys
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plane_images import moved_board
+
+EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "ros_node.py"
+
+
+class Message:
+    """Any message: its fields are what it was given."""
+
+    def __init__(self, **fields):
+        self.__dict__.update(fields)
+
+
+@pytest.fixture
+def node(monkeypatch):
+    """Return the example's module, with a stand-in for rclpy that keeps what is published."""
+
+    class Node:
+        def __init__(self, name):
+            self.published, self.said = [], []
+
+        def declare_parameter(self, name, value):
+            return Message(value=value)
+
+        def create_publisher(self, kind, topic, depth):
+            return Message(publish=self.published.append)
+
+        def create_subscription(self, kind, topic, callback, depth):
+            assert topic == "image_raw"
+
+        def get_logger(self):
+            return Message(info=self.said.append, error=self.said.append)
+
+    for name, content in (
+        ("rclpy", {}),
+        ("rclpy.node", {"Node": Node}),
+        ("sensor_msgs", {}),
+        ("sensor_msgs.msg", {kind: Message for kind in ("Image", "PointCloud2", "PointField")}),
+    ):
+        module = types.ModuleType(name)
+        module.__dict__.update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    spec = importlib.util.spec_from_file_location("ros_node", EXAMPLE)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def image_message(number, image, encoding):
+    return Message(
+        header={"frame_id": "gel", "number": number},
+        height=image.shape[0],
+        width=image.shape[1],
+        encoding=encoding,
+        is_bigendian=0,
+        step=image.shape[1],
+        data=image.tobytes(),
+    )
+
+
+def test_the_example_node_publishes_displacements_with_the_images_header(node):
+    deformation = node.Deformation()
+    board = (30, 30, 190, 190)
+    for number, shift in enumerate((0.0, 1.5)):
+        image = moved_board((220, 220), 20, lambda q, s=shift: 0 * q + [s, 0], board=board, noise=1)
+        deformation.take(image_message(number, image, "mono8"))
+    deformation.take(image_message(2, image, "rgb8"))
+    deformation.close()
+    assert deformation.said[0] == "64 nodes at rest"
+    assert "rgb8" in deformation.said[1]
+    assert len(deformation.published) == 2
+    cloud = deformation.published[1]
+    assert cloud.header["number"] == 1
+    points = np.frombuffer(cloud.data, "<f4").reshape(cloud.height, cloud.width, 9)
+    np.testing.assert_allclose(points[..., 3], 1.5, atol=0.1)
+    np.testing.assert_allclose(points[..., 4], 0, atol=0.1)
