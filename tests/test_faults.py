@@ -11,7 +11,6 @@ import numpy as np
 import pyopencl as cl
 import pytest
 from comparison import assert_same_bytes
-from disks import full_after
 from workers import corners_of_board
 
 from cmp_cl import BinaryRings, Detector, DetectorConfig
@@ -229,14 +228,6 @@ def test_without_a_linker_pocl_does_not_end_the_process(device, tmp_path):
     assert status == 1, "the signal of PoCL"
     assert "DeviceError: PoCL cannot compile kernels" in said
     assert "apt install gcc libc6-dev" in said
-
-
-@pytest.mark.skipif(os.name == "nt", reason="there is no such limit on Windows")
-def test_a_compiler_that_a_limit_of_files_would_end_is_not_started(device, cache):
-    if not device_module.is_pocl(device.handle):
-        pytest.skip("only PoCL ends the process")
-    with full_after(100_000), pytest.raises(DeviceError, match="ulimit -f"):
-        build(device)
 
 
 SHARED = """

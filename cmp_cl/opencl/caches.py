@@ -6,7 +6,6 @@ user's or everybody may write to it.
 
 import functools
 import importlib
-import math
 import os
 import shutil
 import stat
@@ -21,20 +20,16 @@ import pyopencl as cl
 
 from cmp_cl.errors import DeviceError
 
-_LEAST_LARGEST = 1 << 20  # bytes; the largest file in the cache has about 250 kB
 _LEAST_FREE = 32 << 20  # bytes; a plan's kernels take some 10 MB in PoCL's cache
 _PROBE_S = 60.0
 _PROBE = """
-import os
 import pyopencl as cl
 platform = next(p for p in cl.get_platforms() if p.name == "Portable Computing Language")
 context = cl.Context(platform.get_devices()[:1])
-text = "__kernel void probe(__global int *a) { a[get_global_id(0)] = %d; }" % os.getpid()
-kernel = cl.Kernel(cl.Program(context, text).build(cache_dir=False), "probe")
-memory = cl.Buffer(context, cl.mem_flags.READ_WRITE, 64)
-kernel.set_arg(0, memory)
+program = cl.Program(context, "__kernel void probe(__global int *a) { a[0] = 1; }")
+memory = cl.Buffer(context, cl.mem_flags.READ_WRITE, 4)
 with cl.CommandQueue(context) as queue:
-    cl.enqueue_nd_range_kernel(queue, kernel, (16,), (16,)).wait()
+    program.build(cache_dir=False).probe(queue, (1,), None, memory).wait()
 """
 
 
@@ -112,8 +107,7 @@ def _check_compiler() -> None:
 def pocl_is_stuck() -> str:
     """Return the reason why PoCL cannot start or compile with its cache; "" if it can.
 
-    Without a writable folder PoCL is not even listed. On a full disk, or if `ulimit -f` is too
-    small for its files, it ends the process.
+    Without a writable folder PoCL is not even listed. On a full disk it ends the process.
     """
     folder = pocl_folder()
     there = next((each for each in (folder, *folder.parents) if each.exists()), folder)
@@ -125,12 +119,6 @@ def pocl_is_stuck() -> str:
             f"PoCL cannot write to its cache {str(folder)!r}: {error.strerror}; XDG_CACHE_HOME "
             "names another folder"
         )
-    largest = _largest_file()
-    if largest < _LEAST_LARGEST:
-        return (
-            f"no file may have more than {largest} bytes here, and PoCL ends the process if a "
-            "file of its cache would; raise the limit, for example by ulimit -f unlimited"
-        )
     free = shutil.disk_usage(there).free
     if free < _LEAST_FREE:
         return (
@@ -140,28 +128,10 @@ def pocl_is_stuck() -> str:
     return ""
 
 
-def _largest_file() -> float:
-    """Return the largest number of bytes that a file of this process may have."""
-    try:
-        import resource
-    except ImportError:  # Windows has no such limit
-        return math.inf
-    soft, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
-    return math.inf if soft == resource.RLIM_INFINITY else soft
-
-
-class _InMemory:
+class _InMemory(dict[object, object]):
     """A cache of pyopencl that ends with the process."""
 
-    def __init__(self) -> None:
-        self._kept: dict[str, object] = {}
-
-    def __getitem__(self, key: object) -> object:
-        return self._kept[repr(key)]
-
-    def store_if_not_present(self, key: object, value: object) -> None:
-        """Keep a value, unless one is there."""
-        self._kept.setdefault(repr(key), value)
+    store_if_not_present = dict.setdefault
 
 
 _INVOKERS = _InMemory()
@@ -172,13 +142,10 @@ def guard_invokers() -> None:
 
     It keeps them in SQLite, and fails if the folder cannot be written or the disk is full.
     """
-    name, switch = "pyopencl.invoker", "_PYOPENCL_NO_CACHE"
-    if name not in sys.modules:
-        before = getattr(cl, switch, None)
-        setattr(cl, switch, True)  # during the import, or it would open the cache
-        try:
-            importlib.import_module(name)
-        finally:
-            setattr(cl, switch, before)
-    invoker: Any = sys.modules[name]
+    library: Any = cl
+    before, library._PYOPENCL_NO_CACHE = library._PYOPENCL_NO_CACHE, True
+    try:
+        invoker: Any = importlib.import_module("pyopencl.invoker")  # would open the cache
+    finally:
+        library._PYOPENCL_NO_CACHE = before
     invoker.invoker_cache = _INVOKERS
