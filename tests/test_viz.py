@@ -130,10 +130,10 @@ def shown(figure):
     """Return what each map of a figure shows, by the label of its bar: values, ends, colours."""
     found = {}
     for axes in figure.axes:
-        for bar in axes.child_axes:
-            drawn = [each for each in axes.collections if each.colorbar is not None]
-            for each in drawn:
-                found[bar.get_ylabel()] = each.get_array(), each.get_clim(), each.get_cmap().name
+        for each in axes.collections:
+            if each.colorbar is not None:
+                label = each.colorbar.ax.get_ylabel()
+                found[label] = each.get_array(), each.get_clim(), each.get_cmap().name
     return found
 
 
@@ -148,7 +148,7 @@ def test_maps_have_the_recorded_values_with_their_units(recorded):
     arrows = figure.axes[0].collections[1]
     enlarged = float(figure.axes[0].get_title().split("arrows ")[1].split(" x")[0])
     assert arrows.scale == pytest.approx(1 / enlarged, rel=0.05)
-    assert figure.texts[0].get_text() == "frame 7"
+    assert figure.get_suptitle() == "frame 7"
     both = shown(map_figure(last, Quantity.STRAIN))
     larger, ends, colours = both["larger principal strain / %"]
     assert larger.compressed()[-9 if recorded.unit == "px" else 0] == pytest.approx(4.08, abs=0.01)
@@ -180,7 +180,7 @@ def test_the_frame_that_moves_most_is_on_the_sheet_with_the_curves_of_all(record
     wanted = "displacement, standard deviation, larger, smaller, over time"
     wanted += ", height, surface" if recorded.unit == "mm" else ""
     assert all(word in titles for word in wanted.split(", "))
-    curve = figure.axes[-1]
+    (curve,) = (axes for axes in figure.axes if "over time" in axes.get_title())
     assert curve.get_xlabel() == "time / s"
     np.testing.assert_allclose(curve.lines[0].get_xydata()[-1], [0.16, summary.largest[4]])
     two = dataclasses.replace(recorded, index=recorded.index[:2], time_ms=recorded.time_ms[:2],
@@ -204,7 +204,6 @@ def test_the_command_writes_a_picture_or_says_why_not(tmp_path, capsys):
     for wrong, why in (
         (["--what", "height"], "--stereo"),
         (["--frame", "99"], "no frame 99: those from 3 to 7"),
-        (["--out", str(tmp_path / "a.gif"), "--frame", "3"], "leave out --frame"),
         (["--out", series], "must end in .png"),
     ):
         (tmp_path / "press.png").write_bytes(b"old")
@@ -216,21 +215,6 @@ def test_the_command_writes_a_picture_or_says_why_not(tmp_path, capsys):
     with SeriesWriter(tmp_path / "live.npz", rest=lattice()) as live:
         live.append(index=0, time_ms=np.nan, xy=1.5 * lattice())
         assert main(["plot", str(tmp_path / "live.npz.part"), "--out", out]) == 0
-
-
-@needs_matplotlib
-@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
-def test_an_animation_has_every_frame_on_one_scale(tmp_path, suffix):
-    series, out = record(tmp_path / "press.npz", views=2), tmp_path / f"press{suffix}"
-    assert main(["plot", str(series), "--out", str(out), "--what", "height"]) == 0
-    capture = cv2.VideoCapture(str(out))
-    pictures = []
-    while (read := capture.read())[0]:
-        pictures.append(read[1].astype(int))
-    capture.release()
-    assert len(pictures) == 5
-    green = np.array([each[..., 1].sum() for each in pictures])  # from white at 0 to dark red
-    assert np.diff(green).max() < -100_000
 
 
 # videos and the live view

@@ -1,12 +1,10 @@
 """`cmp-cl demo`: a rendered press, measured in space and compared with the exact truth."""
 
 import argparse
-import dataclasses
 import statistics
 import time
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,16 +13,12 @@ from cmp_cl import media
 from cmp_cl.cli.arguments import add_device
 from cmp_cl.cli.messages import shown
 from cmp_cl.errors import ConfigError
-from cmp_cl.grid import Grid
-from cmp_cl.measure import Measured, TwoViews, cell_of
+from cmp_cl.measure import Measured, TwoViews
 from cmp_cl.opencl.device import select_device
 from cmp_cl.space import BinocularSplit, StereoRig
 from cmp_cl.synthetic import Indenter, Mode, Scene, binocular_frame, default_rig, render_stereo
 from cmp_cl.viz import Moment, save_figure, sheet_figure
 from cmp_cl.viz.plots import new_figure
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 VIEW = (1200, 800)  # rows and columns of each view, px
 SCENE = Scene(
@@ -46,8 +40,8 @@ def add_parser(commands: Any) -> None:
         help="render a press in two views, measure it in space, compare it with the truth",
         description="Renders a gel at rest and under a torus that presses and twists, as two "
         "mirrors show it to one camera; finds and numbers the corners, places them in space, "
-        "and writes a sheet of pictures with the errors against the exact truth, the deformation "
-        "field, and the frames. It needs matplotlib.",
+        "prints the errors against the exact truth, and writes a sheet of pictures, the "
+        "deformation field, and the frames. It needs matplotlib.",
     )
     parser.add_argument(
         "--out",
@@ -92,7 +86,6 @@ def run(arguments: argparse.Namespace) -> int:
             measured = measure(pressed)
             times.append(time.perf_counter() - start)
         spent = statistics.median(times)
-        left_at_rest = measure.rest_grids[0]
     tell(
         f"found, numbered and triangulated {measured.nodes} nodes of the pressed gel in "
         f"{spent * 1e3:.0f} ms"
@@ -103,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
     rig.save(folder / "rig.yaml")
     for name in FIELDS:
         measured.field.with_strain().save(folder / name)
-    save_figure(folder / "sheet.png", _sheet(measured, left_at_rest, table))
+    save_figure(folder / "sheet.png", sheet_figure(Moment.of(measured.field, 1)))
     tell("wrote the files")
     width = max(len(what) for what, _ in table)
     for what, value in table:
@@ -130,21 +123,3 @@ def _table(measured: Measured, spent: float, truth: NDArray[np.float64]) -> list
         ("95 % of the errors are below", f"{np.percentile(off, 95):.1f} um"),
         ("largest displacement", f"{measured.largest:.3f} mm"),
     ]
-
-
-def _sheet(measured: Measured, rest: Grid, table: Sequence[tuple[str, str]]) -> "Figure":
-    """Draw the sheet; the left view is cut to the pattern."""
-    view, grid = measured.views[0], measured.grids[0]
-    edge = 2 * cell_of(grid)
-    left, top = np.maximum(np.nanmin(grid.xy, axis=(0, 1)) - edge, 0).astype(int)
-    right, bottom = (np.nanmax(grid.xy, axis=(0, 1)) + edge).astype(int)
-    at_rest, now = (
-        dataclasses.replace(each, xy=each.xy - np.array([left, top], np.float32))
-        for each in (rest, grid)
-    )
-    return sheet_figure(
-        Moment.of(measured.field, 1),
-        title="A torus presses on a gel and twists",
-        view=(view[top:bottom, left:right], at_rest, now),
-        rows=table,
-    )

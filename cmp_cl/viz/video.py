@@ -23,66 +23,24 @@ _LINE = (150, 110, 50)  # BGR
 _NO_VALUE = (150, 150, 150)
 
 
-class Mp4(Closing):
-    """Writes an MP4, frame by frame; it appears when the block ends, if there is a frame.
-
-    path: .mp4. fps: frames per second. Raises ConfigError on another suffix, OSError if the folder
-    is missing, not writable or full, or OpenCV cannot write such a video.
-    """
-
-    def __init__(self, path: str | PathLike[str], *, fps: float) -> None:
-        if suffix_of(path, ConfigError) != ".mp4":
-            raise ConfigError(f"{str(path)!r}: a video must end in .mp4")
-        if not 0 < fps < 1e4:
-            raise ConfigError(f"fps must be from 0 to 10000, not {fps!r}")
-        self._target, self._fps = check_target(path), fps
-        self._temporary = self._target
-        self._writer: Any = None
-        self._frames = 0
-
-    def write(self, picture: NDArray[np.uint8]) -> None:
-        """Add a picture (H, W, 3), BGR, of the size of the first one; an odd last row or column is
-        left out. Raises OSError."""
-        high, wide = (side - side % 2 for side in picture.shape[:2])
-        if self._writer is None:
-            self._temporary = temporary_beside(self._target, ".mp4")
-            self._writer = cv2.VideoWriter(
-                str(self._temporary), cv2.VideoWriter.fourcc(*"mp4v"), self._fps, (wide, high)
-            )
-            if not self._writer.isOpened():
-                self._temporary.unlink(missing_ok=True)
-                raise OSError(f"OpenCV cannot write a video to {str(self._target)!r}")
-        self._writer.write(np.ascontiguousarray(picture[:high, :wide]))
-        self._frames += 1
-
-    def close(self) -> None:
-        """Finish the video; closing again does nothing.
-
-        Raises OSError if it is not whole: OpenCV does not report a full disk.
-        """
-        if self._writer is None:
-            return
-        self._writer.release()
-        self._writer = None
-        written = cv2.VideoCapture(str(self._temporary))
-        counted = round(written.get(cv2.CAP_PROP_FRAME_COUNT))
-        written.release()
-        if counted != self._frames:
-            self._temporary.unlink(missing_ok=True)
-            raise OSError(f"{str(self._target)!r}: the video was not written; is the disk full?")
-        os.replace(self._temporary, self._target)
-
-
 class OverlayVideo(Closing):
     """Writes an annotated video, frame by frame; use it in a with statement.
 
     path: .mp4. fps: frames per second. unit: of the displacement. The colour scale ends at the
     largest displacement so far, which the bar shows. The file replaces an older one when the block
-    ends. Raises the errors of `Mp4`.
+    ends. Raises ConfigError on another suffix, OSError if the folder is missing, not writable or
+    full, or OpenCV cannot write such a video.
     """
 
     def __init__(self, path: str | PathLike[str], *, fps: float = 25.0, unit: str = "px") -> None:
-        self._video, self._unit = Mp4(path, fps=fps), unit
+        if suffix_of(path, ConfigError) != ".mp4":
+            raise ConfigError(f"{str(path)!r}: a video must end in .mp4")
+        if not 0 < fps < 1e4:
+            raise ConfigError(f"fps must be from 0 to 10000, not {fps!r}")
+        self._target, self._fps, self._unit = check_target(path), fps, unit
+        self._temporary = self._target
+        self._writer: Any = None
+        self._frames = 0
         self._shape: tuple[int, ...] = ()
         self._factor = 1.0
         self._top = 0.0
@@ -112,7 +70,7 @@ class OverlayVideo(Closing):
         canvas[:high, :wide] = grey[..., None]
         self._nodes(canvas[:high, :wide], (grid.xy + 0.5) * np.float32(factor) - 0.5, moved)
         self._legend(canvas[high:], text)
-        self._video.write(canvas)
+        self._write(canvas)
 
     def _begin(self, shape: tuple[int, ...]) -> None:
         self._shape = shape
@@ -155,6 +113,33 @@ class OverlayVideo(Closing):
         cv2.putText(strip, "0", (left - 14, 25), font, size, white, 1, cv2.LINE_AA)
         cv2.putText(strip, top, (right + 6, 25), font, size, white, 1, cv2.LINE_AA)
 
+    def _write(self, picture: NDArray[np.uint8]) -> None:
+        """Add a picture (H, W, 3), BGR; an odd last row or column is left out."""
+        high, wide = (side - side % 2 for side in picture.shape[:2])
+        if self._writer is None:
+            self._temporary = temporary_beside(self._target, ".mp4")
+            self._writer = cv2.VideoWriter(
+                str(self._temporary), cv2.VideoWriter.fourcc(*"mp4v"), self._fps, (wide, high)
+            )
+            if not self._writer.isOpened():
+                self._temporary.unlink(missing_ok=True)
+                raise OSError(f"OpenCV cannot write a video to {str(self._target)!r}")
+        self._writer.write(np.ascontiguousarray(picture[:high, :wide]))
+        self._frames += 1
+
     def close(self) -> None:
-        """Finish the video; closing again does nothing. Without a frame no file appears."""
-        self._video.close()
+        """Finish the video; closing again does nothing. Without a frame no file appears.
+
+        Raises OSError if it is not whole: OpenCV does not report a full disk.
+        """
+        if self._writer is None:
+            return
+        self._writer.release()
+        self._writer = None
+        written = cv2.VideoCapture(str(self._temporary))
+        counted = round(written.get(cv2.CAP_PROP_FRAME_COUNT))
+        written.release()
+        if counted != self._frames:
+            self._temporary.unlink(missing_ok=True)
+            raise OSError(f"{str(self._target)!r}: the video was not written; is the disk full?")
+        os.replace(self._temporary, self._target)
