@@ -10,9 +10,13 @@ what is changed in the rig, and: what 1 mm reads; the RMS error of the displacem
 over .3 mm, um; the mean error of the position, mm. In `drawn`, where cameras are calibrated on 12
 noisy views of a board, and the window on a noisy view at rest: the error of the deepest node along
 the normal, um, and what the covariance of the bias says there, um; the gel's index is exact, or is
-drawn and said to be uncertain by as much.
+drawn and said to be uncertain by as much. In `round trip`: the largest distance, px, of a pixel
+from where a point on its ray is seen, over drawn stacks of up to four layers and rays to 60 degrees
+from the normal. In `time`: that of the kernel that triangulates, over its time without a window,
+in turns.
 """
 
+import contextlib
 import dataclasses
 import itertools
 from collections.abc import Iterator
@@ -22,9 +26,20 @@ import cv2
 import numpy as np
 from environment import parser_of, write_table
 
-from cmp_cl import Grid, NodeStatus, StereoRig, Window, build_grid, calibrate, detect, displacement
+from cmp_cl import (
+    BinocularSplit,
+    Grid,
+    NodeStatus,
+    StereoRig,
+    Window,
+    build_grid,
+    calibrate,
+    detect,
+    displacement,
+)
+from cmp_cl.measure import TwoViews
 from cmp_cl.space import Bias, calibrate_window
-from cmp_cl.synthetic import Scene, default_rig, render_stereo
+from cmp_cl.synthetic import Scene, binocular_frame, default_rig, render_stereo
 from cmp_cl.synthetic.camera import PinholeCamera, Pose, facing_both
 from cmp_cl.synthetic.surface import nodes_at_rest, surface
 
@@ -36,13 +51,19 @@ PRESS = Scene(shape=VIEW, markers=29, side=24.0, severity=0.5, seed=900001)
 PITCH = PRESS.side / (PRESS.markers + 1)
 ACRYLIC = 5.0, 1.49
 NOISE = 0.05  # px
+RAYS, FOCAL = 8, 1000.0  # of each drawn stack; px
+STACKS = {
+    "one layer": (ACRYLIC,),
+    "three layers": ((2.0, 1.49), (1.0, 1.0), (2.0, 1.52)),
+}
 Row = dict[str, Any]
+Layers = tuple[tuple[float, float], ...]
 
 
-def behind(gel: float, index: float = 1.41) -> StereoRig:
+def behind(gel: float, index: float = 1.41, layers: Layers = (ACRYLIC,)) -> StereoRig:
     """Return the rig with a gel that ends at the pattern."""
-    distance = float(NORMAL @ CENTRE) - gel - ACRYLIC[0]
-    return dataclasses.replace(AIR, window=Window(NORMAL, distance, (ACRYLIC,), index))
+    distance = float(NORMAL @ CENTRE) - gel - sum(thickness for thickness, _ in layers)
+    return dataclasses.replace(AIR, window=Window(NORMAL, distance, layers, index))
 
 
 def seen(rig: StereoRig, xyz: np.ndarray, noise: np.random.Generator | None = None) -> list[Grid]:
@@ -165,13 +186,60 @@ def drawn(*, quick: bool) -> Iterator[Row]:
         }
 
 
+def round_trip(*, quick: bool) -> Iterator[Row]:
+    rng, count, worst = np.random.default_rng(0), 1000 if quick else 10_000, 0.0
+    for _ in range(count):
+        layers = [(rng.uniform(0, 30), rng.uniform(1, 2.5)) for _ in range(rng.integers(5))]
+        normal = (*rng.uniform(-0.3, 0.3, 2), 1.0)
+        window = Window(normal, rng.uniform(1, 40), layers, rng.uniform(1, 2.5))
+        angle, azimuth = np.radians(rng.uniform(0, 60, RAYS)), rng.uniform(0, 2 * np.pi, RAYS)
+        across = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1) @ window.axes
+        rays = np.cos(angle)[:, None] * window.normal + np.sin(angle)[:, None] * across
+        pixels = rays[rays[:, 2] > 0]
+        pixels = FOCAL * pixels[:, :2] / pixels[:, 2:]
+        centre = rng.uniform(-0.5, 0.5, 3)
+        at, ahead = window.refracted(centre, np.insert(pixels / FOCAL, 2, 1, axis=1))
+        points = at + rng.uniform(1e-3, 50, (len(at), 1)) * ahead
+        seen = window.apparent(centre, points).points - centre
+        off = FOCAL * seen[:, :2] / seen[:, 2:] - pixels
+        worst = max(worst, float(np.linalg.norm(off, axis=1).max()))
+    yield {"part": "round trip", "stacks": count, "off_px": worst}
+
+
+def kernel_times(*, quick: bool) -> Iterator[Row]:
+    scene = dataclasses.replace(PRESS, markers=40)
+    rigs = {"nothing": AIR} | {name: behind(20.0, layers=each) for name, each in STACKS.items()}
+    spent: dict[str, list[float]] = {name: [] for name in rigs}
+    split = BinocularSplit.halves(2 * VIEW[1], VIEW[0])
+    with contextlib.ExitStack() as stack:
+        used = {}
+        for name, rig in rigs.items():
+            rest, now = (
+                binocular_frame(*render_stereo(each, rig)[:2]) for each in (scene.at_rest(), scene)
+            )
+            views = TwoViews(rest, rig, split, shape=(40, 40), profile=True)
+            used[name] = stack.enter_context(views), now
+        for number in range(30 if quick else 200):
+            for name, (measure, now) in used.items():
+                measure(now)
+                if number:  # the first compiles
+                    spent[name].append(measure.times["space"])
+    for name in STACKS:
+        times = np.median(spent[name]) / np.median(spent["nothing"])
+        yield {"part": "time", "gel_mm": 20.0, "changed": name, "times": float(times)}
+
+
 def main() -> None:
     arguments = parser_of(__doc__, quick="few gels, ten drawn rigs").parse_args()
     rows = []
-    for part in (without_the_model, wrong_parameters, images, drawn):
+    for part in (without_the_model, wrong_parameters, images, drawn, round_trip, kernel_times):
         for row in part(quick=arguments.quick):
             rows.append(row)
-            print(", ".join(f"{k} {v:.4g}" if k[-1] == "m" else str(v) for k, v in row.items()))
+            print(
+                ", ".join(
+                    f"{k} {v:.4g}" if isinstance(v, float) else str(v) for k, v in row.items()
+                )
+            )
     write_table("refraction", rows, arguments.out)
 
 

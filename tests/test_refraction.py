@@ -105,7 +105,7 @@ def test_a_press_is_right_to_a_percent_and_its_bias_sigma_covers_it():
         assert np.abs(off).max() < 0.01
         presses.append(off / sigma)
     for scores in (windows, presses):
-        assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.4
+        assert 0.65 < np.sqrt(np.mean(np.square(scores))) < 1.4
 
 
 def test_an_index_that_is_given_errs_by_what_it_is_said_to():
@@ -117,6 +117,8 @@ def test_an_index_that_is_given_errs_by_what_it_is_said_to():
         assert low < np.median(np.abs(off) / stated) < high
     with pytest.raises(CalibrationError, match="index_sigma must be a number from 0"):
         fitted(RIG, views(rest, rng), index_sigma=-0.1)
+    with pytest.raises(CalibrationError, match=r"known to 0.5 does not fix the window's distance"):
+        fitted(RIG, views(rest, rng), index_sigma=0.5)
 
 
 def test_errors_that_neighbours_share_make_a_window_less_certain():

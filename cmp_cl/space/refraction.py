@@ -101,6 +101,11 @@ def calibrate_window(
     free = np.arange(size, size + WINDOW - (stepped is None))
     given = np.delete(np.arange(size + WINDOW), free)
     covariance = np.zeros((len(free), len(free)))
+    known = np.zeros((size + WINDOW, size + WINDOW))
+    if rig.covariance is not None:
+        known[:size, :size] = rig.covariance[:size, :size]
+    if stepped is None:
+        known[-1, -1] = index_sigma**2
     for _ in range(_STEPS):
         before = _surface(rig, rest)
         kinds = [_sides(before, pitch), _misses(before)]
@@ -110,7 +115,10 @@ def calibrate_window(
         off, slopes, block = map(np.concatenate, zip(*map(_weighted, kinds), strict=True))
         normal = slopes.T @ slopes
         inverse = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
-        covariance = _with_neighbours(inverse, off[:, None] * slopes[:, free], block)
+        by_known = np.eye(size + WINDOW)
+        by_known[np.ix_(free, given)] = -inverse @ normal[np.ix_(free, given)]
+        left = off - _explained(off, slopes @ by_known[:, given], known[np.ix_(given, given)])
+        covariance = _with_neighbours(inverse, left[:, None] * slopes[:, free], block)
         _check_sigma(np.sqrt(np.diag(covariance)), rig, _HOPELESS)
         move = np.zeros(WINDOW)
         move[: len(free)] = inverse @ slopes[:, free].T @ off
@@ -122,16 +130,18 @@ def calibrate_window(
         raise CalibrationError(
             "the search for the window does not end; check the pitch, the layers and the rig"
         )
-    known = np.zeros((size + WINDOW, size + WINDOW))
-    if rig.covariance is not None:
-        known[:size, :size] = rig.covariance[:size, :size]
-    if stepped is None:
-        known[-1, -1] = index_sigma**2
-    by_known = np.eye(size + WINDOW)
-    by_known[np.ix_(free, given)] = -inverse @ normal[np.ix_(free, given)]
+    by_index = known[-1, -1] * np.outer(by_known[:, -1], by_known[:, -1])
+    known[-1, -1] = 0
     whole = by_known @ known @ by_known.T
     whole[np.ix_(free, free)] += covariance
     _check_sigma(np.sqrt(np.diag(whole)[free]), rig)
+    whole += by_index
+    _check_sigma(
+        np.sqrt(np.diag(whole)[free]),
+        rig,
+        what=f"an index of the last layer that is known to {index_sigma:g} does",
+        cure="measure it (step), or give a smaller index_sigma",
+    )
     mean = float(np.nanmean(np.concatenate([s.ravel() for s in sides(before.points)])))
     if abs(mean / pitch - 1) > _LARGEST_SCALE:
         raise CalibrationError(
@@ -276,6 +286,18 @@ def _weighted(kind: _Differences) -> _Differences:
     return _Differences(kind.off[good] / scale, kind.slopes[good] / scale, kind.block[good])
 
 
+def _explained(off: Array, slopes: Array, covariance: Array) -> Array:
+    """Return what errors of given parameters explain of differences (N,), (N,).
+
+    slopes: (N, n), by these parameters, what the others then make of them included. covariance: of
+    these errors, (n, n); they are their most likely values, by Bayes.
+    """
+    normal = slopes.T @ slopes
+    likely = np.linalg.solve(np.eye(len(normal)) + normal @ covariance, slopes.T @ off)
+    explained: Array = slopes @ (covariance @ likely)
+    return explained
+
+
 def _with_neighbours(inverse: Array, scores: Array, block: NDArray[np.intp]) -> Array:
     """Return the covariance of the parameters, (n, n), where neighbours may share errors.
 
@@ -291,8 +313,20 @@ def _with_neighbours(inverse: Array, scores: Array, block: NDArray[np.intp]) -> 
     return covariance
 
 
-def _check_sigma(sigma: Array, rig: StereoRig, times: float = 1.0) -> None:
-    """Raise CalibrationError if the sigma of a parameter is `times` too large."""
+def _check_sigma(
+    sigma: Array,
+    rig: StereoRig,
+    times: float = 1.0,
+    *,
+    what: str = "the views do",
+    cure: str = (
+        "show more of the pattern at rest, sharper, or calibrate the cameras on more views"
+    ),
+) -> None:
+    """Raise CalibrationError if the sigma of a parameter is `times` too large.
+
+    what, cure: says what leaves it so large, and what helps.
+    """
     window = rig.window
     assert window is not None
     depth = window.distance + window.thickness
@@ -309,7 +343,4 @@ def _check_sigma(sigma: Array, rig: StereoRig, times: float = 1.0) -> None:
         if not sigma <= times * largest
     ]
     if wide:
-        raise CalibrationError(
-            f"the views do not fix the window's {', '.join(wide)}: show more of the pattern at "
-            "rest, sharper, or calibrate the cameras on more views"
-        )
+        raise CalibrationError(f"{what} not fix the window's {', '.join(wide)}: {cure}")
