@@ -30,15 +30,16 @@ typedef struct {
 
 /* List the votes, in any order: both places in the list of rim nodes, both boundaries, the number
  * of steps, and the weight as the bits of a float. rims: corner and part of each node, part by part.
- * `votes` has room for `room`; their number may exceed it. One work-item per rim node. */
+ * rims_and_votes: the numbers of both; that of votes may exceed `room`. One work-item per node of a
+ * rim. */
 __kernel void find_votes(__global const float *restrict corners, const uint capacity,
                          __global const float4 *restrict lines,
                          __global const int *restrict contrast, LEVELS_OF_IMAGE,
                          __global const float *restrict step, __global const int2 *restrict rims,
-                         const int count, __constant Way *ways, const int span, const float reach,
+                         __constant Way *ways, const int span, const float reach,
                          const float depth, const float depth_px, const int room,
-                         __global int *restrict number, __global int *restrict votes) {
-  const int n = get_global_id(0);
+                         __global int *restrict rims_and_votes, __global int *restrict votes) {
+  const int n = get_global_id(0), count = rims_and_votes[0];
   if (n >= count) return;
   __global const float2 *at = POSITIONS(corners);
   const int i = rims[n].x, own_part = rims[n].y;
@@ -73,7 +74,7 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
       if (near.side & 1) sum = -sum;
       const float seen = ((float)sum * way.factor) * inverse_root(product);
       if (!(seen > way.share)) continue;
-      const int vote = atomic_inc(number);
+      const int vote = atomic_inc(rims_and_votes + 1);
       if (vote >= room) continue;
       const float weight = SMALLER(seen, 1.0f) * way.weight;
       votes[6 * vote] = n;

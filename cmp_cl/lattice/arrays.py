@@ -18,33 +18,11 @@ Mask = NDArray[np.bool_]
 NONE, LOOKED = -1, -2  # owners of a node: missing, or seen where no corner was found
 
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Parts:
-    """Closed faces and the parts that they form, all (4 N,) by half-edge.
-
-    twin: the half-edge at the other end of its link, -1 without one. face: the least half-edge of
-    its closed face, -1 without one. agree: its face and that of its twin agree. cut: how often the
-    tolerance of its face was lowered. root: the least half-edge of its part, -1 without one.
-    column, row: number of its corner from that of the root. direction: of the half-edge in the
-    lattice, 0 to 3. contradicted: its part has no numbers.
-    """
-
-    twin: Whole
-    face: Whole
-    agree: Mask
-    cut: Whole
-    root: Whole
-    column: Whole
-    row: Whole
-    direction: Whole
-    contradicted: Mask
-
-
 class Units(NamedTuple):
     """Nodes of parts, each by itself: a corner in two parts is two units.
 
-    corner: (M,). part: (M,) rank of the part, the largest 0. number, rotation: in the frame of the
-    part. rim: it has fewer than four faces there. at: (M,) complex, px.
+    corner: (M,). part: (M,) rank of the part, in order, the largest 0. number, rotation: in the
+    frame of the part. rim: it has fewer than four faces there. at: (M,) complex, px.
     """
 
     corner: Whole

@@ -1,6 +1,5 @@
 """From the parts of a frame to its boards, the largest first; the host's share of the work."""
 
-import dataclasses
 from collections.abc import Iterator
 
 import cv2
@@ -8,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.lattice.arrays import Board, Mask
-from cmp_cl.lattice.joins import Placed, joined, units_of
+from cmp_cl.lattice.joins import Placed, joined
 from cmp_cl.lattice.plan import LatticePlan
 
 LEAST_FACES = 4  # of a part where no other is larger
@@ -28,10 +27,9 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
         if np.count_nonzero(alone.there) >= k.least_board:
             yield from _apart(plan, alone)
         return
-    parts = plan.parts()
-    units = units_of(parts, xy, k)
+    units = plan.units(xy, k.least_part)
     if not len(units.part):
-        units = units_of(parts, xy, dataclasses.replace(k, least_part=LEAST_FACES))
+        units = plan.units(xy, LEAST_FACES)
     votes = plan.votes(units)
     taken = np.zeros(len(xy), np.bool_)
     left = list(range(int(units.part.max(initial=-1)) + 1))

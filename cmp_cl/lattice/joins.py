@@ -8,24 +8,18 @@ apart.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cmp_cl.lattice.arrays import Parts, Units, Votes
+from cmp_cl.lattice.arrays import Float, Mask, Numbers, Units, Votes, Whole
 from cmp_cl.lattice.constants import LatticeConstants
-
-Whole = NDArray[np.int64]
-Float = NDArray[np.float64]
-Numbers = NDArray[np.complex128]  # column + 1j row
-Mask = NDArray[np.bool_]
 
 DIRECTIONS = np.array([1, 1j, -1, -1j])
 # Shifts that keep the colours, of which the one of least bending is looked for.
 SHIFTS = np.array([x + 1j * y for x in range(-2, 3) for y in range(-2, 3) if (x + y) % 2 == 0])
-FULL = 4  # closed half-edges of a node inside its part
 ROUNDED = 0.1  # numbers nearer than that are equal
 TREND = 6  # terms of a quadratic
 PROBES = 32  # points that bound the least distance of two parts
@@ -52,29 +46,6 @@ class Placement(NamedTuple):
     offset: complex
 
 
-def units_of(parts: Parts, xy: NDArray[np.float32], k: LatticeConstants) -> Units:
-    """Return the units of all parts of at least `least_part` faces."""
-    h = np.flatnonzero((parts.root >= 0) & ~parts.contradicted)
-    roots, inverse, count = np.unique(parts.root[h], return_inverse=True, return_counts=True)
-    order = np.lexsort((roots, -count))
-    order = order[count[order] >= FULL * k.least_part]
-    rank = np.full(len(roots), -1)
-    rank[order] = np.arange(len(order))
-    part = rank[inverse]
-    h, part = h[part >= 0], part[part >= 0]
-    _, first, faces = np.unique(part * len(xy) + (h >> 2), return_index=True, return_counts=True)
-    h, part = h[first], part[first]
-    z = xy.astype(np.float64).view(np.complex128)[:, 0]
-    return Units(
-        corner=h >> 2,
-        part=part,
-        number=parts.column[h] + 1j * parts.row[h],
-        rotation=(parts.direction[h] - h) % 4,
-        rim=faces < FULL,
-        at=z[h >> 2],
-    )
-
-
 def joined(
     units: Units, votes: Votes, corners: int, k: LatticeConstants, main: int, others: Iterable[int]
 ) -> Placed:
@@ -86,9 +57,8 @@ def joined(
 class _Joining:
     def __init__(self, units: Units, votes: Votes, corners: int, k: LatticeConstants) -> None:
         self.units, self.votes, self.k = units, votes, k
-        self.members = [
-            np.flatnonzero(units.part == p) for p in range(int(units.part.max(initial=-1)) + 1)
-        ]
+        bounds = np.searchsorted(units.part, np.arange(units.part.max(initial=-1) + 2))
+        self.members = [np.arange(*each) for each in itertools.pairwise(bounds)]
         self.placed = Placed(
             np.full(corners, -1),
             np.zeros(corners, np.complex128),

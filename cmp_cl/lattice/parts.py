@@ -3,11 +3,15 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from cmp_cl.lattice.arrays import Units
 from cmp_cl.opencl.launches import Launch
 
 if TYPE_CHECKING:
     from cmp_cl.lattice.plan import LatticePlan
+
+FULL = 4  # faces around a corner inside its part
 
 
 def sizes(plan: "LatticePlan") -> dict[str, int]:
@@ -53,3 +57,29 @@ def launches(plan: "LatticePlan") -> list[Launch]:
             size=b["faces_of_part"],
         ),
     ]
+
+
+def units_of(numbered: list[NDArray[np.int32]], xy: NDArray[np.float32], least: int) -> Units:
+    """Return the nodes of all parts of at least so many faces, part after part.
+
+    numbered: parts, (4 N,), states, (16 N,), and faces, (4 N,), of `number_parts` in
+        kernels/parts.cl. xy: (N, 2), px.
+    """
+    root, state, faces = numbered
+    roots = np.flatnonzero(faces >= least)
+    rank = np.full(len(faces) + 1, -1)  # the last one is of half-edges without a part
+    rank[roots[np.argsort(-faces[roots], kind="stable")]] = np.arange(len(roots))
+    part = rank[root].reshape(-1, FULL)
+    same = part[:, :, None] == part[:, None]
+    corner, boundary = np.nonzero((part >= 0) & (same.argmax(axis=2) == np.arange(FULL)))
+    order = np.argsort(part[corner, boundary], kind="stable")
+    corner, boundary = corner[order], boundary[order]
+    column, row, direction, _ = state.reshape(-1, FULL, 4)[corner, boundary].T
+    return Units(
+        corner=corner,
+        part=part[corner, boundary],
+        number=column + 1j * row,
+        rotation=(direction - boundary) % 4,
+        rim=np.count_nonzero(same[corner, boundary], axis=1) < FULL,
+        at=xy[corner].astype(np.float64).view(np.complex128)[:, 0],
+    )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.image import GreyImage
 from cmp_cl.lattice import borders, links, nodes, parts, votes
-from cmp_cl.lattice.arrays import Board, Parts, Units, Votes, Whole
+from cmp_cl.lattice.arrays import Board, Units, Votes
 from cmp_cl.lattice.borders import Border
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.opencl.device import Device, DeviceKind, check_process, is_forked
@@ -31,7 +31,10 @@ from cmp_cl.stages.refine import (
 
 FILES = ("bins", "links", "faces", "parts", "votes", "nodes", "borders")
 # That the host writes or reads.
-SHARED = ("image", "corners", "layout", "nodes", "node_owner", "node_rough", "border")
+SHARED = (
+    *("image", "corners", "layout", "nodes", "node_owner", "node_rough", "border"),
+    *("part", "state", "faces_of_part", "rims", "rims_and_votes", "votes"),
+)
 ONE_GROUP = 256  # work-items of a kernel that is one work-group
 PLACES = 16384  # of a board with few corners
 ROWS = 64  # work-items, of which each takes rows of a board, on a CPU
@@ -87,10 +90,10 @@ class LatticePlan(Binder):
         self._here: dict[str, NDArray[np.uint8]] = {}
         given = {} if source is None else {"image": source.image, "corners": source.corners}
         self.sizes = self._sizes(own=source is None)
-        self.buffers = given | {name: self._buffer(name, n) for name, n in self.sizes.items()}
+        self.buffers = given | {name: self.buffer(name, n) for name, n in self.sizes.items()}
         self.nats = self.constant(nodes.nats(self))
         self.launches = [*links.launches(self), *parts.launches(self), *nodes.first_board(self)]
-        self.find_votes = votes.launches(self)
+        self.find_votes: list[Launch] = []
         self.measure = [borders.measure(self)]
         finish = [borders.cut(self), *self.measure]
         self.lay_only, self.lay = ([*nodes.lay(self, most), *finish] for most in (1, nodes.ANY))
@@ -176,7 +179,7 @@ class LatticePlan(Binder):
             **borders.sizes(self),
         }
 
-    def _buffer(self, name: str, size: int) -> cl.Buffer:
+    def buffer(self, name: str, size: int) -> cl.Buffer:
         """Return a buffer, in memory shared with the host if it is one of SHARED and the device
         can."""
         if name in SHARED and shares_memory(self.device.handle):
@@ -257,10 +260,10 @@ class LatticePlan(Binder):
         fields[POSITION].reshape(-1)[: xy.size] = xy.ravel()
         fields[EDGES].reshape(-1)[: edges.size] = edges.ravel()
         fields[METHOD].view(np.uint8)[length : length + count] = refusal
-        self._write("image", padded)
-        self._write("corners", numbers)
+        self.write("image", padded)
+        self.write("corners", numbers)
 
-    def _write(self, name: str, values: NDArray[Any], first: int = 0) -> None:
+    def write(self, name: str, values: NDArray[Any], first: int = 0) -> None:
         """Write an array to a buffer, from element `first` on."""
         if name in self._here:
             self.queue.finish()
@@ -296,30 +299,15 @@ class LatticePlan(Binder):
             return None
         return board
 
-    def parts(self) -> Parts:
-        """Return the parts of the frame, by half-edge."""
-        count = 4 * min(int(self.read("corners", np.uint32, 1)[0]), self.capacity)
-
-        def whole(name: str) -> Whole:
-            return self.read(name, np.int32, count).astype(np.int64)
-
-        twin, face, beyond, root = (whole(name) for name in ("twin", "face", "beyond", "part"))
-        state = self.read("state", np.int32, 4 * count).reshape(count, 4).astype(np.int64)
-        column, row, direction, _ = np.where(root[:, None] >= 0, state, 0).T
-        faces = whole("faces_of_part")
-        closed = face >= 0
-        cut = np.where(closed, self.read("cut", np.uint8, count)[np.maximum(face, 0)], 0)
-        return Parts(
-            twin=twin,
-            face=face,
-            agree=beyond >= 0,
-            cut=cut,
-            root=root,
-            column=column,
-            row=row,
-            direction=direction,
-            contradicted=closed & (faces[np.maximum(root, 0)] == 0),
+    def units(self, xy: NDArray[np.float32], least: int) -> Units:
+        """Return the nodes of all parts of at least so many faces; xy: (N, 2), the corners, px."""
+        count = 4 * len(xy)
+        found = self.fetch(
+            ("part", np.int32, count),
+            ("state", np.int32, 4 * count),
+            ("faces_of_part", np.int32, count),
         )
+        return parts.units_of(found, xy, least)
 
     def votes(self, units: Units) -> Votes:
         """Return the ways across tears between the rims of parts."""
@@ -333,15 +321,15 @@ class LatticePlan(Binder):
             board is empty if they reach farther than four places for each corner.
         """
         if numbers is not None:
-            self._write("numbers", numbers)
+            self.write("numbers", numbers)
         self.enqueue(self.lay)
         return self._board()[1]
 
     def measured(self, board: Board) -> tuple[Border, int]:
         """Return the border of a board, and the quarter turns that make it upright."""
-        self._write("border", np.array(board.owner.shape, np.int32))
-        self._write("nodes", np.stack([board.x, board.y], axis=2))
-        self._write("node_owner", board.owner.astype(np.int32))
+        self.write("border", np.array(board.owner.shape, np.int32))
+        self.write("nodes", np.stack([board.x, board.y], axis=2))
+        self.write("node_owner", board.owner.astype(np.int32))
         self.enqueue(self.measure)
         found = self.read("border", np.int32)
         return Border.of(found), borders.upright(found)

@@ -1,30 +1,49 @@
 """Ways across tears, which vote for where parts lie: what kernels/votes.cl needs."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.lattice.arrays import Units, Votes
-from cmp_cl.opencl.launches import GROUP, Launch, multiple
+from cmp_cl.opencl.launches import Launch
 
 if TYPE_CHECKING:
     from cmp_cl.lattice.plan import LatticePlan
 
 FIELDS = 6  # of a vote
-ROOM = 16  # votes for each corner, more than its rims can have in a tear
+ROOM = 16  # votes for each node of a rim, more than most tears have
 
 
 def sizes(plan: "LatticePlan") -> dict[str, int]:
-    """Return the bytes of the buffers."""
-    return {"step": 4 * plan.capacity}
+    """Return the bytes of the buffers. That of the votes is made for the first torn frame."""
+    return {"step": 4 * plan.capacity, "rims": 8 * 4 * plan.capacity, "rims_and_votes": 8}
 
 
-def launches(plan: "LatticePlan") -> list[Launch]:
-    """Return the launch that the votes of a frame begin with."""
-    b = plan.buffers
-    return [plan.of_corners("mean_steps", **plan.corners, twin=b["twin"], step=b["step"])]
+def launches(plan: "LatticePlan", room: int) -> list[Launch]:
+    """Return the launches that find so many votes."""
+    k, b = plan.constants, plan.buffers
+    b["votes"] = plan.buffer("votes", 4 * FIELDS * room)
+    return [
+        plan.of_corners("mean_steps", **plan.corners, twin=b["twin"], step=b["step"]),
+        plan.of_half_edges(
+            "find_votes",
+            **plan.corners,
+            lines=b["lines"],
+            contrast=b["contrast"],
+            **plan.levels,
+            step=b["step"],
+            rims=b["rims"],
+            ways=plan.constant(ways(plan)),
+            span=np.int32(k.span),
+            reach=np.float32(k.span + 0.5),
+            depth=np.float32(k.side_depth_cells),
+            depth_px=np.float32(k.side_depth_px),
+            room=np.int32(room),
+            rims_and_votes=b["rims_and_votes"],
+            votes=b["votes"],
+        ),
+    ]
 
 
 def ways(plan: "LatticePlan") -> NDArray[np.float32]:
@@ -48,14 +67,10 @@ def ways(plan: "LatticePlan") -> NDArray[np.float32]:
 def votes(plan: "LatticePlan", units: Units) -> Votes:
     """Return the votes between the rims of parts, in order of both units and of the steps."""
     rim = np.flatnonzero(units.rim)
-    if len(np.unique(units.part[rim])) < 2:
-        rim = rim[:0]
-    rim = rim[np.argsort(units.part[rim], kind="stable")]
-    rims = np.stack([units.corner[rim], units.part[rim]], axis=1).astype(np.int32)
-    room = ROOM * plan.capacity
     found = np.zeros((0, FIELDS), np.int32)
-    if len(rims):
-        found = _found(plan, rims, room)
+    if len(rim) and units.part[rim[0]] < units.part[rim[-1]]:
+        rims = np.stack([units.corner[rim], units.part[rim]], axis=1).astype(np.int32)
+        found = _found(plan, rims, ROOM * len(rims))
     first, second, _, _, steps, weight = found.T
     order = np.lexsort((second, first, steps))
     first, second, boundary, other, steps = found[order, :5].astype(np.int64).T
@@ -64,36 +79,13 @@ def votes(plan: "LatticePlan", units: Units) -> Votes:
 
 
 def _found(plan: "LatticePlan", rims: NDArray[np.int32], room: int) -> NDArray[np.int32]:
-    k, b, flags = plan.constants, plan.buffers, cl.mem_flags.READ_WRITE
-    while True:
-        listed = cl.Buffer(plan.queue.context, flags, 4 * FIELDS * room)
-        number = plan.constant(np.zeros(1, np.int32))
-        launch = plan.stage(
-            "find_votes",
-            (multiple(len(rims), GROUP),),
-            (GROUP,),
-            **plan.corners,
-            lines=b["lines"],
-            contrast=b["contrast"],
-            **plan.levels,
-            step=b["step"],
-            rims=plan.constant(rims),
-            count=np.int32(len(rims)),
-            ways=plan.constant(ways(plan)),
-            span=np.int32(k.span),
-            reach=np.float32(k.span + 0.5),
-            depth=np.float32(k.side_depth_cells),
-            depth_px=np.float32(k.side_depth_px),
-            room=np.int32(room),
-            number=number,
-            votes=listed,
-        )
-        plan.enqueue([*plan.find_votes, launch])
-        total: Any = np.zeros(1, np.int32)
-        cl.enqueue_copy(plan.queue, total, number)
-        if total[0] <= room:
-            found = np.zeros((int(total[0]), FIELDS), np.int32)
-            if len(found):
-                cl.enqueue_copy(plan.queue, found, listed)
-            return found
-        room = int(total[0])
+    """Return the votes between nodes of rims, in any order."""
+    if "votes" not in plan.buffers or plan.buffers["votes"].size < 4 * FIELDS * room:
+        plan.find_votes = launches(plan, 1 << (room - 1).bit_length())
+    plan.write("rims", rims)
+    plan.write("rims_and_votes", np.array([len(rims), 0], np.int32))
+    plan.enqueue(plan.find_votes)
+    count = int(plan.read("rims_and_votes", np.int32)[1])
+    if 4 * FIELDS * count > plan.buffers["votes"].size:
+        return _found(plan, rims, count)
+    return plan.read("votes", np.int32, FIELDS * count).reshape(count, FIELDS)

@@ -5,20 +5,22 @@ import pytest
 from lattice_plans import K, gel, plan_for
 
 from cmp_cl import detect
-from cmp_cl.lattice.joins import units_of
 from cmp_cl.reference import harmonic
 from cmp_cl.reference.lattice import parts as lattice
 from cmp_cl.reference.lattice import votes as lattice_votes
 from cmp_cl.synthetic import Indenter
 
 
-def parts_and_units(device, image):
+def started(device, image):
+    """Return a plan whose parts have been found, the corners, and the same from the oracle."""
     corners = detect(image)
     plan = plan_for(device, image, len(corners))
     plan.take(image, corners.xy, corners.edges, corners.refusal)
     plan.start()
-    found = plan.parts()
-    return plan, corners, found, units_of(found, corners.xy, K)
+    plane = harmonic.smoothed(image, 255)[0]
+    directed = lattice.directed(plane, corners.xy, corners.edges, K)
+    twin = lattice.links(plane, directed, K)
+    return plan, corners, plane, directed, twin
 
 
 @pytest.mark.parametrize("seed", [7, 8, 9, 10])
@@ -28,10 +30,9 @@ def test_gels(device, seed, holes):
     image = gel(2.0 if holes == 0 else 0.5, seed=seed, indenter=Indenter.TORUS).copy()
     for n in range(holes):
         image[30 + 70 * n : 44 + 70 * n] = 120
-    plan, corners, found, units = parts_and_units(device, image)
-    plane = harmonic.smoothed(image, 255)[0]
-    directed = lattice.directed(plane, corners.xy, corners.edges, K)
-    wanted = lattice_votes.votes(plane, directed, found.twin, units, K)
+    plan, corners, plane, directed, twin = started(device, image)
+    units = plan.units(corners.xy, K.least_part)
+    wanted = lattice_votes.votes(plane, directed, twin, units, K)
     got = plan.votes(units)
     order = np.lexsort((wanted.second, wanted.first, wanted.steps))
     for one, other in zip(got, wanted, strict=True):
@@ -40,10 +41,25 @@ def test_gels(device, seed, holes):
         assert len(got.first) > 5
 
 
-def test_the_parts_are_those_of_the_oracle(device):
+def test_the_nodes_of_parts_are_those_of_the_oracle(device):
+    """Of every corner in a part: its number, its rotation, and how many of its faces are there."""
     image = gel(2.0, seed=8, indenter=Indenter.TORUS)
-    _, corners, found, _ = parts_and_units(device, image)
-    plane = harmonic.smoothed(image, 255)[0]
-    wanted = lattice.parts(plane, corners.xy, corners.edges, corners.refusal != 0, K)
-    for name in ("twin", "face", "agree", "root", "contradicted"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), err_msg=name)
+    plan, corners, _, directed, twin = started(device, image)
+    parts = lattice.parts_of(directed, corners.refusal != 0, twin, K)
+    wanted: dict[tuple[int, int], list[tuple[complex, int]]] = {}
+    for h in np.flatnonzero((parts.root >= 0) & ~parts.contradicted):
+        node = (parts.column[h] + 1j * parts.row[h], (parts.direction[h] - h) % 4)
+        wanted.setdefault((parts.root[h], h >> 2), []).append(node)
+    faces = np.bincount([root for (root, _), nodes in wanted.items() for _ in nodes]) // 4
+    large = np.flatnonzero(faces >= K.least_part)
+    ranked = sorted(large, key=lambda root: (-faces[root], root))
+    units = plan.units(corners.xy, K.least_part)
+    assert (np.diff(units.part) >= 0).all()
+    found = zip(units.part, units.corner, units.number, units.rotation, units.rim, strict=True)
+    expected = [
+        (ranked.index(root), corner, *nodes[0], len(nodes) < 4)
+        for (root, corner), nodes in wanted.items()
+        if root in ranked
+    ]
+    assert sorted(found, key=str) == sorted(expected, key=str)
+    np.testing.assert_array_equal(units.at.real, corners.xy[units.corner, 0])

@@ -9,7 +9,6 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.lattice.arrays import Parts
 from cmp_cl.lattice.constants import LatticeConstants
 
 Whole = NDArray[np.int64]
@@ -25,6 +24,28 @@ COLUMN_STEP = np.array([1, 0, -1, 0])
 ROW_STEP = np.array([0, 1, 0, -1])
 F = np.float32
 LEAST_CONTRAST = 32  # sixteenths of a grey level, twice: below it a ratio means nothing
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Parts:
+    """Closed faces and the parts that they form, all (4 N,) by half-edge.
+
+    twin: the half-edge at the other end of its link, -1 without one. face: the least half-edge of
+    its closed face, -1 without one. agree: its face and that of its twin agree. cut: how often the
+    tolerance of its face was lowered. root: the least half-edge of its part, -1 without one.
+    column, row: number of its corner from that of the root. direction: of the half-edge in the
+    lattice, 0 to 3. contradicted: its part has no numbers.
+    """
+
+    twin: Whole
+    face: Whole
+    agree: Mask
+    cut: Whole
+    root: Whole
+    column: Whole
+    row: Whole
+    direction: Whole
+    contradicted: Mask
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
