@@ -177,13 +177,11 @@ __kernel void pilot(__global const float *data, __global const uchar *votes,
 #endif
     }
   }
-  float vote[LINE], supported[LINE], own_across[LINE];
+  float vote[LINE], supported[LINE];
   const int top = WINDOW_START(row, PILOT_DOWN, ROWS), missing = MISSING_NOW;
   for (int c = 0; c < LINE; ++c) {
-    const int inside = row >= 3 && row < ROWS - 3 && c >= 3 && c < COLUMNS - 3;
     vote[c] = c < COLUMNS ? votes[row * COLUMNS + c] : 0;
     supported[c] = 1;
-    own_across[c] = inside ? DIAGONAL[3] : 1.0f;
     if (missing == 0 || c >= COLUMNS) continue;
     const int first = WINDOW_START(c, PILOT_ALONG, COLUMNS);
     int count = 0;
@@ -192,12 +190,15 @@ __kernel void pilot(__global const float *data, __global const uchar *votes,
     supported[c] = LEAST_SUPPORTED(count, (2 * PILOT_DOWN + 1) * (2 * PILOT_ALONG + 1));
   }
   float line[LINE + 2 * NOISE_REACH], mask[LINE + 2 * NOISE_REACH];
-  const float8 own_of_row = own_down[row], none = 0;
+  const float8 own_of_row = own_down[row], none = 0, own_inside = DIAGONAL[3];
+  const int inside = row >= 3 && row < ROWS - 3;
   for (int e = 0; e < ESTIMATES; ++e) {
     float8 sum[PRODUCTS];
     for (int p = 0; p < PRODUCTS; ++p) sum[p] = 0;
     EACH_EIGHT {
-      const float8 along = EIGHT_AT(own_along + c), across = EIGHT_OF(own_across + c);
+      const int8 column = c + (int8)(0, 1, 2, 3, 4, 5, 6, 7);
+      const int8 has_diagonals = inside && column >= 3 && column < COLUMNS - 3;
+      const float8 along = EIGHT_AT(own_along + c), across = has_diagonals ? own_inside : 1 + none;
       const float8 own = e == 0 ? own_of_row * along : e == 1 ? own_of_row : e == 2 ? along : across;
       const float8 left_over = 1 - own, least = e == 0 ? 1e-3f : 0.05f;
       const float8 counts_if = e == 0 ? EIGHT_OF(supported + c) : 1 + none;

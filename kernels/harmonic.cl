@@ -242,28 +242,24 @@ __kernel void clear_lists(__global uint *restrict counts) { counts[get_global_id
 #define SEEN_ARGUMENT
 #endif
 
-/* Clear the maps of bits. One work-item per row. */
+/* Clear the maps of bits. One work-item per word of a map; dimension 1 is a row. */
 __kernel void clear_maxima(const uint rows, const uint step, SEEN_ARGUMENT
                            __global uint *restrict row_counts, __global uint *restrict maxima,
                            __global uint *restrict taken) {
-  const size_t row = get_global_id(1) * rows + get_global_id(0);
-  row_counts[row] = 0;
-  for (size_t word = row * (step / 32); word < (row + 1) * (step / 32); ++word) {
-    maxima[word] = taken[word] = 0;
+  const size_t row = get_global_id(2) * rows + get_global_id(1);
+  const size_t word = row * (step / 32) + get_global_id(0);
+  if (get_global_id(0) >= step / 32) return;
+  if (get_global_id(0) == 0) row_counts[row] = 0;
+  maxima[word] = taken[word] = 0;
 #if OCTAVES >= 2
-    seen[word] = 0;
+  seen[word] = 0;
 #endif
-  }
 }
 
-/* The search for the reference: first by bins of 64 responses, then within a bin. `found` holds
- * its state. */
-#define BINS 256
-#define SPAN 64
+/* What is known of an octave of a frame before its maxima are judged. */
 typedef struct {
-  ulong all, above; /* sums of squares: of all responses, of those above the bin */
-  int bound[2];     /* the least responses that the noise allows */
-  int kind, base, reference;
+  int bound[2]; /* the least responses that the noise allows */
+  int kind, reference;
   int strong, there; /* in octave 0: maxima for and against wide cells, see see_octaves */
 } Decision;
 
@@ -278,66 +274,51 @@ int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
 /* The decision about octave n of frame p. */
 #define DECISION(p, n) found[(p) * (1 + OCTAVES) + (n)]
 
-/* Compute the bounds of an octave from its noise, which comes in `bands` sums. One work-item per
- * frame. */
-__kernel void bound_noise(__global const ulong *restrict noise, __global const uint *restrict counts,
-                          __global const int *restrict lists, const uint rows,
-                          const uint columns, const uint bands, const uint capacity,
-                          const uint full_scale, const uint coarse_noise, const uint octave,
-                          __global Decision *restrict found) {
-  const size_t p = get_global_id(0);
-  __global Decision *own = &DECISION(p, octave);
+#define RESPONSE_BITS 14
+
+/* The sum of the squares of the responses of a list above a bound and not below a level. One
+ * work-group. */
+ulong squares_from(__global const int *value, const uint count, const int bound, const int level,
+                   __local ulong *sums) {
+  ulong sum = 0;
+  for (uint n = get_local_id(0); n < count; n += get_local_size(0))
+    if (value[n] > bound && value[n] >= level) sum += (ulong)((long)value[n] * value[n]);
+  return sum_of_group(sum, sums);
+}
+
+/* The bounds of an octave from its noise, which comes in `bands` sums. Then its reference: of the
+ * responses in descending order, the first at which twice the sum of the squares so far reaches the
+ * sum of all, which is the greatest level from which it does; 0 if there are none. One work-group
+ * per frame. */
+__kernel void find_reference(__global const ulong *restrict noise,
+                             __global const uint *restrict counts,
+                             __global const int *restrict lists, const uint rows,
+                             const uint columns, const uint bands, const uint capacity,
+                             const uint full_scale, const uint coarse_noise, const uint octave,
+                             __global Decision *restrict found) {
+  const size_t p = get_global_id(1);
+  __local ulong sums[FRAME_GROUP];
   const ulong pixels = rows > 2 && columns > 2 ? (ulong)(rows - 2) * (columns - 2) : 0;
   ulong amplitude = 0;
-  for (uint band = 0; band < bands; ++band) amplitude += noise[p * bands + band];
-  own->bound[0] = noise_bound(coarse_noise, amplitude, pixels, full_scale);
-  own->bound[1] = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
-  own->all = own->above = 0;
-  own->base = own->reference = own->strong = own->there = 0;
-  own->kind = KIND_OF_OCTAVE((int)octave);
-  if (octave) return;
+  for (uint band = get_local_id(0); band < bands; band += get_local_size(0))
+    amplitude += noise[p * bands + band];
+  amplitude = sum_of_group(amplitude, sums);
+  Decision own = {{0}};
+  own.bound[0] = noise_bound(coarse_noise, amplitude, pixels, full_scale);
+  own.bound[1] = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
+  own.kind = KIND_OF_OCTAVE((int)octave);
+#define RESPONSES LIST_OF(own.kind) + 2 * capacity, min(counts[LIST(own.kind)], capacity)
+  ulong all = squares_from(RESPONSES, own.bound[0], 0, sums);
 #if FINE /* the reference comes from the fine responses if no coarse one is above its bound */
-  const uint count = min(counts[LIST(0)], capacity);
-  __global const int *value = LIST_OF(0) + 2 * capacity;
-  own->kind = 1;
-  for (uint n = 0; n < count; ++n)
-    if (value[n] > own->bound[0]) own->kind = 0;
+  if (octave == 0 && !all) {
+    own.kind = 1;
+    all = squares_from(RESPONSES, own.bound[1], 0, sums);
+  }
 #endif
-}
-
-/* Sum the squares of the responses of a bin of width `span`. One work-item per bin of an octave. */
-__kernel void sum_squares(__global const uint *restrict counts, __global const int *restrict lists,
-                          __global const Decision *restrict found, const uint capacity, const uint span,
-                          __global ulong *restrict squares) {
-  const size_t bin = get_global_id(0), plane = get_global_id(1), p = plane / (1 + OCTAVES);
-  const int octave = (int)(plane % (1 + OCTAVES));
-  const Decision decision = found[plane];
-  const int bound = decision.bound[octave == 0 && decision.kind == 1];
-  const int low = decision.base + (int)(bin * span), high = low + (int)span;
-  __global const int *value = LIST_OF(decision.kind) + 2 * capacity;
-  const uint count = min(counts[LIST(decision.kind)], capacity);
-  ulong sum = 0;
-  for (uint n = 0; n < count; ++n)
-    if (value[n] >= low && value[n] < high && value[n] > bound)
-      sum += (ulong)((long)value[n] * value[n]);
-  squares[plane * BINS + bin] = sum;
-}
-
-/* The reference: of the responses in descending order, the first at which twice the sum of the
- * squares so far reaches the sum of all; 0 if there are none. One work-item per octave of a frame. */
-__kernel void find_reference(__global const ulong *restrict squares, const uint bins,
-                             const uint span, __global Decision *restrict found) {
-  const size_t p = get_global_id(0);
-  Decision decision = found[p];
-  if (span > 1)
-    for (uint bin = 0; bin < bins; ++bin) decision.all += squares[p * BINS + bin];
-  int bin = (int)bins - 1;
-  if (decision.all)
-    for (; 2 * (decision.above + squares[p * BINS + bin]) < decision.all; --bin)
-      decision.above += squares[p * BINS + bin];
-  decision.base += bin * (int)span;
-  if (span == 1) decision.reference = decision.all ? decision.base : 0;
-  found[p] = decision;
+  const int bound = own.bound[FINE && own.kind == 1];
+  for (int bit = 1 << (RESPONSE_BITS - 1); bit && all; bit >>= 1)
+    if (2 * squares_from(RESPONSES, bound, own.reference | bit, sums) >= all) own.reference |= bit;
+  if (get_local_id(0) == 0) DECISION(p, octave) = own;
 }
 
 #if OCTAVES
@@ -495,15 +476,22 @@ __kernel void mark_octave(__global int *restrict lists, __global const uint *res
 #endif
 
 /* Count the corners in the rows before each row, and in the frame: counts[count_offset + p]. One
- * work-item per row. */
+ * work-group per frame, whose work-items have some rows each. */
 __kernel void start_rows(__global const uint *restrict row_counts, const uint rows,
                          const uint count_offset, __global uint *restrict row_starts,
                          __global uint *restrict counts) {
-  const size_t y = get_global_id(0), p = get_global_id(1);
+  const size_t p = get_global_id(1);
+  __local uint corners[FRAME_GROUP];
+  const uint k = get_local_id(0), each = (rows + FRAME_GROUP - 1) / FRAME_GROUP;
+  const uint first = min(k * each, rows), end = min(first + each, rows);
+  corners[k] = 0;
+  for (uint y = first; y < end; ++y) corners[k] += row_counts[p * rows + y];
+  barrier(CLK_LOCAL_MEM_FENCE);
   uint start = 0;
-  for (uint row = 0; row < y; ++row) start += row_counts[p * rows + row];
-  row_starts[p * rows + y] = start;
-  if (y + 1 == rows) counts[count_offset + p] = start + row_counts[p * rows + y];
+  for (uint before = 0; before < k; ++before) start += corners[before];
+  for (uint y = first; y < end; start += row_counts[p * rows + y], ++y)
+    row_starts[p * rows + y] = start;
+  if (k + 1 == FRAME_GROUP) counts[count_offset + p] = start;
 }
 
 /* Put the corners in (y, x) order: each finds its rank among the bits of the maxima. One work-item per

@@ -3,16 +3,6 @@
 /* The noise of an image (Immerkaer's estimate): sums of |[1 -2 1]^T [1 -2 1] * I| over the inner
  * pixels. */
 
-#if PIXEL_BITS == 8
-typedef ushort4 NOISE4;
-typedef uint4 NOISES;
-#define CONVERT_NOISES convert_uint4
-#else
-typedef uint4 NOISE4;
-typedef ulong4 NOISES;
-#define CONVERT_NOISES convert_ulong4
-#endif
-
 /* The sums of NOISE_BAND rows of a column. One work-item per column of a band. */
 __kernel void noise(__global const PIXEL *restrict image, const uint rows, const uint step,
                     const CURVATURE zero, __global NOISE *restrict sums) {
@@ -35,19 +25,13 @@ __kernel void noise(__global const PIXEL *restrict image, const uint rows, const
            SUM3(NOISE, AT_ROW(6, h5, h6, h7), AT_ROW(7, h6, h7, after), 0));
 }
 
-/* Sum them over the inner columns. One work-item per band. */
+/* Sum them over the inner columns. One work-group per band. */
 __kernel void noise_of_band(__global const NOISE *restrict sums, const uint columns,
                             const uint step, __global ulong *restrict noise) {
-  const size_t row = get_global_id(1) * get_global_size(0) + get_global_id(0);
-  __global const NOISE *sum = sums + row * step + PAD;
-  if (columns < 3) {
-    noise[row] = 0;
-    return;
-  }
-  NOISES four = 0;
-  uint x = 0;
-  for (; x + 4 < columns; x += 4) four += CONVERT_NOISES(*(__global const NOISE4 *)(sum + x));
-  ROW_NOISE total = four.x + four.y + four.z + four.w - sum[0];
-  for (; x + 1 < columns; ++x) total += sum[x];
-  noise[row] = total;
+  const size_t band = get_global_id(1) * get_num_groups(0) + get_group_id(0);
+  __local ulong parts[GROUP];
+  ROW_NOISE sum = 0;
+  for (uint x = 1 + get_local_id(0); x + 1 < columns; x += GROUP) sum += sums[band * step + PAD + x];
+  const ulong total = sum_of_group(sum, parts);
+  if (get_local_id(0) == 0) noise[band] = total;
 }

@@ -5,13 +5,12 @@ from typing import Any, cast
 import numpy as np
 
 from cmp_cl.config import RingHarmonic
-from cmp_cl.opencl.launches import GROUP, Launch
+from cmp_cl.opencl.launches import GROUP, Launch, multiple
 from cmp_cl.stages import noise
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import CORNER_COLUMNS, PlanBase
 
-BINS = 256  # bins of the histogram of responses, from which the reference comes
-SPAN = 64  # width of a bin, responses
+FRAME_GROUP = 256  # work-items of a group that decides about a frame
 
 
 def files(plan: PlanBase) -> list[str]:
@@ -25,7 +24,12 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
     """Return the macros that only these kernels need."""
     whole = plan.dtype == np.uint8 and _full_scale(plan) == 255
     rule = _rule(plan)
-    return {"FINE": int(rule.fine), "WIDE": int(rule.octaves > 0), "WHOLE_LEVELS": int(whole)}
+    return {
+        "FINE": int(rule.fine),
+        "FRAME_GROUP": FRAME_GROUP,
+        "WIDE": int(rule.octaves > 0),
+        "WHOLE_LEVELS": int(whole),
+    }
 
 
 def sizes(plan: PlanBase) -> dict[str, int]:
@@ -60,8 +64,7 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
         **({"seen": _bits(plan)} if plan.octaves >= 2 else {}),
         "row_counts": 4 * rows,
         "row_starts": 4 * rows,
-        "squares": 8 * frames * (1 + plan.octaves) * BINS,
-        "decision": 48 * frames * (1 + plan.octaves),
+        "decision": 24 * frames * (1 + plan.octaves),
     }
     return [noise.scratch(plan), dict.fromkeys(("fine", "coarse", "response"), plane), decided]
 
@@ -186,13 +189,12 @@ def _decide(plan: PlanBase) -> list[Launch]:
     listed = {"counts": b["counts"], "lists": b["lists"]}
     row_counts, maxima, taken = b["row_counts"], b["maxima"], b["taken"]
     kept = {"row_counts": row_counts, "maxima": maxima}
-    planes = plan.frames * (1 + plan.octaves)
     seen = {"seen": b["seen"]} if plan.octaves >= 2 else {}
     stages = [
-        plan.few(
+        plan.stage(
             "clear_maxima",
-            plan.working[0],
-            plan.frames,
+            (multiple(plan.step // 32, GROUP), plan.working[0], plan.frames),
+            (GROUP, 1, 1),
             rows=rows,
             step=step,
             **seen,
@@ -203,10 +205,10 @@ def _decide(plan: PlanBase) -> list[Launch]:
     for octave in range(1 + plan.octaves):
         of_octave = plan.size_of(octave)
         stages.append(
-            plan.few(
-                "bound_noise",
-                plan.frames,
-                1,
+            plan.stage(
+                "find_reference",
+                (FRAME_GROUP, plan.frames),
+                (FRAME_GROUP, 1),
                 noise=b[f"noise_{octave}" if octave else "noise"],
                 **listed,
                 rows=of_octave["rows"],
@@ -219,28 +221,6 @@ def _decide(plan: PlanBase) -> list[Launch]:
                 found=b["decision"],
             )
         )
-    for bins, span in ((BINS, SPAN), (SPAN, 1)):
-        stages += [
-            plan.stage(
-                "sum_squares",
-                (bins, planes),
-                (GROUP, 1),
-                **listed,
-                found=b["decision"],
-                capacity=capacity,
-                span=np.uint32(span),
-                squares=b["squares"],
-            ),
-            plan.few(
-                "find_reference",
-                planes,
-                1,
-                squares=b["squares"],
-                bins=np.uint32(bins),
-                span=np.uint32(span),
-                found=b["decision"],
-            ),
-        ]
     if plan.octaves:
         stages.append(plan.few("choose_reference", plan.frames, 1, found=b["decision"]))
 
@@ -267,10 +247,10 @@ def _decide(plan: PlanBase) -> list[Launch]:
         ]
     corners = plan.corner_list
     stages.append(
-        plan.few(
+        plan.stage(
             "start_rows",
-            plan.working[0],
-            plan.frames,
+            (FRAME_GROUP, plan.frames),
+            (FRAME_GROUP, 1),
             row_counts=row_counts,
             rows=rows,
             count_offset=corners["count_offset"],

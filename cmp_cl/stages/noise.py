@@ -31,10 +31,10 @@ def launches(plan: PlanBase, octave: int = 0) -> list[Launch]:
             zero=plan.types["CURVATURE"].type(0),
             sums=b["noise_sums"],
         ),
-        plan.few(
+        plan.stage(
             "noise_of_band",
-            count,
-            plan.frames,
+            (GROUP * count, plan.frames),
+            (GROUP, 1),
             sums=b["noise_sums"],
             columns=size["columns"],
             step=size["step"],

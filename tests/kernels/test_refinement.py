@@ -26,6 +26,7 @@ from cmp_cl import (
     reference,
 )
 from cmp_cl.corners import Refusal
+from cmp_cl.opencl.device import DeviceKind
 from cmp_cl.stages.form import Form
 
 EIGHT, DEEP = images.eight_bits(), images.sixteen_bits()
@@ -159,6 +160,9 @@ def test_images_smaller_than_the_rings_equal_the_oracle(detector_in_form, name, 
 
 @pytest.mark.parametrize("factor", some([0.3, 0.63, 1.5], (1.5,)))
 def test_the_forms_agree_to_the_bit(device, factor):
+    """Cards have one form; what runs there of the other may fuse other products with sums."""
+    if device.kind is not DeviceKind.CPU:
+        pytest.skip("cards have one form")
     image = images.texture((240, 300), seed=4)
     for refinement in (EdgeLines(), None):
         config = rings(refinement=refinement, scale=factor, **DENSE)
