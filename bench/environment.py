@@ -78,25 +78,6 @@ def _short(value: Any) -> Any:
     return "" if value != value else f"{value:.5g}"
 
 
-def write_result(
-    result: dict[str, Any],
-    path: Path | None,
-    *,
-    quick: bool = False,
-    stem: str | None = None,
-    indent: int | None = 1,
-) -> None:
-    """Write a result as JSON, by default to results/KIND.json; stem: a name instead of its kind.
-
-    A quick result is written only to a path that is given.
-    """
-    if path is None and quick:
-        return
-    path = path or RESULTS / f"{stem or result['kind']}.json"
-    path.write_text(json.dumps(result, indent=indent) + "\n")
-    print(f"wrote {path}")
-
-
 def others(seconds: float = 1.0) -> float | None:
     """Return the cores that other programs kept busy while this one slept; None if the system
     does not say."""
