@@ -11,28 +11,28 @@ from videos import write_video
 
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.media import Frame
-from cmp_cl.media.cameras import CameraSettings, PairCount, Source, paired
+from cmp_cl.media.cameras import CameraSettings, Source, paired
 
 
 def pairs_of(left, right, tolerance=10.0):
-    """Return indices of the pairs of frames at these times, ms, and the count."""
-    count = PairCount()
+    """Return indices of the pairs of frames at these times, ms, and how many pairs and frames of
+    each side alone there are."""
     sides = (iter([Frame(i, None, t) for i, t in enumerate(times)]) for times in (left, right))
-    found = [(a.index, b.index) for a, b in paired(*sides, tolerance_ms=tolerance, count=count)]
-    return found, (count.pairs, count.left_alone, count.right_alone)
+    found = list(paired(*sides, tolerance_ms=tolerance))
+    pairs = [(a.index, b.index) for a, b in found if a and b]
+    return pairs, (len(pairs), sum(b is None for _, b in found), sum(a is None for a, _ in found))
 
 
 @pytest.mark.parametrize(
     ("left", "right", "expected", "alone"),
     [
         ([0, 20, 60, 80, 100], [1, 21, 41, 61, 101], [(0, 0), (1, 1), (2, 3), (4, 4)], (1, 1)),
-        ([0, 9, 40], [10, 41], [(1, 0), (2, 1)], (1, 0)),  # the nearer of two
         ([0, 20, 40, 60], [40, 60, 80, 100, 120], [(2, 0), (3, 1)], (2, 3)),
         ([math.nan] * 3, [math.nan] * 4, [(0, 0), (1, 1), (2, 2)], (0, 1)),  # no times: in turn
     ],
 )
 def test_pairs_are_the_nearest_and_the_others_are_counted(left, right, expected, alone):
-    found, count = pairs_of(left, right, tolerance=15)
+    found, count = pairs_of(left, right)
     assert found == expected
     assert count == (len(expected), *alone)
 

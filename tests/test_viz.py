@@ -170,22 +170,22 @@ def test_maps_have_the_recorded_values_with_their_units(recorded):
 
 @needs_matplotlib
 def test_the_frame_that_moves_most_is_on_the_sheet_with_the_curves_of_all(recorded, tmp_path):
-    summary = recorded.summary()
-    assert summary.moment.index == 7
-    assert summary.largest[0] == 0
-    assert summary.largest[4] == pytest.approx(1.8 if recorded.unit == "px" else np.sqrt(5))
-    assert summary.median[4] == pytest.approx(0.9, abs=0.1)
-    figure = sheet_figure(summary.moment, summary)
+    assert recorded.index[recorded.frame_of(None)] == 7
+    largest, median = recorded.curves()
+    assert largest[0] == 0
+    assert largest[4] == pytest.approx(1.8 if recorded.unit == "px" else np.sqrt(5))
+    assert median[4] == pytest.approx(0.9, abs=0.1)
+    figure = sheet_figure(recorded.moment(4), recorded)
     titles = " ".join(axes.get_title() for axes in figure.axes)
     wanted = "displacement, standard deviation, larger, smaller, over time"
     wanted += ", height, surface" if recorded.unit == "mm" else ""
     assert all(word in titles for word in wanted.split(", "))
     (curve,) = (axes for axes in figure.axes if "over time" in axes.get_title())
     assert curve.get_xlabel() == "time / s"
-    np.testing.assert_allclose(curve.lines[0].get_xydata()[-1], [0.16, summary.largest[4]])
+    np.testing.assert_allclose(curve.lines[0].get_xydata()[-1], [0.16, largest[4]])
     two = dataclasses.replace(recorded, index=recorded.index[:2], time_ms=recorded.time_ms[:2],
                               shift=recorded.shift[:2], sigma=recorded.sigma[:2])  # fmt: skip
-    titles = [axes.get_title() for axes in sheet_figure(two.moment(1), two.summary()).axes]
+    titles = [axes.get_title() for axes in sheet_figure(two.moment(1), two).axes]
     assert not [title for title in titles if "over time" in title]  # two frames make no curve
     save_figure(tmp_path / "a picture.png", figure)
     assert cv2.imread(str(tmp_path / "a picture.png")).std() > 20

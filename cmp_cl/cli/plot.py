@@ -46,13 +46,9 @@ def run(arguments: argparse.Namespace) -> int:
     check_files([arguments.series], [arguments.out])
     recorded = Recorded.of(read_series(arguments.series, NEEDED))
     frames = counted(len(recorded.index), "frame")
-    summary = recorded.summary()
-    assert summary.moment is not None  # a `Recorded` has a frame
-    moment = summary.moment
-    if arguments.frame is not None:
-        moment = recorded.moment(recorded.frame_of(arguments.frame))
+    moment = recorded.moment(recorded.frame_of(arguments.frame))
     figure = (
-        sheet_figure(moment, summary)
+        sheet_figure(moment, recorded)
         if arguments.what is None
         else map_figure(moment, Quantity(arguments.what))
     )

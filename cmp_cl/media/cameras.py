@@ -4,7 +4,6 @@ The time of a frame of a video is that in its container. The time of a camera's 
 its arrival: a thread reads a camera, so that frames do not wait in the driver.
 """
 
-import collections
 import contextlib
 import dataclasses
 import itertools
@@ -211,60 +210,28 @@ def grey_of(frame: NDArray[Any]) -> GreyImage:
     return np.ascontiguousarray(frame.reshape(frame.shape[:2]))
 
 
-@dataclasses.dataclass
-class PairCount:
-    """The number of pairs, and of frames without a partner, left_alone and right_alone."""
-
-    pairs: int = 0
-    left_alone: int = 0
-    right_alone: int = 0
-
-
 def paired(
-    left: Iterator[Frame],
-    right: Iterator[Frame],
-    *,
-    tolerance_ms: float,
-    count: PairCount,
-    endless: bool = False,
-) -> Iterator[tuple[Frame, Frame]]:
-    """Yield pairs of frames from two sources, matched by time; each frame is used at most once.
+    left: Iterator[Frame], right: Iterator[Frame], *, tolerance_ms: float, endless: bool = False
+) -> Iterator[tuple[Frame | None, Frame | None]]:
+    """Yield the frames of two sources side by side; one without a partner comes with None.
 
-    left, right: the frames of each source. Two frames are a pair if their times differ by at most
-        tolerance_ms and no next frame of either side is nearer. Frames without a time are paired in
-        order; so are all if the tolerance is NaN. count: it is updated with every frame. endless:
-        whether the sources are live; if not, frames after the end of the other side are counted
-        too.
+    left, right: the frames of each source. Two frames are partners if their times differ by at most
+    tolerance_ms, half the time between frames. Frames without a time are paired in order; so are
+    all if the tolerance is NaN. endless: whether the sources are live; if not, frames after the end
+    of the other side come too.
     """
-    ahead: tuple[collections.deque[Frame], collections.deque[Frame]]
-    ahead = collections.deque(), collections.deque()
-    sources = left, right
-
-    def peek(side: int, index: int) -> Frame | None:
-        while len(ahead[side]) <= index:
-            frame = next(sources[side], None)
-            if frame is None:
-                return None
-            ahead[side].append(frame)
-        return ahead[side][index]
-
-    while True:
-        one, two = peek(0, 0), peek(1, 0)
-        if one is None or two is None:
-            break
+    one, two = next(left, None), next(right, None)
+    while one is not None and two is not None:
         off = one.time_ms - two.time_ms
-        if not (math.isnan(off) or math.isnan(tolerance_ms)):
-            earlier = 0 if off < 0 else 1
-            following, other = peek(earlier, 1), (two, one)[earlier]
-            nearer = following is not None and abs(following.time_ms - other.time_ms) < abs(off)
-            if abs(off) > tolerance_ms or nearer:
-                ahead[earlier].popleft()
-                count.left_alone += earlier == 0
-                count.right_alone += earlier == 1
-                continue
-        ahead[0].popleft()
-        ahead[1].popleft()
-        count.pairs += 1
-        yield one, two
-    count.left_alone += len(ahead[0]) + (0 if endless else sum(1 for _ in left))
-    count.right_alone += len(ahead[1]) + (0 if endless else sum(1 for _ in right))
+        if off < -tolerance_ms:
+            yield one, None
+            one = next(left, None)
+        elif off > tolerance_ms:
+            yield None, two
+            two = next(right, None)
+        else:
+            yield one, two
+            one, two = next(left, None), next(right, None)
+    if not endless:
+        yield from ((frame, None) for frame in itertools.chain([one] if one else [], left))
+        yield from ((None, frame) for frame in itertools.chain([two] if two else [], right))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, check_kind, check_range, extra
 from cmp_cl.files import whole_file
-from cmp_cl.viz.moments import Array, Map, Moment, Quantity, Summary, corners_of_cells, plane_of
+from cmp_cl.viz.moments import Array, Map, Moment, Quantity, Recorded, corners_of_cells, plane_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,11 +52,11 @@ def map_figure(moment: Moment, quantity: Quantity) -> "Figure":
     return _page(f"frame {moment.index}", _panels(moment, quantity))
 
 
-def sheet_figure(moment: Moment, summary: Summary | None = None) -> "Figure":
+def sheet_figure(moment: Moment, series: Recorded | None = None) -> "Figure":
     """Draw a frame on one sheet: its maps, its surface, and the curves of the series.
 
-    moment: the frame. summary: of the series; without it, or with fewer than three frames, there
-    are no curves. Raises FieldError if there are too few nodes for a map, ConfigError without
+    moment: the frame. series: that it is of; without it, or with fewer than three frames, there are
+    no curves. Raises FieldError if there are too few nodes for a map, ConfigError without
     matplotlib.
     """
     panels = [panel for quantity in moment.quantities() for panel in _panels(moment, quantity)]
@@ -65,8 +65,8 @@ def sheet_figure(moment: Moment, summary: Summary | None = None) -> "Figure":
         panels.append(
             lambda figure, at: _draw_surface(figure.add_subplot(at, projection="3d"), moment)
         )
-    curves = summary if summary and len(summary.index) >= _LEAST_OF_CURVE else None
-    return _page(f"frame {moment.index}", panels, curves, moment.unit)
+    curves = series if series and len(series.index) >= _LEAST_OF_CURVE else None
+    return _page(f"frame {moment.index}", panels, curves)
 
 
 _Panel = Callable[["Figure", Any], object]  # draws on a place of a figure
@@ -83,9 +83,7 @@ def _panels(moment: Moment, quantity: Quantity) -> list[_Panel]:
     return [panel(shown) for shown in maps]
 
 
-def _page(
-    title: str, panels: list[_Panel], curves: Summary | None = None, unit: str = ""
-) -> "Figure":
+def _page(title: str, panels: list[_Panel], curves: Recorded | None = None) -> "Figure":
     """Return a figure with the panels, and the curves below them."""
     across = 3 if len(panels) > 4 else min(len(panels), 2)
     down = -(-len(panels) // across)
@@ -96,7 +94,7 @@ def _page(
     for number, draw in enumerate(panels):
         draw(figure, grid[divmod(number, across)])
     if curves is not None:
-        _draw_curves(figure.add_subplot(grid[down, :]), curves, unit)
+        _draw_curves(figure.add_subplot(grid[down, :]), curves)
     return figure
 
 
@@ -184,15 +182,15 @@ def _draw_surface(axes: Any, moment: Moment) -> None:
     axes.figure.colorbar(drawn, ax=axes, label=f"displacement / {moment.unit}", shrink=0.6)
 
 
-def _draw_curves(axes: "Axes", summary: Summary, unit: str) -> None:
+def _draw_curves(axes: "Axes", series: Recorded) -> None:
     """Draw the largest and the median displacement over time, or over frames without times."""
-    time, label = np.array(summary.time_ms) / 1e3, "time / s"
+    time, label = series.time_ms / 1e3, "time / s"
     if not np.isfinite(time).all():
-        time, label = np.array(summary.index, np.float64), "frame"
-    axes.plot(time, summary.largest, ".-", lw=1, ms=3, label="largest of all nodes")
-    axes.plot(time, summary.median, ".-", lw=1, ms=3, label="median of all nodes")
+        time, label = series.index.astype(np.float64), "frame"
+    for values, name in zip(series.curves(), ("largest", "median"), strict=True):
+        axes.plot(time, values, ".-", lw=1, ms=3, label=f"{name} of all nodes")
     axes.set_ylim(bottom=0)
-    axes.set(xlabel=label, ylabel=f"displacement / {unit}", title="displacement over time")
+    axes.set(xlabel=label, ylabel=f"displacement / {series.unit}", title="displacement over time")
     axes.grid(alpha=0.3)
     axes.legend()
 

@@ -13,7 +13,7 @@ from cmp_cl.cli.messages import counted, in_shell, shown
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.image import GreyImage
 from cmp_cl.media import Frame
-from cmp_cl.media.cameras import CameraSettings, PairCount, Source, paired
+from cmp_cl.media.cameras import CameraSettings, Source, paired
 
 _PAIR_WITHIN = 20.0  # ms, between frames that are paired if their interval is unknown
 
@@ -99,40 +99,35 @@ class Pairs:
         periods = [side.period_ms for side in self._sides if np.isfinite(side.period_ms)]
         self.period_ms = max(periods, default=np.nan)
         self._within = min(periods) / 2 if periods else _PAIR_WITHIN
-        self.count = PairCount()
+        self._alone = [0, 0]  # frames of each side without a partner
 
     def frames(self) -> Generator[Frame, None, None]:
         """Yield all pairs, from the first; one that cannot be read has no image.
 
         A frame that a camera missed has no time, and is not paired.
         """
-        self.count = PairCount()
-        start = None
+        self._alone = [0, 0]
+        number, start = 0, None
         with contextlib.ExitStack() as stack:
             sides = [stack.enter_context(contextlib.closing(s.frames())) for s in self._sides]
             left_frames, right_frames = (
                 (each for each in side if each.image is not None or not self.live) for side in sides
             )
-            found = paired(
-                left_frames,
-                right_frames,
-                tolerance_ms=self._within,
-                count=self.count,
-                endless=self.live,
-            )
-            for number, (left, right) in enumerate(found):
+            for left, right in paired(
+                left_frames, right_frames, tolerance_ms=self._within, endless=self.live
+            ):
+                if left is None or right is None:
+                    self._alone[left is None] += 1
+                    continue
                 start = left.time_ms if start is None else start
                 both = _side_by_side(left.image, right.image)
                 yield Frame(number, both, left.time_ms - start)
+                number += 1
 
     def alone(self) -> str:
         """Return how many frames had no partner, as text; "" if all had one."""
-        if not (self.count.left_alone or self.count.right_alone):
-            return ""
-        return (
-            f"; {self.count.left_alone} left and {self.count.right_alone} right frames without "
-            "a partner"
-        )
+        left, right = self._alone
+        return f"; {left} left and {right} right frames without a partner" if left + right else ""
 
 
 def opened(arguments: argparse.Namespace) -> Source | Pairs:
