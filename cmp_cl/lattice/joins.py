@@ -23,6 +23,7 @@ SHIFTS = np.array([x + 1j * y for x in range(-2, 3) for y in range(-2, 3) if (x 
 ROUNDED = 0.1  # numbers nearer than that are equal
 TREND = 6  # terms of a quadratic
 PROBES = 32  # points that bound the least distance of two parts
+FAR = 1 << 20  # farther than any number
 SPARE = 8  # steps between parts, on the map of numbers
 
 
@@ -147,18 +148,17 @@ class _Joining:
         if weight.sum() < self.k.join_votes:
             return 0.0, None
         some = self.members[part]
-        key = np.stack([quarter, np.rint(offset.real), np.rint(offset.imag)], axis=1).astype(
-            np.int64
-        )
-        places, which = np.unique(key, axis=0, return_inverse=True)
-        votes = np.bincount(which.ravel(), weight, minlength=len(places))
+        places, which = np.unique(np.rint(offset) + FAR * quarter, return_inverse=True)
+        quarters = np.rint(places.real / FAR).astype(np.int64)
+        places -= FAR * quarters
+        votes = np.bincount(which, weight)
         free = self.units.number[some[~self.placed.there[self.units.corner[some]]]]
-        turned = free * DIRECTIONS[places[:, :1]] + (places[:, 1:2] + 1j * places[:, 2:])
+        turned = np.multiply.outer(DIRECTIONS[quarters], free) + places[:, None]
         twice = np.count_nonzero(self.used.at(turned), axis=1)
         best = int(np.argmax(votes - twice))
         if votes[best] < self.k.join_votes:
             return 0.0, None
-        at = Placement(int(places[best, 0]), complex(places[best, 1], places[best, 2]))
+        at = Placement(int(quarters[best]), complex(places[best]))
         ratio = self.ratio(part, *at)
         return (ratio, at) if ratio >= self.k.join_bend else (0.0, None)
 
@@ -261,14 +261,13 @@ class Tear(NamedTuple):
         system[count:, :count] = system[:count, count:].T
         position = np.zeros((count + TREND, 2))
         position[:count] = np.stack([self.fixed_at.real, self.fixed_at.imag], axis=1)
-        second = (self.moved - origin) + offsets[:, None]
-        beside = np.empty((len(offsets), len(self.moved), count + TREND))
-        beside[..., :count] = _cubes(second, first)
-        beside[..., count:] = _trend(second)
+        second = ((self.moved - origin) + offsets[:, None]).ravel()
+        beside = np.concatenate([_cubes(second, first), _trend(second)], axis=1)
+        beside = beside.reshape(len(offsets), -1, count + TREND)
         own = _cubes(self.moved, self.moved) + self.rough * np.eye(len(self.moved))
         try:
             inverse = np.linalg.inv(system)
-            across = beside @ inverse
+            across = beside @ inverse  # one small product an offset: BLAS starts no threads
             left = np.stack([self.moved_at.real, self.moved_at.imag], axis=1) - across @ position
             w = np.linalg.solve(own - across @ beside.transpose(0, 2, 1), left)
         except np.linalg.LinAlgError:
@@ -307,16 +306,19 @@ def _trend(number: Numbers) -> Float:
 
 
 def _squares(a: Numbers, b: Numbers) -> Float:
-    """Return the squared distances of all pairs, (..., A, B)."""
-    x, y = a.real[..., None] - b.real, a.imag[..., None] - b.imag
-    squares: Float = x * x + y * y
-    return squares
+    """Return the squared distances of all pairs, (A, B)."""
+    x, y = np.subtract.outer(a.real, b.real), np.subtract.outer(a.imag, b.imag)
+    x *= x
+    y *= y
+    x += y
+    return x
 
 
 def _cubes(a: Numbers, b: Numbers) -> Float:
-    """Return the cubed distances of all pairs, (..., A, B)."""
+    """Return the cubed distances of all pairs, (A, B)."""
     squares = _squares(a, b)
-    return squares * np.sqrt(squares)
+    squares *= np.sqrt(squares)
+    return squares
 
 
 def _cell_of(z: Numbers, number: Numbers) -> float:

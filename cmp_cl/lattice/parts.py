@@ -69,17 +69,19 @@ def units_of(numbered: list[NDArray[np.int32]], xy: NDArray[np.float32], least: 
     roots = np.flatnonzero(faces >= least)
     rank = np.full(len(faces) + 1, -1)  # the last one is of half-edges without a part
     rank[roots[np.argsort(-faces[roots], kind="stable")]] = np.arange(len(roots))
-    part = rank[root].reshape(-1, FULL)
-    same = part[:, :, None] == part[:, None]
-    corner, boundary = np.nonzero((part >= 0) & (same.argmax(axis=2) == np.arange(FULL)))
-    order = np.argsort(part[corner, boundary], kind="stable")
+    part = rank[root].reshape(-1, FULL).T
+    fresh = part >= 0  # at the first boundary of a corner in its part
+    for s in range(1, FULL):
+        fresh[s] &= (part[s] != part[:s]).all(axis=0)
+    corner, boundary = np.nonzero(fresh.T)
+    order = np.argsort(part[boundary, corner], kind="stable")
     corner, boundary = corner[order], boundary[order]
     column, row, direction, _ = state.reshape(-1, FULL, 4)[corner, boundary].T
     return Units(
         corner=corner,
-        part=part[corner, boundary],
+        part=part[boundary, corner],
         number=column + 1j * row,
         rotation=(direction - boundary) % 4,
-        rim=np.count_nonzero(same[corner, boundary], axis=1) < FULL,
+        rim=(part[1:] != part[0]).any(axis=0)[corner],
         at=xy[corner].astype(np.float64).view(np.complex128)[:, 0],
     )

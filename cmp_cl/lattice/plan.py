@@ -337,21 +337,18 @@ class LatticePlan(Binder):
     def _board(self) -> tuple[NDArray[np.int32], Board]:
         """Wait. Return the layout, and the board as it is: upright, with its border, without outer
         lines that hold too few of their places in view."""
-
-        def fetched(places: int) -> list[NDArray[Any]]:
-            return self.fetch(
+        count = -1
+        while count < 0 or count > self._likely:
+            self._likely = max(count, self._likely)
+            layout, found, at, owner, rough = self.fetch(
                 ("layout", np.int32, nodes.LAYOUT),
                 ("border", np.int32, borders.FOUND),
-                ("nodes", np.float32, 2 * places),
-                ("node_owner", np.int32, places),
-                ("node_rough", np.bool_, places),
+                ("nodes", np.float32, 2 * self._likely),
+                ("node_owner", np.int32, self._likely),
+                ("node_rough", np.bool_, self._likely),
             )
-
-        layout, found, at, owner, rough = fetched(self._likely)
-        shape = int(found[borders.ROWS]), int(found[borders.COLUMNS])
-        count = shape[0] * shape[1]
-        if count > self._likely:
-            layout, found, at, owner, rough = fetched(count)
+            shape = int(found[borders.ROWS]), int(found[borders.COLUMNS])
+            count = shape[0] * shape[1]
         self._likely = count
         x, y = at[: 2 * count].reshape(*shape, 2).transpose(2, 0, 1)
         board = Board(
