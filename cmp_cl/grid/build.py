@@ -62,7 +62,8 @@ def build_grid(
     If several boards are seen, the grid is of the one that fits the known size, or the print and
     the borders of `like`; without either of the largest that is seen whole, a full rectangle with
     its borders, and of the largest if none is. A second that is comparable is an error, or is told
-    by `Grid.others`, unless it is the ground of a whole one: a lattice that ends nowhere.
+    by `Grid.others`, unless it is the ground of a whole one: a lattice that ends nowhere. A smaller
+    one is told if it is whole too.
 
     Raises GridError if corners have no finite position or no edge angles, if two comparable
     boards are seen, if the board holds few of the corners, if a shape is far larger than the number

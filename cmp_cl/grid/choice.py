@@ -205,7 +205,8 @@ def _alone(found: list[Found]) -> tuple[Found, int]:
     """Return the largest board that is seen whole, else the largest; and the corners of the largest
     other that may be meant instead, 0 without one.
 
-    Beside a whole board, one that ends nowhere is the ground behind it.
+    Beside a whole board, a large one that ends nowhere is the ground behind it, and a small one
+    counts if it is whole too.
 
     Raises GridError if another is comparable, unless it has gaps and the first is whole.
     """
@@ -223,8 +224,8 @@ def _alone(found: list[Found]) -> tuple[Found, int]:
     full = [each for each in rivals if each.is_full]
     if full:
         raise _two(chosen, full[0])
-    rivals = [each for each in rivals if each.border.ends.any()]
-    return chosen, rivals[0].size if rivals else chosen.gap
+    told = [e for e in others if e.is_whole or (e in rivals and e.border.ends.any())]
+    return chosen, told[0].size if told else chosen.gap
 
 
 def _two(one: Found, other: Found) -> GridError:

@@ -193,6 +193,7 @@ def test_the_larger_board_is_numbered_and_the_other_is_told_or_given_on_demand()
     grid = grid_of(view)
     assert_right_or_told(grid, view)
     assert scored(grid, view).right == 54
+    assert grid.others == 20
     boards = build_grids(corners_of(view), view.image)
     assert [each.shape for each in boards] == [(6, 9), (5, 4)]
     owned = np.sum([each.index[:, 0] >= 0 for each in boards], axis=0)

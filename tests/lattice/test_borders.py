@@ -5,9 +5,11 @@ import pytest
 from lattice_plans import K, gel, plan_for
 
 from cmp_cl import detect
+from cmp_cl.lattice import borders
 from cmp_cl.lattice.arrays import NONE, Board
 from cmp_cl.lattice.borders import CONTRAST, UNSEEN
-from cmp_cl.reference.lattice.borders import Sides
+from cmp_cl.lattice.nodes import LAYOUT
+from cmp_cl.reference.lattice.borders import Sides, trimmed
 
 
 def settled(device, image, corners, full_scale=255):
@@ -60,3 +62,37 @@ def test_parts_of_boards(device, seed):
         nodes = draw.random(board.owner.shape) >= share
         part = part_of(board.only(nodes & (board.owner != NONE)), box)
         assert_equal_to_the_oracle(plan, part, image)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_outer_lines_of_few_nodes_are_taken_off(device, seed):
+    """A full board with up to three lines at each side that hold a share of their nodes, some of
+    whose places lie outside the image."""
+    draw = np.random.default_rng(seed)
+    shape, (rows, columns) = (240, 320), draw.integers(8, 16, 2)
+    nodes = np.ones((rows, columns), np.bool_)
+    for line in range(int(draw.integers(1, 4))):
+        for way in (nodes, nodes[::-1], nodes.T, nodes.T[::-1]):
+            way[line] &= draw.random(way.shape[1]) < draw.choice([0.3, 0.75, 0.85, 1.0])
+    nodes = np.pad(nodes, 1)
+    row, column = np.indices(nodes.shape)
+    turn = np.exp(1j * draw.uniform(-0.4, 0.4))
+    at = (column + 1j * row) * turn * 15 + complex(*draw.uniform(-10, 90, 2))
+    x, y = (np.where(nodes, each, np.nan).astype(np.float32) for each in (at.real, at.imag))
+    owner = np.where(nodes, row * nodes.shape[1] + column, NONE)
+    board = Board(x=x, y=y, owner=owner, torn=draw.random(nodes.shape) < 0.1, sign=1)
+    plan = plan_for(device, np.zeros(shape, np.uint8), nodes.size)
+    layout = np.zeros(LAYOUT, np.int32)
+    layout[3:6] = *nodes.shape, board.sign
+    plan.write("layout", layout)
+    plan.write("result", np.stack([x, y], axis=2))
+    plan.write("owner", owner.astype(np.int32))
+    plan.write("rough", board.torn)
+    plan.enqueue([borders.cut(plan)])
+    wanted = trimmed(board, shape, K)
+    count = wanted.owner.size
+    assert plan.read("border", np.int32, 3).tolist() == [*wanted.owner.shape, wanted.sign]
+    np.testing.assert_array_equal(plan.read("node_owner", np.int32, count), wanted.owner.ravel())
+    at = np.stack([wanted.x, wanted.y], axis=2).ravel()
+    np.testing.assert_array_equal(plan.read("nodes", np.float32, 2 * count), at)
+    assert 0 < count < nodes.size
