@@ -170,22 +170,22 @@ def test_maps_have_the_recorded_values_with_their_units(recorded):
 
 @needs_matplotlib
 def test_the_frame_that_moves_most_is_on_the_sheet_with_the_curves_of_all(recorded, tmp_path):
-    assert recorded.index[recorded.frame_of(None)] == 7
-    largest, median = recorded.curves()
-    assert largest[0] == 0
-    assert largest[4] == pytest.approx(1.8 if recorded.unit == "px" else np.sqrt(5))
-    assert median[4] == pytest.approx(0.9, abs=0.1)
-    figure = sheet_figure(recorded.moment(4), recorded)
+    summary = recorded.summary()
+    assert summary.moment.index == 7
+    assert summary.largest[0] == 0
+    assert summary.largest[4] == pytest.approx(1.8 if recorded.unit == "px" else np.sqrt(5))
+    assert summary.median[4] == pytest.approx(0.9, abs=0.1)
+    figure = sheet_figure(summary.moment, summary)
     titles = " ".join(axes.get_title() for axes in figure.axes)
     wanted = "displacement, standard deviation, larger, smaller, over time"
     wanted += ", height, surface" if recorded.unit == "mm" else ""
     assert all(word in titles for word in wanted.split(", "))
     (curve,) = (axes for axes in figure.axes if "over time" in axes.get_title())
     assert curve.get_xlabel() == "time / s"
-    np.testing.assert_allclose(curve.lines[0].get_xydata()[-1], [0.16, largest[4]])
+    np.testing.assert_allclose(curve.lines[0].get_xydata()[-1], [0.16, summary.largest[4]])
     two = dataclasses.replace(recorded, index=recorded.index[:2], time_ms=recorded.time_ms[:2],
                               shift=recorded.shift[:2], sigma=recorded.sigma[:2])  # fmt: skip
-    titles = [axes.get_title() for axes in sheet_figure(two.moment(1), two).axes]
+    titles = [axes.get_title() for axes in sheet_figure(two.moment(1), two.summary()).axes]
     assert not [title for title in titles if "over time" in title]  # two frames make no curve
     save_figure(tmp_path / "a picture.png", figure)
     assert cv2.imread(str(tmp_path / "a picture.png")).std() > 20
@@ -204,7 +204,8 @@ def test_the_command_writes_a_picture_or_says_why_not(tmp_path, capsys):
     for wrong, why in (
         (["--what", "height"], "--stereo"),
         (["--frame", "99"], "no frame 99: those from 3 to 7"),
-        (["--out", series], "must end in .png"),
+        (["--out", str(tmp_path / "a.gif"), "--frame", "3"], "leave out --frame"),
+        (["--out", series], "must end in .png or .gif"),
     ):
         (tmp_path / "press.png").write_bytes(b"old")
         assert main(["plot", series, "--out", out, *wrong]) == 2
@@ -215,6 +216,17 @@ def test_the_command_writes_a_picture_or_says_why_not(tmp_path, capsys):
     with SeriesWriter(tmp_path / "live.npz", rest=lattice()) as live:
         live.append(index=0, time_ms=np.nan, xy=1.5 * lattice())
         assert main(["plot", str(tmp_path / "live.npz.part"), "--out", out]) == 0
+
+
+@needs_matplotlib
+def test_an_animation_has_every_frame_on_one_scale(tmp_path):
+    series, out = record(tmp_path / "press.npz", views=2), tmp_path / "press.gif"
+    assert main(["plot", str(series), "--out", str(out), "--what", "height"]) == 0
+    read, pictures = cv2.imreadanimation(str(out))
+    assert read
+    green = np.array([each[..., 1].sum(dtype=int) for each in pictures.frames])
+    assert len(green) == 5
+    assert np.diff(green).max() < -100_000  # from white at 0 to dark red
 
 
 # videos and the live view

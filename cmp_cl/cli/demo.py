@@ -96,7 +96,9 @@ def run(arguments: argparse.Namespace) -> int:
     rig.save(folder / "rig.yaml")
     for name in FIELDS:
         measured.field.with_strain().save(folder / name)
-    save_figure(folder / "sheet.png", sheet_figure(Moment.of(measured.field, 1)))
+    told = "; ".join(f"{what} {value}" for what, value in table)
+    sheet = sheet_figure(Moment.of(measured.field, 1), title=f"A torus presses and twists: {told}")
+    save_figure(folder / "sheet.png", sheet)
     tell("wrote the files")
     width = max(len(what) for what, _ in table)
     for what, value in table:

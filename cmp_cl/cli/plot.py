@@ -1,13 +1,15 @@
-"""`cmp-cl plot`: pictures of a series that `cmp-cl run` wrote."""
+"""`cmp-cl plot`: pictures and animations of a series that `cmp-cl run` wrote."""
 
 import argparse
 from typing import Any
 
 from cmp_cl.cli.arguments import check_files, check_suffix
-from cmp_cl.cli.messages import counted, shown
+from cmp_cl.cli.messages import Progress, counted, shown
+from cmp_cl.errors import ConfigError
 from cmp_cl.series import read_series
 from cmp_cl.viz import Quantity, map_figure, save_figure, sheet_figure
 from cmp_cl.viz.moments import NEEDED, Recorded
+from cmp_cl.viz.plots import animate
 
 
 def add_parser(commands: Any) -> None:
@@ -16,20 +18,24 @@ def add_parser(commands: Any) -> None:
         "plot",
         help="draw what a series shows: displacement, strain, height, sigma",
         description="Draws a series of cmp-cl run: by default one sheet with the maps of the "
-        "frame of the largest displacement, and curves over time. With one view, lengths are in "
-        "px or in the unit of --cell, and strain is in the plane; with two views, lengths are in "
-        "the rig's unit, and strain is in the surface.",
+        "frame of the largest displacement, and curves over time; a name that ends in .gif is an "
+        "animation of one map. With one view, lengths are in px or in the unit of --cell, and "
+        "strain is in the plane; with two views, lengths are in the rig's unit, and strain is in "
+        "the surface.",
     )
     parser.add_argument(
         "series",
         metavar="SERIES",
         help="the series, .npz or .h5, or its .part while it is written or after a kill",
     )
-    parser.add_argument("--out", metavar="PNG", required=True, help="the picture")
+    parser.add_argument(
+        "--out", metavar="FILE", required=True, help="a picture, .png, or an animation, .gif"
+    )
     parser.add_argument(
         "--what",
         choices=[quantity.value for quantity in Quantity],
-        help="one map in place of the sheet (strain is two, the principal strains)",
+        help="one map in place of the sheet (strain is two, the principal strains); default of an "
+        "animation: displacement",
     )
     parser.add_argument(
         "--frame",
@@ -42,13 +48,26 @@ def add_parser(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
-    check_suffix("--out", arguments.out, ".png")
+    check_suffix("--out", arguments.out, ".png", ".gif")
     check_files([arguments.series], [arguments.out])
+    moving = arguments.out.lower().endswith(".gif")
+    if moving and arguments.frame is not None:
+        raise ConfigError("an animation shows all frames: leave out --frame, or name a .png")
     recorded = Recorded.of(read_series(arguments.series, NEEDED))
     frames = counted(len(recorded.index), "frame")
-    moment = recorded.moment(recorded.frame_of(arguments.frame))
+    if moving:
+        with Progress(None, "frames") as progress:
+            quantity = Quantity(arguments.what or Quantity.DISPLACEMENT.value)
+            count = animate(arguments.out, recorded, quantity, step=progress.step)
+        print(f"wrote {shown(arguments.out)}: {count} of {frames}")
+        return 0
+    summary = recorded.summary()
+    assert summary.moment is not None  # a `Recorded` has a frame
+    moment = summary.moment
+    if arguments.frame is not None:
+        moment = recorded.moment(recorded.frame_of(arguments.frame))
     figure = (
-        sheet_figure(moment, recorded)
+        sheet_figure(moment, summary)
         if arguments.what is None
         else map_figure(moment, Quantity(arguments.what))
     )

@@ -132,7 +132,7 @@ class _Settings:
         source = sources.opened(arguments)
         check_files(
             [*source.paths, arguments.config, arguments.stereo],
-            [out, arguments.video],
+            [out, *display.outputs(arguments)],
         )
         return cls(arguments=arguments, source=source, device=device, config=config, rig=rig)
 
@@ -218,8 +218,9 @@ def run(arguments: argparse.Namespace) -> int:
     print(f"{stopped}wrote {shown(arguments.out)}: {sinks.line()}; {speed}{alone}", file=report)
     if sinks.pictures.error is not None:
         failed.append(sinks.pictures.error)
-    elif sinks.frames and arguments.video:
-        print(f"wrote {shown(arguments.video)}", file=report)
+    elif sinks.frames:
+        for written in filter(None, display.outputs(arguments)):
+            print(f"wrote {shown(written)}", file=report)
     if sinks.ambiguous:
         print(f"cmp-cl: {_about_ambiguous(sinks.ambiguous, arguments)}", file=sys.stderr)
     if failed:
@@ -282,7 +283,9 @@ class _Sinks:
         self._of_pattern, self._unit = measure.nodes, measure.unit
         self._in_air = settings.rig is not None and settings.rig.window is None
         self.pictures = stack.enter_context(
-            display.Display(arguments, measure.unit, settings.source.period_ms)
+            display.Display(
+                arguments, measure.constants["rest"], measure.unit, settings.source.period_ms
+            )
         )
         self._series = stack.enter_context(
             SeriesWriter(

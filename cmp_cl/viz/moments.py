@@ -117,6 +117,42 @@ class Moment:
         return middle + half, middle - half
 
 
+class Summary:
+    """What the sheet of a series shows: its frame of the largest displacement, and two curves.
+
+    rest: (R, C, 2 or 3) in `unit`. moment: that frame, None before the first one. index, time_ms,
+    largest, median: of each frame, its number, its time, and the displacement of its nodes.
+    """
+
+    def __init__(self, rest: Array, unit: str) -> None:
+        self._rest, self._unit = rest, unit
+        self.moment: Moment | None = None
+        self._most = 0.0
+        self.index: list[int] = []
+        self.time_ms: list[float] = []
+        self.largest: list[float] = []
+        self.median: list[float] = []
+
+    def add(self, index: int, time_ms: float, shift: NDArray[Any], sigma: NDArray[Any]) -> None:
+        """Add a frame: its number, its time, the displacement (R, C, 2 or 3), sigma (R, C)."""
+        length = np.linalg.norm(shift, axis=2)
+        known = length[~np.isnan(length)]
+        largest = float(known.max()) if len(known) else np.nan
+        if self.moment is None or largest > self._most:
+            self._most = max(self._most, np.nan_to_num(largest))
+            self.moment = Moment(
+                rest=self._rest,
+                shift=shift.copy(),
+                sigma=sigma.copy(),
+                unit=self._unit,
+                index=index,
+            )
+        self.index.append(index)
+        self.time_ms.append(time_ms)
+        self.largest.append(largest)
+        self.median.append(float(np.median(known)) if len(known) else np.nan)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recorded:
     """A series of nodes, from the arrays that `cmp_cl.series.read_series` reads.
@@ -155,13 +191,12 @@ class Recorded:
             unit=str(series.get("unit", "px")),
         )
 
-    def curves(self) -> tuple[Array, Array]:
-        """Return the largest and the median displacement of each frame, (F,) each, NaN if no node
-        is known."""
-        known = [length[~np.isnan(length)] for length in map(_lengths, self.shift)]
-        largest = [each.max() if len(each) else np.nan for each in known]
-        median = [np.median(each) if len(each) else np.nan for each in known]
-        return np.array(largest), np.array(median)
+    def summary(self) -> Summary:
+        """Return the summary of all frames."""
+        found = Summary(self.rest, self.unit)
+        for each in zip(self.index, self.time_ms, self.shift, self.sigma, strict=True):
+            found.add(*each)
+        return found
 
     def moment(self, frame: int) -> Moment:
         """Return the frame at that place in the series."""
@@ -173,11 +208,8 @@ class Recorded:
             index=int(self.index[frame]),
         )
 
-    def frame_of(self, index: int | None) -> int:
-        """Return the place in the series of the frame of that number, or of that of the largest
-        displacement if it is None; raises FieldError."""
-        if index is None:
-            return int(np.nan_to_num(self.curves()[0]).argmax())
+    def frame_of(self, index: int) -> int:
+        """Return the place in the series of the frame of that number; raises FieldError."""
         found = np.flatnonzero(self.index == index)
         if not len(found):
             raise FieldError(
@@ -185,10 +217,6 @@ class Recorded:
                 "are recorded"
             )
         return int(found[0])
-
-
-def _lengths(shift: NDArray[Any]) -> Array:
-    return np.asarray(np.linalg.norm(shift, axis=2), np.float64)
 
 
 def plane_of(rest: Array) -> tuple[Array, Array]:

@@ -1,6 +1,6 @@
-"""Figures of a series: maps of a frame, and one sheet of everything."""
+"""Figures of a series: maps of a frame, one sheet of everything, and an animation."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +9,16 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, check_kind, check_range, extra
 from cmp_cl.files import whole_file
-from cmp_cl.viz.moments import Array, Map, Moment, Quantity, Recorded, corners_of_cells, plane_of
+from cmp_cl.viz.moments import (
+    Array,
+    Map,
+    Moment,
+    Quantity,
+    Recorded,
+    Summary,
+    corners_of_cells,
+    plane_of,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,6 +29,8 @@ _ROUNDING = 1e-12  # smaller values, such as the strain of the frame at rest, ar
 _ARROWS = 16  # along the longer side of a pattern
 _PANEL, _CURVE = (5.6, 4.9), 3.2  # in, width and height of a map, and the height of the curve
 _LEAST_OF_CURVE = 3  # frames; fewer make no curve
+_MOST_ANIMATED = 300  # frames of an animation
+_RATE = 12.5  # frames per second of an animation
 
 
 def new_figure(size: tuple[float, float]) -> "Figure":
@@ -43,21 +54,23 @@ def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) 
         figure.savefig(file, format="png", dpi=dpi)
 
 
-def map_figure(moment: Moment, quantity: Quantity) -> "Figure":
+def map_figure(moment: Moment, quantity: Quantity, *, top: float | None = None) -> "Figure":
     """Draw a quantity of a moment, cell by cell on the pattern at rest, with a colour bar.
 
     The value of a cell is the mean of its four nodes. Signed values have a scale that is white
-    at 0. Raises FieldError, and ConfigError without matplotlib.
+    at 0. top: the end of the scale; None means the largest value. Raises FieldError, and
+    ConfigError without matplotlib.
     """
-    return _page(f"frame {moment.index}", _panels(moment, quantity))
+    return _page(f"frame {moment.index}", _panels(moment, quantity, top))
 
 
-def sheet_figure(moment: Moment, series: Recorded | None = None) -> "Figure":
+def sheet_figure(moment: Moment, summary: Summary | None = None, *, title: str = "") -> "Figure":
     """Draw a frame on one sheet: its maps, its surface, and the curves of the series.
 
-    moment: the frame. series: that it is of; without it, or with fewer than three frames, there are
-    no curves. Raises FieldError if there are too few nodes for a map, ConfigError without
-    matplotlib.
+    moment: the frame. summary: of the series; without it, or with fewer than three frames, there
+    are no curves. title: of the sheet; "" is the number of the frame.
+
+    Raises FieldError if there are too few nodes for a map, ConfigError without matplotlib.
     """
     panels = [panel for quantity in moment.quantities() for panel in _panels(moment, quantity)]
     known = np.isfinite(moment.rest + moment.shift).all(axis=2)
@@ -65,17 +78,17 @@ def sheet_figure(moment: Moment, series: Recorded | None = None) -> "Figure":
         panels.append(
             lambda figure, at: _draw_surface(figure.add_subplot(at, projection="3d"), moment)
         )
-    curves = series if series and len(series.index) >= _LEAST_OF_CURVE else None
-    return _page(f"frame {moment.index}", panels, curves)
+    curves = summary if summary and len(summary.index) >= _LEAST_OF_CURVE else None
+    return _page(title or f"frame {moment.index}", panels, curves, moment.unit)
 
 
 _Panel = Callable[["Figure", Any], object]  # draws on a place of a figure
 
 
-def _panels(moment: Moment, quantity: Quantity) -> list[_Panel]:
-    """Return what draws the maps of a quantity, on one scale."""
+def _panels(moment: Moment, quantity: Quantity, top: float | None = None) -> list[_Panel]:
+    """Return what draws the maps of a quantity, on one scale; top: its end."""
     maps = moment.maps(quantity)
-    top = _top_of(np.stack([each.cells for each in maps]))
+    top = _top_of(np.stack([each.cells for each in maps])) if top is None else top
 
     def panel(shown: Map) -> _Panel:
         return lambda figure, at: _draw_map(figure.add_subplot(at), moment, shown, top)
@@ -83,7 +96,9 @@ def _panels(moment: Moment, quantity: Quantity) -> list[_Panel]:
     return [panel(shown) for shown in maps]
 
 
-def _page(title: str, panels: list[_Panel], curves: Recorded | None = None) -> "Figure":
+def _page(
+    title: str, panels: list[_Panel], curves: Summary | None = None, unit: str = ""
+) -> "Figure":
     """Return a figure with the panels, and the curves below them."""
     across = 3 if len(panels) > 4 else min(len(panels), 2)
     down = -(-len(panels) // across)
@@ -94,7 +109,7 @@ def _page(title: str, panels: list[_Panel], curves: Recorded | None = None) -> "
     for number, draw in enumerate(panels):
         draw(figure, grid[divmod(number, across)])
     if curves is not None:
-        _draw_curves(figure.add_subplot(grid[down, :]), curves)
+        _draw_curves(figure.add_subplot(grid[down, :]), curves, unit)
     return figure
 
 
@@ -179,18 +194,19 @@ def _draw_surface(axes: Any, moment: Moment) -> None:
     )
     axes.set_box_aspect(span * [1, 1, stretch])
     axes.locator_params(axis="z", nbins=3)
-    axes.figure.colorbar(drawn, ax=axes, label=f"displacement / {moment.unit}", shrink=0.6)
+    label = f"displacement / {moment.unit}"
+    axes.figure.colorbar(drawn, ax=axes, label=label, shrink=0.6, pad=0.15)
 
 
-def _draw_curves(axes: "Axes", series: Recorded) -> None:
+def _draw_curves(axes: "Axes", summary: Summary, unit: str) -> None:
     """Draw the largest and the median displacement over time, or over frames without times."""
-    time, label = series.time_ms / 1e3, "time / s"
+    time, label = np.array(summary.time_ms) / 1e3, "time / s"
     if not np.isfinite(time).all():
-        time, label = series.index.astype(np.float64), "frame"
-    for values, name in zip(series.curves(), ("largest", "median"), strict=True):
-        axes.plot(time, values, ".-", lw=1, ms=3, label=f"{name} of all nodes")
+        time, label = np.array(summary.index, np.float64), "frame"
+    axes.plot(time, summary.largest, ".-", lw=1, ms=3, label="largest of all nodes")
+    axes.plot(time, summary.median, ".-", lw=1, ms=3, label="median of all nodes")
     axes.set_ylim(bottom=0)
-    axes.set(xlabel=label, ylabel=f"displacement / {series.unit}", title="displacement over time")
+    axes.set(xlabel=label, ylabel=f"displacement / {unit}", title="displacement over time")
     axes.grid(alpha=0.3)
     axes.legend()
 
@@ -207,3 +223,41 @@ def _top_of(values: Array) -> float:
     """Return the upper end of a colour scale: the largest size of a known value."""
     top = float(np.nan_to_num(np.abs(values)).max(initial=0))
     return top if top > _ROUNDING else 1.0
+
+
+def animate(
+    path: str | PathLike[str],
+    recorded: Recorded,
+    quantity: Quantity,
+    *,
+    step: Callable[[], object] = lambda: None,
+) -> int:
+    """Write the map of a quantity over all frames, on one scale, as GIF.
+
+    Of more than 300 frames it shows every second one, and so on. step: called after each. Returns
+    the number of frames shown. Raises FieldError, ConfigError without matplotlib, OSError.
+    """
+    places = range(0, len(recorded.index), -(-len(recorded.index) // _MOST_ANIMATED))
+    pictures = _pictures(recorded, quantity, places, step)
+    first = next(pictures).quantize(256)  # the colour bar has all colours
+    others = (picture.quantize(palette=first) for picture in pictures)
+    period = round(1000 / _RATE)
+    with whole_file(path) as file:
+        first.save(file, format="GIF", save_all=True, append_images=others, duration=period, loop=0)
+    return len(places)
+
+
+def _pictures(
+    recorded: Recorded, quantity: Quantity, places: Sequence[int], step: Callable[[], object]
+) -> Iterator[Any]:
+    """Yield an image of PIL of each of the frames at these places."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    cells = (each.cells for n in places for each in recorded.moment(n).maps(quantity))
+    top = _top_of(np.array([np.nan_to_num(np.abs(each)).max(initial=0) for each in cells]))
+    for place in places:
+        canvas: Any = FigureCanvasAgg(map_figure(recorded.moment(place), quantity, top=top))
+        canvas.draw()
+        yield Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+        step()

@@ -384,7 +384,7 @@ def test_a_calibration_that_does_not_fit_or_is_missing_is_noticed_at_rest(run, r
         (["frames", "--exposure", "3", *STEREO], ["not a camera"]),
         (["0", "--camera-fps", "-3", *STEREO], ["--camera-fps: '-3' is not a positive number"]),
         (["frames", "--out", "a.npz", "--cell", "2", "--stereo", "rig.yaml"], ["for one view"]),
-        (["frames", *STEREO, "--video", "shown.gif"], ["shown.gif", ".mp4"]),
+        (["frames", *STEREO, "--plot", "shown.gif"], ["shown.gif", ".mp4"]),
     ],
 )
 def test_a_wrong_argument_is_one_line_and_no_file(run, recording, tmp_path, arguments, words):
@@ -459,11 +459,15 @@ def test_a_pipe_gets_json_lines_alone_and_the_report_goes_to_stderr(one_view):
     assert "wrote -" in done.stderr
 
 
-def test_an_annotated_video_is_written(run, recording, press):
-    status, out, _ = run("run", recording, *STEREO, "--video", "shown.mp4")
-    assert (status, out.splitlines()[-1]) == (0, "wrote shown.mp4")
+def test_a_sheet_and_one_annotated_video_are_written(run, recording, press):
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+    status, out, _ = run("run", recording, *STEREO, "--plot", "shown")
+    assert (status, out.splitlines()[-2:]) == (0, ["wrote shown.png", "wrote shown.mp4"])
     capture = cv2.VideoCapture("shown.mp4")
     assert sum(capture.read()[0] for _ in range(len(press) + 3)) == len(press)
+    sheet = cv2.imread("shown.png")
+    assert run("plot", "press.npz", "--out", "same.png")[0] == 0
+    np.testing.assert_array_equal(cv2.imread("same.png"), sheet)
 
 
 def test_strain_and_contact_are_in_the_series_if_requested(run, recording, press):
@@ -490,7 +494,7 @@ def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
             (150, 150), 12, lambda q, by=by: (q - 75) @ (by - np.eye(2)).T, board=(24, 24, 120, 120)
         )
         cv2.imwrite(f"frames/{number}.png", picture)
-    flat = ("run", "frames", "--grid", "7x7", "--out", "flat.h5")
+    flat = ("run", "frames", "--grid", "7x7", "--out", "flat.h5", "--plot", "flat.mp4")
     assert run(*flat, "--strain", "--cell", "2.5", "--unit", "cm")[0] == 0
     found = read_series("flat.h5")
     assert str(found["unit"]) == "cm"
