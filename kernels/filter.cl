@@ -113,21 +113,20 @@ void average_along(float *line, const int reach, __global const float *weights,
                    __global float *result) {
   for (int c = 0; c < reach; ++c) line[c] = line[LINE + reach + c] = 0;
   for (int c = COLUMNS; c < LINE; ++c) line[reach + c] = 0;
-  EACH_EIGHT {
-    float8 sum = 0;
-    for (int t = 0; t <= 2 * reach; ++t) sum += weights[t] * EIGHT_OF(line + c + t);
-    EIGHT_AT(result + c) = sum;
+  float8 sum[LINE / LANES]; /* side by side, since each waits for the addition before */
+  for (int n = 0; n < LINE / LANES; ++n) sum[n] = 0;
+  for (int t = 0; t <= 2 * reach; ++t) {
+    const float weight = weights[t];
+#pragma unroll
+    for (int n = 0; n < LINE / LANES; ++n) sum[n] += weight * EIGHT_OF(line + LANES * n + t);
   }
+  for (int n = 0; n < LINE / LANES; ++n) EIGHT_AT(result + LANES * n) = sum[n];
 }
 
-/* Sum with Gaussian weights along the columns, for eight nodes of a row. */
-float8 average_down(__global const float *plane, const int row, const int column, const int reach,
-                    __global const float *weights) {
-  float8 sum = 0;
-  for (int r = max(row - reach, 0); r <= min(row + reach, ROWS - 1); ++r)
-    sum += weights[r - row + reach] * EIGHT_AT(plane + r * LINE + column);
-  return sum;
-}
+/* The rows around `row` that are summed with Gaussian weights along the columns. Planes are summed
+ * side by side, in loops that are unrolled, since each sum waits for its addition before. */
+#define EACH_ROW_WITHIN(reach) \
+  for (int r = max(row - (reach), 0); r <= min(row + (reach), ROWS - 1); ++r)
 
 /* Eight nodes of a row of a plane of NODES; the last one again for those beyond it. */
 float8 eight_nodes(__global const float *plane, const int row, const int column) {
@@ -276,12 +275,18 @@ __kernel void noise(__global const float *near, __global const float *sums,
   for (int e = 0; e < ESTIMATES; ++e) length[e] = expected_length(all + e * PRODUCTS);
   const float least_of_all = fmax(FLOOR * all[SUMS - 1] / (K * NODES), LEAST_VARIANCE);
   const float8 none_near = NONE_NEAR, unknown = NAN, smallest = LEAST_VARIANCE;
-#define NEAR_HERE(plane) average_down(near + (plane) * PLANE, row, c, NOISE_REACH, rows_noise)
   EACH_EIGHT {
     const int at = row * LINE + c;
-    float8 first = 0, least = 0;
+    float8 near_here[NOISE_PLANES], first = 0, least = 0;
+    for (int n = 0; n < NOISE_PLANES; ++n) near_here[n] = 0;
+    EACH_ROW_WITHIN(NOISE_REACH) {
+      const float weight = rows_noise[r - row + NOISE_REACH];
+#pragma unroll
+      for (int n = 0; n < NOISE_PLANES; ++n)
+        near_here[n] += weight * EIGHT_AT(near + n * PLANE + r * LINE + c);
+    }
     for (int e = 0; e < ESTIMATES; ++e) {
-      const float8 mean = NEAR_HERE(e), mask = NEAR_HERE(MASK_PLANE(e));
+      const float8 mean = near_here[e], mask = near_here[MASK_PLANE(e)];
       const float8 root = mean / ((mask > none_near ? mask : none_near) * length[e]);
       const float8 estimate = mask > none_near ? root * root : unknown;
       if (e == 0) first = least = estimate + least_of_all;
@@ -297,7 +302,7 @@ __kernel void noise(__global const float *near, __global const float *sums,
     int p = 0;
     for (int j = 0; j < K; ++j)
       for (int k = j; k < K; ++k, ++p) {
-        product[p] = NEAR_HERE(PRODUCT_PLANE + p);
+        product[p] = near_here[PRODUCT_PLANE + p];
         if (j == k) trace += product[p];
       }
     p = 0;
@@ -412,12 +417,25 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
   const int row = get_global_id(0), c = LANES * get_global_id(1), at = row * LINE + c;
   if (row >= ROWS || c >= COLUMNS) return;
   const float8 s1 = EIGHT_AT(chosen + at), s2 = EIGHT_AT(variance + at);
-  const float8 near = average_down(near_votes, row, c, RISK_REACH, rows_risk);
+  float8 near = 0;
+  EACH_ROW_WITHIN(RISK_REACH)
+    near += rows_risk[r - row + RISK_REACH] * EIGHT_AT(near_votes + r * LINE + c);
   const float8 scale = 1 / (K * KNOWN_OR_1(s1) * (near > NONE_NEAR ? near : (float8)NONE_NEAR));
   float8 risk[PAIRS], least = NO_PAIR;
+  const int missing = MISSING_NOW;
+  for (int a = 0; a < PAIRS; a += FILTERS_ALONG) {
+    float8 sum[FILTERS_ALONG];
+    for (int b = 0; b < FILTERS_ALONG; ++b) sum[b] = 0;
+    EACH_ROW_WITHIN(RISK_REACH) {
+      const float weight = rows_risk[r - row + RISK_REACH];
+#pragma unroll
+      for (int b = 0; b < FILTERS_ALONG; ++b)
+        sum[b] += weight * EIGHT_AT(loss + (a + b) * PLANE + r * LINE + c);
+    }
+    for (int b = 0; b < FILTERS_ALONG; ++b) risk[a + b] = scale * sum[b];
+  }
   for (int pair = 0; pair < PAIRS; ++pair) {
-    risk[pair] = scale * average_down(loss + pair * PLANE, row, c, RISK_REACH, rows_risk);
-    if (MISSING_NOW != 0 && pair > 0) {
+    if (missing != 0 && pair > 0) {
       const float8 refused = EIGHT_AT(unsupported + pair * PLANE + at);
       risk[pair] = refused == 0 && s1 == s1 && near > NONE_NEAR ? risk[pair] : (float8)NO_PAIR;
     }
