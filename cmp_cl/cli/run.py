@@ -209,9 +209,10 @@ def run(arguments: argparse.Namespace) -> int:
             if isinstance(error, BrokenPipeError) or not sinks.frames:
                 raise  # the reader of a pipe has gone, or there is nothing to keep
             failed.append(error)
-        speed = f"{pace.line(sinks.frames)}; measured on {settings.device}"
         if stop.name and not sinks.frames:  # an older series stays
             raise KeyboardInterrupt
+        pace.stages[-1].work(sinks.complete)
+        speed = f"{pace.line(sinks.frames)}; measured on {settings.device}"
     report = sys.stderr if arguments.out == "-" else sys.stdout
     stopped = f"stopped by {stop.name}; " if stop.name else ""
     alone = source.alone() if isinstance(source, sources.Pairs) else ""
@@ -317,6 +318,11 @@ class _Sinks:
         if measured.largest > self._largest:
             self._largest, self._where = measured.largest, frame.index
         self.pictures.frame(frame, measured)
+
+    def complete(self) -> None:
+        """Make the file of the series, if it has a frame."""
+        if self.frames:
+            self._series.close()
 
     def line(self) -> str:
         """Return the counts as text."""
