@@ -229,12 +229,12 @@ class Midlines:
 
 _TABLE_2_WINDOWS = {20: 41, 30: 31, 40: 21}
 _WIDE_CELL = 20  # px; wider cells are not squeezed under 6 px
-_DETECTIONS: dict[str, type] = {"ring_harmonic": RingHarmonic, "binary_rings": BinaryRings}
-_CRITERIA: dict[str, type] = {"rapid": RapidCriteria, "spectral": SpectralCriteria}
-_REFINEMENTS: dict[str, type] = {
-    "edge_lines": EdgeLines,
-    "edge_step": EdgeStep,
-    "midlines": Midlines,
+_PARTS: dict[str, dict[str, type]] = {  # of each field that has parts, by the key `kind`
+    "detection": {"ring_harmonic": RingHarmonic, "binary_rings": BinaryRings},
+    "threshold": {"adaptive_mean": AdaptiveMean},
+    "criteria": {"rapid": RapidCriteria, "spectral": SpectralCriteria},
+    "contrast": {"sector_contrast": SectorContrast},
+    "refinement": {"edge_step": EdgeStep, "edge_lines": EdgeLines, "midlines": Midlines},
 }
 
 
@@ -344,18 +344,9 @@ class DetectorConfig:
         except ValueError as error:
             raise ConfigError(f"cannot read the configuration {str(path)!r}: {error}") from error
         try:
-            return cls._from_dict(data)
+            return _made("configuration", data, cls)
         except ValueError as error:
             raise ConfigError(f"{path}: {error}") from error
-
-    @classmethod
-    def _from_dict(cls, data: Mapping[str, Any]) -> Self:
-        values = _known(data, cls)
-        if "detection" in values:
-            values["detection"] = _detection(values["detection"])
-        if "refinement" in values:
-            values["refinement"] = _chosen("refinement", values["refinement"], _REFINEMENTS)
-        return cls(**values)
 
 
 def _check_part(part: str, field: str, value: object, *kinds: type) -> None:
@@ -377,26 +368,26 @@ def _known(data: Mapping[str, Any], kind: type) -> dict[str, Any]:
     }
 
 
-def _detection(value: object) -> RingHarmonic | BinaryRings | None:
-    """Return the detection rule, with the parts given by tables within its table."""
-    if not isinstance(value, Mapping) or value.get("kind") != "binary_rings":
-        return _chosen("detection", value, _DETECTIONS)
-    values = dict(value)
-    if "threshold" in values:
-        values["threshold"] = _part("threshold", values["threshold"], AdaptiveMean)
-    if "criteria" in values:
-        values["criteria"] = _chosen("criteria", values["criteria"], _CRITERIA)
-    if "contrast" in values:
-        values["contrast"] = _part("contrast", values["contrast"], SectorContrast)
-    return _chosen("detection", values, _DETECTIONS)
-
-
-def _part(field: str, value: object, kind: type[Part]) -> Part | None:
+def _part(field: str, value: object) -> Any:
+    """Return the part that a table describes, None for false; of several kinds of a field, the key
+    `kind` names one."""
     if value is None or value is False:
         return None
-    if not isinstance(value, Mapping):
-        raise ConfigError(f"{field} must be a table, not {value!r}")
-    values = _known(value, kind)
+    kinds = _PARTS[field]
+    choice = f" whose key kind is one of {list(kinds)}" if len(kinds) > 1 else ""
+    table = dict(value) if isinstance(value, Mapping) else {}
+    kind = table.pop("kind", None) if choice else next(iter(kinds))
+    if not isinstance(value, Mapping) or kind not in list(kinds):
+        raise ConfigError(f"{field} must be a table{choice}, not {value!r}")
+    return _made(field, table, kinds[kind])
+
+
+def _made(field: str, table: Mapping[str, Any], kind: type[Part]) -> Part:
+    """Return the dataclass of a kind that a table of its fields describes."""
+    values = {
+        name: _part(name, value) if name in _PARTS else value
+        for name, value in _known(table, kind).items()
+    }
     if "fit" in values:
         fits = [fit.value for fit in Fit]
         if values["fit"] not in fits:
@@ -408,18 +399,6 @@ def _part(field: str, value: object, kind: type[Part]) -> Part | None:
         raise ConfigError(f"{field}: {error}") from error
 
 
-def _chosen(field: str, value: object, kinds: Mapping[str, type[Part]]) -> Part | None:
-    """Return a part of which there are several kinds; the key `kind` names one."""
-    if value is None or value is False:
-        return None
-    if not isinstance(value, Mapping) or value.get("kind") not in list(kinds):
-        raise ConfigError(
-            f"{field} must be a table whose key kind is one of {list(kinds)}, not {value!r}"
-        )
-    rest = {key: entry for key, entry in value.items() if key != "kind"}
-    return _part(field, rest, kinds[value["kind"]])
-
-
 def to_toml(config: DetectorConfig) -> str:
     """Return the configuration as TOML text; None is written as false."""
     return "\n".join(_table(config, "")) + "\n"
@@ -427,8 +406,9 @@ def to_toml(config: DetectorConfig) -> str:
 
 def _table(part: Any, name: str) -> list[str]:
     """Return the lines of a part: its values, then the tables of its own parts."""
-    kinds = {**_DETECTIONS, **_CRITERIA, **_REFINEMENTS}
-    lines = [f'kind = "{kind}"' for kind, made in kinds.items() if type(part) is made]
+    several = [kinds for kinds in _PARTS.values() if len(kinds) > 1]
+    known = {made: kind for kinds in several for kind, made in kinds.items()}
+    lines = [f'kind = "{known[type(part)]}"'] if type(part) in known else []
     tables: list[str] = []
     for field in dataclasses.fields(part):
         value = getattr(part, field.name)
