@@ -1,22 +1,14 @@
 """The frames that are measured: rendered from seeds, with exact truth, and photographs."""
 
-import functools
-import hashlib
 import json
-import os
-import tempfile
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from environment import DATA
 
-from cmp_cl import synthetic
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic import (
-    Rendered,
     Scene,
     binocular_frame,
     default_rig,
@@ -47,8 +39,9 @@ class Frame(NamedTuple):
 
 
 def rendered(scene: Scene) -> Frame:
-    """Return a frame with one view of the gel; kept in the folder for temporary files."""
-    return _kept(f"one {scene}", lambda: _frame(render(scene), scene.markers))
+    """Return a frame with one view of the gel."""
+    view = render(scene)
+    return Frame(view.image, _flat(view.truth), view.junctions, view.cell, scene.markers)
 
 
 def vga(seed: int) -> Frame:
@@ -59,41 +52,6 @@ def vga(seed: int) -> Frame:
 def wide(seed: int) -> Frame:
     """Return a frame of 1600 x 1200 with two views of 40 x 40 corners side by side."""
     scene = random_scene(seed, markers=40, shape=(1200, 800), **MILD)
-    return _kept(f"two {scene}", lambda: _binocular(scene))
-
-
-def read_listed(name: str) -> tuple[dict[str, Any], GreyImage]:
-    """Return what is listed of a photograph of `DATA`, and the photograph."""
-    path = (DATA / name).with_suffix(".json")
-    listed = json.loads(path.read_text())
-    return listed, cv2.imread(str(path.with_name(listed["image"])), cv2.IMREAD_GRAYSCALE)
-
-
-@functools.cache
-def _folder() -> Path:
-    """Return where rendered scenes are kept; another renderer has another folder."""
-    sources = sorted(Path(synthetic.__file__).parent.glob("*.py"))
-    version = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:12]
-    folder = Path(tempfile.gettempdir()) / f"cmp_cl-scenes-{version}"
-    folder.mkdir(exist_ok=True)
-    return folder
-
-
-def _kept(key: str, make: Callable[[], Frame]) -> Frame:
-    path = _folder() / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.npz"
-    if path.is_file():
-        with np.load(path) as kept:
-            values = {name: kept[name] for name in Frame._fields}
-        numbers = {name: values[name].item() for name in ("cell", "markers", "views")}
-        return Frame(**(values | numbers))
-    frame = make()
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as unfinished:
-        np.savez(unfinished, **frame._asdict())
-    os.replace(unfinished.name, path)  # another process may have rendered the same scene
-    return frame
-
-
-def _binocular(scene: Scene) -> Frame:
     left, right, _ = render_stereo(scene, default_rig((1200, 800)))
     shift = (left.image.shape[1], 0)
     return Frame(
@@ -106,8 +64,11 @@ def _binocular(scene: Scene) -> Frame:
     )
 
 
-def _frame(view: Rendered, markers: int) -> Frame:
-    return Frame(view.image, _flat(view.truth), view.junctions, view.cell, markers)
+def read_listed(name: str) -> tuple[dict[str, Any], GreyImage]:
+    """Return what is listed of a photograph of `DATA`, and the photograph."""
+    path = (DATA / name).with_suffix(".json")
+    listed = json.loads(path.read_text())
+    return listed, cv2.imread(str(path.with_name(listed["image"])), cv2.IMREAD_GRAYSCALE)
 
 
 def _flat(truth: np.ndarray) -> np.ndarray:
