@@ -11,6 +11,7 @@
 #define TAPS 15
 #define PRODUCTS (K * (K + 1) / 2)
 #define ESTIMATES 5 /* of the noise: from both axes, from each axis, from each diagonal */
+#define ROUNDS 3    /* that may reject nodes, as in cmp_cl/motion/filter.py */
 #define MASKS 4     /* nodes that count in them; the diagonals share one */
 #define MASK_PLANE(estimate) (ESTIMATES + ((estimate) < 3 ? (estimate) : 3))
 #define PRODUCT_PLANE (ESTIMATES + MASKS)
@@ -36,17 +37,11 @@ __constant float DIAGONAL[7] = {5 / 231.0f,  -30 / 231.0f, 75 / 231.0f, 131 / 23
 #define MISSING_NOW \
   (counts[HOLES] + counts[REJECTED] + counts[REJECTED + 1] + counts[REJECTED + 2])
 
-/* A round of the search for outliers has nothing to do if the one before has rejected none. */
-#define SKIP_IF_SETTLED if (round > 0 && counts[REJECTED + round - 1] == 0) return;
-
-/* Fill the holes: the quadratic surface through the votes around, with weights that fall with the
- * distance and a ridge towards a constant; 0 if there are fewer than 8 votes. One work-item a
- * node. */
-__kernel void fill(__global const float *moved, __global const uchar *votes,
-                   __global const int *counts, const int round, __global float *data) {
-  const int i = get_global_id(0);
-  if (i >= NODES) return;
-  SKIP_IF_SETTLED
+/* The value of node i, or what fills its hole: the quadratic surface through the votes around, with
+ * weights that fall with the distance and a ridge towards a constant; 0 if there are fewer than 8
+ * votes. */
+void fill_node(const int i, __global const float *moved, __global const uchar *votes,
+               __global float *data) {
   const int row = i / COLUMNS, column = i % COLUMNS, at = IN_LINE(i);
   for (int k = 0; k < K; ++k) data[k * PLANE + at] = votes[i] ? moved[k * NODES + i] : 0.0f;
   if (votes[i]) return;
@@ -81,6 +76,13 @@ __kernel void fill(__global const float *moved, __global const uchar *votes,
     for (int k = 0; k < K; ++k) data[k * PLANE + at] = origin[k] + normal[0][6 + k] / normal[0][0];
     return;
   }
+}
+
+/* Fill the holes. One work-item a node. */
+__kernel void fill(__global const float *moved, __global const uchar *votes,
+                   __global float *data) {
+  const int i = get_global_id(0);
+  if (i < NODES) fill_node(i, moved, votes, data);
 }
 
 /* Apply a filter along the columns for eight nodes of a row. */
@@ -139,16 +141,12 @@ float8 eight_nodes(__global const float *plane, const int row, const int column)
 /* The residuals of the pilot along both axes, along each axis and along each diagonal; their sizes,
  * the masks of the nodes that count and the products of the coordinates of the first, averaged
  * along the row into `near`; and sums over the row, from which the degrees of freedom of each
- * estimate and the floor of the noise come. One work-item a row. */
-__kernel void pilot(__global const float *data, __global const uchar *votes,
-                    __global const int *counts, const int round,
-                    __global const float *pilot_down, __global const float *pilot_along,
-                    __global const float *own_down, __global const float *own_along,
-                    __global const float *rows_noise, __global float *size,
-                    __global float *near, __global float *sums) {
-  const int row = get_global_id(0);
-  if (row >= ROWS) return;
-  SKIP_IF_SETTLED
+ * estimate and the floor of the noise come. */
+void pilot_of_row(const int row, __global const float *data, __global const uchar *votes,
+                  __global const int *counts, __global const float *pilot_down,
+                  __global const float *pilot_along, __global const float *own_down,
+                  __global const float *own_along, __global const float *rows_noise,
+                  __global float *size, __global float *near, __global float *sums) {
   float left[ESTIMATES][K][LINE], here[K][LINE], down[K][LINE];
   for (int k = 0; k < K; ++k) {
     __global const float *plane = data + k * PLANE;
@@ -239,6 +237,18 @@ __kernel void pilot(__global const float *data, __global const uchar *votes,
   sums[row * SUMS + SUMS - 1] = total;
 }
 
+/* The pilot. One work-item a row. */
+__kernel void pilot(__global const float *data, __global const uchar *votes,
+                    __global const int *counts, __global const float *pilot_down,
+                    __global const float *pilot_along, __global const float *own_down,
+                    __global const float *own_along, __global const float *rows_noise,
+                    __global float *size, __global float *near, __global float *sums) {
+  const int row = get_global_id(0);
+  if (row < ROWS)
+    pilot_of_row(row, data, votes, counts, pilot_down, pilot_along, own_down, own_along, rows_noise,
+                 size, near, sums);
+}
+
 /* The mean length of a residual with variance 1 per coordinate, if its length is chi-distributed.
  * The degrees of freedom are the effective number of directions of the residuals, from the sums of
  * the products of their coordinates. */
@@ -256,18 +266,14 @@ float expected_length(const float *products) {
 /* The variance of the noise, NaN where unknown; that with which filters are chosen, the least of it
  * and of an upper bound and, if the values may bend sharply, of five estimates; the covariance of
  * the coordinates over its mean diagonal; and the nodes whose residual is too large lose their vote.
- * bound: the upper bound is the sum of that at rest and of the variance of the points now. One
- * work-item a row. */
-__kernel void noise(__global const float *near, __global const float *sums,
-                    __global const float *size, __global const float *own_down,
-                    __global const float *own_along, __global const float *rows_noise,
-                    __global const float *bound_rest, __global const float *variance_now,
-                    const int bends, const int round, __global int *counts,
-                    __global uchar *votes, __global float *variance, __global float *chosen,
-                    __global float *common) {
-  const int row = get_global_id(0);
-  if (row >= ROWS) return;
-  SKIP_IF_SETTLED
+ * bound: the upper bound is the sum of that at rest and of the variance of the points now. round:
+ * of the search for outliers; the last one rejects none. */
+void noise_of_row(const int row, __global const float *near, __global const float *sums,
+                  __global const float *size, __global const float *own_down,
+                  __global const float *own_along, __global const float *rows_noise,
+                  __global const float *bound_rest, __global const float *variance_now,
+                  const int bends, const int round, __global int *counts, __global uchar *votes,
+                  __global float *variance, __global float *chosen, __global float *common) {
   float length[ESTIMATES], all[SUMS], both[LINE];
   for (int p = 0; p < SUMS; ++p) all[p] = 0;
   for (int r = 0; r < ROWS; ++r)
@@ -310,7 +316,7 @@ __kernel void noise(__global const float *near, __global const float *sums,
       for (int k = j; k < K; ++k, ++p)
         EIGHT_AT(common + p * PLANE + at) = trace > 0 ? product[p] * K / trace : (float8)(j == k);
   }
-  if (round == 3) return;
+  if (round == ROUNDS) return;
   EACH_COLUMN {
     const int at = row * LINE + c;
     const float left = 1 - own_down[row] * own_along[c];
@@ -322,6 +328,44 @@ __kernel void noise(__global const float *near, __global const float *sums,
     if (size[at] < largest) continue;
     votes[row * COLUMNS + c] = 0;
     atomic_inc(counts + REJECTED + round);
+  }
+}
+
+/* The noise, and the first round of the search for outliers. One work-item a row. */
+__kernel void noise(__global const float *near, __global const float *sums,
+                    __global const float *size, __global const float *own_down,
+                    __global const float *own_along, __global const float *rows_noise,
+                    __global const float *bound_rest, __global const float *variance_now,
+                    const int bends, __global int *counts, __global uchar *votes,
+                    __global float *variance, __global float *chosen, __global float *common) {
+  const int row = get_global_id(0);
+  if (row < ROWS)
+    noise_of_row(row, near, sums, size, own_down, own_along, rows_noise, bound_rest, variance_now,
+                 bends, 0, counts, votes, variance, chosen, common);
+}
+
+/* The other rounds, each of them if the one before has rejected nodes, which is rare. One work-group:
+ * a launch for each step of each round would cost more than all of them mostly do. */
+__kernel void settle(__global const float *moved, __global const float *pilot_down,
+                     __global const float *pilot_along, __global const float *own_down,
+                     __global const float *own_along, __global const float *rows_noise,
+                     __global const float *bound_rest, __global const float *variance_now,
+                     const int bends, __global int *counts, __global uchar *votes,
+                     __global float *data, __global float *size, __global float *near,
+                     __global float *sums, __global float *variance, __global float *chosen,
+                     __global float *common) {
+  const int first = get_local_id(0), items = get_local_size(0);
+  for (int round = 1; round <= ROUNDS && counts[REJECTED + round - 1] > 0; ++round) {
+    for (int i = first; i < NODES; i += items) fill_node(i, moved, votes, data);
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    for (int row = first; row < ROWS; row += items)
+      pilot_of_row(row, data, votes, counts, pilot_down, pilot_along, own_down, own_along,
+                   rows_noise, size, near, sums);
+    barrier(CLK_GLOBAL_MEM_FENCE);
+    for (int row = first; row < ROWS; row += items)
+      noise_of_row(row, near, sums, size, own_down, own_along, rows_noise, bound_rest, variance_now,
+                   bends, round, counts, votes, variance, chosen, common);
+    barrier(CLK_GLOBAL_MEM_FENCE);
   }
 }
 

@@ -129,14 +129,14 @@ def test_kernels_use_nothing_optional():
     """No local memory, barriers, doubles, halves, images, printf, sub-groups or extensions.
 
     `#pragma unroll` is allowed: a compiler that does not know it ignores it (C99, 6.10.6). The
-    lattice, tracking and sums over a frame may use barriers and a little local memory.
+    lattice, its filter, tracking and sums over a frame may use barriers and a little local memory.
     Points in space may be doubles, where the device has them.
     """
     words = r"\b(image\dd\w*|printf|sub_group\w*|half)\b"
     words += r"|#\s*pragma(?! unroll$| OPENCL FP_CONTRACT OFF$)"
     grouped, exact = r"|\b(__local|local|barrier)\b", r"|\bdouble\d*\b"
     shares = {"lattice", "bins", "borders", "links", "faces", "parts", "votes", "nodes", "track"}
-    shares |= {"plane", "noise", "harmonic"}
+    shares |= {"plane", "noise", "harmonic", "filter"}
     files = sorted(kernel_folder().rglob("*.cl*"))
     assert len(files) > 20
     for path in files:

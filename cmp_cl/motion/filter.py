@@ -354,23 +354,18 @@ class LatticeFilter:
     # What is launched
 
     def _listed(self, bends: np.int32) -> list[Launch]:
-        pilots, listed = ("pilot_own_down", "pilot_own_along", "rows_noise"), []
-        for number in map(np.int32, range(1 + ROUNDS)):
-            listed += [
-                self._of_nodes("fill", "moved", "votes", "counts", number, "data"),
-                self._of_rows(
-                    "pilot",
-                    1,
-                    *("data", "votes", "counts", number, "pilot_down", "pilot_along"),
-                    *(*pilots, "size", "near", "sums"),
-                ),
-                self._of_rows(
-                    "noise",
-                    1,
-                    *("near", "sums", "size", *pilots, "bound_rest", "own", bends, number),
-                    *("counts", "votes", "variance", "chosen", "common"),
-                ),
-            ]
+        pilots = "pilot_own_down", "pilot_own_along", "rows_noise"
+        bounds = "bound_rest", "own", bends, "counts", "votes"
+        found, noise = ("size", "near", "sums"), ("variance", "chosen", "common")
+        planes = "pilot_down", "pilot_along"
+        group = 1 if self._device.kind is DeviceKind.CPU else GROUP
+        settle = "moved", *planes, *pilots, *bounds, "data", *found, *noise
+        listed = [
+            self._of_nodes("fill", "moved", "votes", "data"),
+            self._of_rows("pilot", 1, "data", "votes", "counts", *planes, *pilots, *found),
+            self._of_rows("noise", 1, "near", "sums", "size", *pilots, *bounds, *noise),
+            _bound(self._kernels, self.parts, "settle", (group,), (group,), settle),
+        ]
         owns = ("own_down", "own_along")
         finish, common = ("finish_in_space", ("common",)) if self._axes == 3 else (
             "finish_in_plane", ()
