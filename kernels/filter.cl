@@ -405,12 +405,19 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
   }
   for (int b = 0; b < FILTERS_ALONG; ++b) {
     const int pair = a * FILTERS_ALONG + b, place = (pair * ROWS + row) * LINE;
+    const int reach = sides_along[b];
     __global const float *matrix = filters_along + b * COLUMNS * LINE;
     EACH_EIGHT {
       float8 found[K], square = EIGHT_OF(twice + c) * EIGHT_AT(own_along + b * LINE + c);
 #pragma unroll
       for (int k = 0; k < K; ++k) found[k] = 0;
-      EACH_NODE_OF_WINDOWS(j, c, sides_along[b]) {
+      if (c >= reach && c + LANES + reach <= COLUMNS) /* whole windows: eight nodes, one filter */
+        for (int j = c - reach; j <= c + reach; ++j) {
+          const float weight = matrix[j * LINE + c];
+#pragma unroll
+          for (int k = 0; k < K; ++k) found[k] += weight * EIGHT_OF(down[k] + j);
+        }
+      else EACH_NODE_OF_WINDOWS(j, c, reach) {
         const float8 weight = EIGHT_AT(matrix + j * LINE + c);
 #pragma unroll
         for (int k = 0; k < K; ++k) found[k] += weight * down[k][j];
@@ -425,7 +432,7 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
     }
     average_along(line, RISK_REACH, rows_risk, loss + place);
     if (missing != 0) EACH_COLUMN {
-        const int left = WINDOW_START(c, sides_along[b], COLUMNS), size = 2 * sides_along[b] + 1;
+        const int left = WINDOW_START(c, reach, COLUMNS), size = 2 * reach + 1;
         const int count = before[left + size] - before[left];
         unsupported[place + c] = !LEAST_SUPPORTED(count, size * (2 * side + 1));
       }
