@@ -23,7 +23,7 @@ from cmp_cl.opencl.launches import sum_times
 from cmp_cl.opencl.program import Programs, programs_of
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.plan import Overflow, Plan, Plans
-from cmp_cl.stages.refine import no_corners, read_corners
+from cmp_cl.stages.refine import Found, no_corners
 
 
 class Detector(Closing):
@@ -203,14 +203,14 @@ class Detector(Closing):
             self._plans.keep(plan)
             return plan
 
-    def finish(self, plan: Plan) -> tuple[list[Corners], bool]:
-        """Return the corners of the frames of the plan that `begin` returned, and whether launches
-        enqueued behind it have found the same: not if a list was too short."""
+    def finish(self, plan: Plan) -> tuple[Found, bool]:
+        """Return what is found in the frames of the plan that `begin` returned, and whether
+        launches enqueued behind it have found the same: not if a list was too short."""
         with self._lock:
             self._check_alive()
             before = self.regrown
-            corners = self._finish(plan, self._transfers)
-            return corners, self.regrown == before
+            found = self._found(plan, self._transfers)
+            return found, self.regrown == before
 
     def batch(self, stack: NDArray[Any] | Sequence[GreyImage] | cl.Buffer) -> list[Corners]:
         """Find the corners of each frame of a stack, with one launch per stage for all of them.
@@ -363,11 +363,14 @@ class Detector(Closing):
             raise plan.refused(error) from error
 
     def _finish(self, plan: Plan, transfers: cl.CommandQueue) -> list[Corners]:
+        return self._found(plan, transfers).corners
+
+    def _found(self, plan: Plan, transfers: cl.CommandQueue) -> Found:
         self._plans.take_back(plan)
         try:
             while True:
                 try:
-                    return read_corners(plan.read(transfers), plan)
+                    return Found(plan.read(transfers), plan)
                 except Overflow as overflow:
                     self._grow(plan, overflow)
         except cl.MemoryError as error:

@@ -21,7 +21,8 @@ class Measured:
 
     field: the displacement of the nodes, in the image, in the plane of a flat pattern, or in space.
     ambiguous: whether the numbering of a grid is ambiguous, see `Grid.ambiguous`.
-    views, corners: of the one view, or of the left and of the right one.
+    views: the one view, or the left and the right one.
+    find: returns their corners, see `corners`.
     number: returns their grids, see `grids`. seen: returns the positions of their nodes, (R, C, 2)
         float32, px.
     rig: the cameras of two views; None from one view.
@@ -34,13 +35,18 @@ class Measured:
     field: DisplacementField
     ambiguous: bool
     views: tuple[GreyImage, ...]
-    corners: tuple[Corners, ...]
+    find: Callable[[], tuple[Corners, ...]]
     number: Callable[[], tuple[Grid, ...]]
     seen: Callable[[], tuple[NDArray[np.float32], ...]]
     rig: StereoRig | None = None
     bias: Bias | None = None
     tracked: bool = False
     differing: int = 0
+
+    @functools.cached_property
+    def corners(self) -> tuple[Corners, ...]:
+        """Return the corners of the one view, or of the left and of the right one."""
+        return self.find()
 
     @functools.cached_property
     def grids(self) -> tuple[Grid, ...]:

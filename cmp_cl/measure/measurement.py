@@ -18,7 +18,7 @@ from cmp_cl.field import DisplacementField
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
 from cmp_cl.measure.measured import Measured, Tally
-from cmp_cl.measure.views import Views
+from cmp_cl.measure.views import Seen, Views
 from cmp_cl.motion.geometry import InPlane, InSpace
 from cmp_cl.motion.moments import Moment
 from cmp_cl.motion.nodes import grid_of, positions_of
@@ -248,15 +248,14 @@ class Measurement(Closing):
     def _settle(self, begun: _Begun) -> "_Settled":
         """Wait for a frame. Number it anew where tracking does not hold, or is audited."""
         views, tally = self._views.views, self.tally
-        corners, same = self._views.finish(begun.plans)
-        settled = _Settled(begun.views, corners)
+        seen, same = self._views.finish(begun.plans)
+        settled = _Settled(begun.views, seen)
         if begun.tracked and self._plan is not None and self._tracker is not None:
             settled.arrays = arrays = self._plan.read()
-            counts = [len(each) for each in corners]
-            settled.tracked = same and self._tracker.holds(arrays, counts)
+            settled.tracked = same and self._tracker.holds(arrays, seen.counts)
             settled.grids = [
                 functools.partial(grid_of, arrays, number, view.rest, count)
-                for number, (view, count) in enumerate(zip(views, counts, strict=True))
+                for number, (view, count) in enumerate(zip(views, seen.counts, strict=True))
             ]
         if settled.tracked:
             tally.tracked += 1
@@ -264,6 +263,7 @@ class Measurement(Closing):
                 view.go_on(grid)
             if tally.tracked % AUDITED:
                 return settled
+        corners = seen.corners
         anew = [
             view.number(found, image)
             for view, found, image in zip(views, corners, begun.views, strict=True)
@@ -297,7 +297,7 @@ class Measurement(Closing):
             field=field.with_strain() if self._strain else field,
             ambiguous=settled.ambiguous,
             views=settled.views,
-            corners=settled.corners,
+            find=settled.find,
             number=settled.number,
             seen=settled.seen,
             rig=self._rig,
@@ -311,17 +311,21 @@ class Measurement(Closing):
 class _Settled:
     """A frame whose kernels are done, and whose nodes have numbers.
 
-    grids: return the grid of each view. arrays: what its field comes from; None without a plan.
+    found: the corners of each view. grids: return the grid of each view. arrays: what its field
+    comes from; None without a plan.
     tracked, differing, ambiguous: as in `Measured`.
     """
 
     views: tuple[GreyImage, ...]
-    corners: tuple[Corners, ...]
+    found: Seen
     grids: list[Callable[[], Grid]] = dataclasses.field(default_factory=list)
     arrays: dict[str, NDArray[Any]] | None = None
     tracked: bool = False
     differing: int = 0
     ambiguous: bool = False
+
+    def find(self) -> tuple[Corners, ...]:
+        return self.found.corners
 
     def number(self) -> tuple[Grid, ...]:
         return tuple(grid() for grid in self.grids)

@@ -15,6 +15,7 @@ from cmp_cl.image import GreyImage, check_image
 from cmp_cl.measure.patterns import Region, check_size, find_pattern
 from cmp_cl.opencl.device import Device
 from cmp_cl.stages.plan import Plan
+from cmp_cl.stages.refine import Found
 
 # Frames without a grid over which numbers are continued. After more of them, a motion of half a
 # cell per frame could reach the next position that looks the same.
@@ -159,11 +160,24 @@ class Views(Closing):
         """Enqueue the kernels that find the corners of a frame, see `Detector.begin`."""
         return [detector.begin(views[part]) for detector, part in self._detectors]
 
-    def finish(self, plans: Sequence[Plan]) -> tuple[tuple[Corners, ...], bool]:
+    def finish(self, plans: Sequence[Plan]) -> tuple["Seen", bool]:
         """Return the corners of each view, and whether `Detector.finish` says that they are those
         on the device."""
         done = [each.finish(plan) for (each, _), plan in zip(self._detectors, plans, strict=True)]
-        return tuple(corners for some, _ in done for corners in some), all(same for _, same in done)
+        return Seen([found for found, _ in done]), all(same for _, same in done)
+
+
+class Seen:
+    """The corners of each view, made when they are asked for. counts: their numbers."""
+
+    def __init__(self, found: Sequence[Found]) -> None:
+        self._found = found
+        self.counts = [count for each in found for count in each.counts]
+
+    @property
+    def corners(self) -> tuple[Corners, ...]:
+        """Return the corners of each view."""
+        return tuple(corners for each in self._found for corners in each.corners)
 
 
 @contextlib.contextmanager

@@ -1,5 +1,6 @@
 """The stages from the list of corners to positions, and the reading of their result."""
 
+import functools
 import math
 from typing import Any, NamedTuple
 
@@ -185,6 +186,19 @@ def _largest_shift(plan: PlanBase) -> np.float32:
     refinement = plan.config.refinement
     shift = refinement.max_shift if isinstance(refinement, EdgeLines | Midlines) else 2.0
     return np.float32(shift / (plan.scale or 1.0))
+
+
+class Found:
+    """The corners that `Plan.read` returns, made when they are asked for. counts: of each frame."""
+
+    def __init__(self, rows: NDArray[np.float32], plan: PlanBase) -> None:
+        self._rows, self._plan = rows, plan
+        self.counts: list[int] = rows[:, 0].view(np.uint32).tolist()
+
+    @functools.cached_property
+    def corners(self) -> list[Corners]:
+        """Return the corners of each frame."""
+        return read_corners(self._rows, self._plan)
 
 
 def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:

@@ -274,7 +274,7 @@ def test_nodes_without_a_corner_are_looked_at_again(device):
         plan = hiding.begin([picture])
         tracker.start(plan.arrays["result"], plan.corner_capacity, tracker.looks(plan))
         frame.download()
-        (seen,), _ = hiding.finish(plan)
+        (seen,) = hiding.finish(plan)[0].corners
         hiding.queue.finish()
         status, nodes = frame.arrays["seen_status"][0].copy(), frame.arrays["nodes"][0].copy()
         (found,) = tracker.found(frame.arrays)
