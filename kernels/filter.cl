@@ -109,10 +109,14 @@ float8 filter_along(const float *line, const int column, const int side,
   return sum;
 }
 
+/* The planes that `blend` reads have eight columns in a piece, row by row, so that most of what a
+ * row reads is in the cache from the row before. `column` is the first of eight. */
+#define IN_PIECES(row, column) ((row) * LANES + (column) * ROWS)
+
 /* Sum with Gaussian weights along the row; `line` has `reach` numbers before it and behind it, which
- * become 0 as those between COLUMNS and LINE do. */
+ * become 0 as those between COLUMNS and LINE do. Eight results are `apart` from the next. */
 void average_along(float *line, const int reach, __global const float *weights,
-                   __global float *result) {
+                   __global float *result, const int apart) {
   for (int c = 0; c < reach; ++c) line[c] = line[LINE + reach + c] = 0;
   for (int c = COLUMNS; c < LINE; ++c) line[reach + c] = 0;
   float8 sum[LINE / LANES]; /* side by side, since each waits for the addition before */
@@ -122,7 +126,7 @@ void average_along(float *line, const int reach, __global const float *weights,
 #pragma unroll
     for (int n = 0; n < LINE / LANES; ++n) sum[n] += weight * EIGHT_OF(line + LANES * n + t);
   }
-  for (int n = 0; n < LINE / LANES; ++n) EIGHT_AT(result + LANES * n) = sum[n];
+  for (int n = 0; n < LINE / LANES; ++n) EIGHT_AT(result + apart * n) = sum[n];
 }
 
 /* The rows around `row` that are summed with Gaussian weights along the columns. Planes are summed
@@ -211,9 +215,10 @@ void pilot_of_row(const int row, __global const float *data, __global const ucha
         for (int k = j; k < K; ++k, ++p)
           sum[p] += nonzero ? EIGHT_OF(left[e][j] + c) * EIGHT_OF(left[e][k] + c) / root : none;
     }
-    average_along(line, NOISE_REACH, rows_noise, near + (e * ROWS + row) * LINE);
+    average_along(line, NOISE_REACH, rows_noise, near + (e * ROWS + row) * LINE, LANES);
     if (e < 4)
-      average_along(mask, NOISE_REACH, rows_noise, near + (MASK_PLANE(e) * ROWS + row) * LINE);
+      average_along(mask, NOISE_REACH, rows_noise, near + (MASK_PLANE(e) * ROWS + row) * LINE,
+                    LANES);
     for (int p = 0; p < PRODUCTS; ++p) {
       const float4 half_sum = sum[p].lo + sum[p].hi;
       sums[row * SUMS + e * PRODUCTS + p] =
@@ -225,7 +230,7 @@ void pilot_of_row(const int row, __global const float *data, __global const ucha
     for (int k = j; k < K; ++k) {
       EACH_EIGHT EIGHT_OF(line + NOISE_REACH + c) =
           EIGHT_OF(vote + c) * EIGHT_OF(left[0][j] + c) * EIGHT_OF(left[0][k] + c);
-      average_along(line, NOISE_REACH, rows_noise, near + (p++ * ROWS + row) * LINE);
+      average_along(line, NOISE_REACH, rows_noise, near + (p++ * ROWS + row) * LINE, LANES);
     }
   EACH_EIGHT {
     float8 square = 0;
@@ -404,8 +409,7 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
     }
   }
   for (int b = 0; b < FILTERS_ALONG; ++b) {
-    const int pair = a * FILTERS_ALONG + b, place = (pair * ROWS + row) * LINE;
-    const int reach = sides_along[b];
+    const int pair = a * FILTERS_ALONG + b, reach = sides_along[b];
     __global const float *matrix = filters_along + b * COLUMNS * LINE;
     EACH_EIGHT {
       float8 found[K], square = EIGHT_OF(twice + c) * EIGHT_AT(own_along + b * LINE + c);
@@ -426,20 +430,22 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
       for (int k = 0; k < K; ++k) {
         const float8 apart = found[k] - EIGHT_OF(here[k] + c);
         square += apart * apart;
-        EIGHT_AT(estimate + k * PAIRS * PLANE + place + c) = found[k];
+        EIGHT_AT(estimate + (k * PAIRS + pair) * PLANE + IN_PIECES(row, c)) = found[k];
       }
       EIGHT_OF(line + RISK_REACH + c) = square * EIGHT_OF(vote + c);
     }
-    average_along(line, RISK_REACH, rows_risk, loss + place);
+    average_along(line, RISK_REACH, rows_risk, loss + pair * PLANE + IN_PIECES(row, 0),
+                  IN_PIECES(0, LANES));
     if (missing != 0) EACH_COLUMN {
         const int left = WINDOW_START(c, reach, COLUMNS), size = 2 * reach + 1;
         const int count = before[left + size] - before[left];
-        unsupported[place + c] = !LEAST_SUPPORTED(count, size * (2 * side + 1));
+        unsupported[pair * PLANE + row * LINE + c] =
+            !LEAST_SUPPORTED(count, size * (2 * side + 1));
       }
   }
   if (a == 0) {
     EACH_EIGHT EIGHT_OF(line + RISK_REACH + c) = EIGHT_OF(vote + c);
-    average_along(line, RISK_REACH, rows_risk, near_votes + row * LINE);
+    average_along(line, RISK_REACH, rows_risk, near_votes + IN_PIECES(row, 0), IN_PIECES(0, LANES));
   }
 }
 
@@ -470,7 +476,7 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
   const float8 s1 = EIGHT_AT(chosen + at), s2 = EIGHT_AT(variance + at);
   float8 near = 0;
   EACH_ROW_WITHIN(RISK_REACH)
-    near += rows_risk[r - row + RISK_REACH] * EIGHT_AT(near_votes + r * LINE + c);
+    near += rows_risk[r - row + RISK_REACH] * EIGHT_AT(near_votes + IN_PIECES(r, c));
   const float8 scale = 1 / (K * KNOWN_OR_1(s1) * (near > NONE_NEAR ? near : (float8)NONE_NEAR));
   float8 risk[PAIRS], least = NO_PAIR;
   const int missing = MISSING_NOW;
@@ -481,7 +487,7 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
       const float weight = rows_risk[r - row + RISK_REACH];
 #pragma unroll
       for (int b = 0; b < FILTERS_ALONG; ++b)
-        sum[b] += weight * EIGHT_AT(loss + (a + b) * PLANE + r * LINE + c);
+        sum[b] += weight * EIGHT_AT(loss + (a + b) * PLANE + IN_PIECES(r, c));
     }
     for (int b = 0; b < FILTERS_ALONG; ++b) risk[a + b] = scale * sum[b];
   }
@@ -503,7 +509,7 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
       mean_own += weight * own_down[a * ROWS + row] * EIGHT_AT(own_along + b * LINE + c);
       mean_gain += weight * gain_down[a * ROWS + row] * EIGHT_AT(gain_along + b * LINE + c);
       for (int k = 0; k < K; ++k)
-        value[k] += weight * EIGHT_AT(estimate + (k * PAIRS + pair) * PLANE + at);
+        value[k] += weight * EIGHT_AT(estimate + (k * PAIRS + pair) * PLANE + IN_PIECES(row, c));
       risk[pair] = weight;
     }
   const float8 share = 1 / sum, noise = s1 * mean_gain * share;
