@@ -53,7 +53,6 @@ def figures(scores: Sequence[Score], spent: Sequence[float]) -> dict[str, Any]:
         "false": whole.false,
         "found": whole.found,
         "squares": float(np.sum(whole.errors**2)),
-        "p95": whole.p95,
         "ms": float(np.median(spent)),
     }
 

@@ -1,7 +1,6 @@
 """The rows of the tables: four of ours, and the peers."""
 
 import contextlib
-import json
 from typing import NamedTuple
 
 import numpy as np
@@ -19,16 +18,11 @@ GRIDDED = "cmp_cl, default + grid"
 
 
 class Method(NamedTuple):
-    """A row of a table: its name, its settings in words, and what runs.
-
-    slow: takes more than 50 ms a frame. labels: numbers corners, and gives only those.
-    """
+    """A row of a table: its name, and what runs. slow: takes more than 50 ms a frame."""
 
     name: str
-    settings: str
     detect: Detect
     slow: bool = False
-    labels: bool = False
 
 
 def own(pattern: Pattern, shape: tuple[int, int]) -> list[Method]:
@@ -48,14 +42,13 @@ def peer(name: str, pattern: Pattern, density: int | None = None) -> Method:
     density: corners a side, of the scenes with cells like these; by default the pattern's own.
     """
     entry = PEERS[name]
-    settings = entry.settings(density or pattern.markers)
-    detect = entry.make(settings, pattern)
-    return Method(entry.label, json.dumps(settings), detect, entry.slow, entry.labels)
+    detect = entry.make(entry.settings(density or pattern.markers), pattern)
+    return Method(entry.label, detect, entry.slow)
 
 
 def _corners(name: str, config: DetectorConfig, shape: tuple[int, int]) -> Method:
     detector = Detector(shape=shape, config=config)
-    return Method(name, repr(config), lambda image: detector(image).xy)
+    return Method(name, lambda image: detector(image).xy)
 
 
 def _gridded(pattern: Pattern, shape: tuple[int, int]) -> Method:
@@ -69,4 +62,4 @@ def _gridded(pattern: Pattern, shape: tuple[int, int]) -> Method:
             return grid.xy[np.isin(grid.status, MEASURED)]
         return np.empty((0, 2), np.float32)
 
-    return Method(GRIDDED, f"Detector.grid(shape={size})", detect, labels=True)
+    return Method(GRIDDED, detect)

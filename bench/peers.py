@@ -39,14 +39,12 @@ class Pattern(NamedTuple):
 
 class Peer(NamedTuple):
     """label: as tables show it. make: settings and pattern -> detect. search: the values that
-    each setting is tried at, the first being the usual one. slow: takes more than 50 ms.
-    labels: numbers the corners and returns those that it has numbered."""
+    each setting is tried at, the first being the usual one. slow: takes more than 50 ms."""
 
     label: str
     make: Callable[[Settings, Pattern], Detect]
     search: dict[str, list[Any]]
     slow: bool = False
-    labels: bool = False
 
     def settings(self, markers: int) -> Settings:
         """Return what the search found for that density, or the usual values where it has none."""
@@ -309,7 +307,6 @@ PEERS: dict[str, Peer] = {
             "tolerance": [1.0, 1.4, 2.0],
         },
         slow=True,
-        labels=True,
     ),
     "mrgingham": Peer("mrgingham, corners only", lambda settings, pattern: _Mrgingham(), {}),
     "libcbdetect": Peer(

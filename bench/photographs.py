@@ -19,7 +19,6 @@ import numpy as np
 from environment import DATA, parser_of, write_table
 from peers import Pattern, available, keep_freed_memory
 from scenes import read_listed
-from scipy.spatial import cKDTree
 
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic.scoring import match
@@ -80,23 +79,7 @@ class Photograph(NamedTuple):
             false=false,
             outside=int(len(xy) - hit.sum()) - false,
             apart=np.hypot(*(xy[hit] - self.truth[partner[hit]]).T),
-            uneven=uneven(xy[hit]),
         )
-
-
-def uneven(xy: np.ndarray) -> np.ndarray:
-    """Return the distances of corners from the mean of their four neighbours, px, without a truth.
-
-    Only corners whose four neighbours lie around them, at distances within a third of each other.
-    Divided by the root of 5/4: errors of the neighbours count too.
-    """
-    if len(xy) < 5:
-        return np.empty(0)
-    distance, near = cKDTree(xy).query(xy, 5)
-    off = xy[near[:, 1:]].mean(axis=1) - xy
-    length = np.hypot(*off.T)
-    inner = (distance[:, 4] < 4 / 3 * distance[:, 1]) & (length < distance[:, 1] / 5)
-    return length[inner] / np.sqrt(1.25)
 
 
 def small_boards() -> list[Photograph]:
@@ -159,16 +142,13 @@ def before(room: GreyImage, seed: int) -> Photograph:
 
 
 class Judged(NamedTuple):
-    """Counts of a photograph, and distances of what was found, px: from the truth, and from the
-    middle of the neighbours.
-    """
+    """Counts of a photograph, and distances of what was found from the truth, px."""
 
     expected: int
     missed: int
     false: int
     outside: int
     apart: np.ndarray
-    uneven: np.ndarray
 
 
 def summary(parts: Sequence[Judged]) -> dict[str, Any]:
@@ -177,7 +157,6 @@ def summary(parts: Sequence[Judged]) -> dict[str, Any]:
         int(sum(column)) for column in list(zip(*parts, strict=True))[:4]
     )
     apart = np.concatenate([part.apart for part in parts])
-    uneven = np.concatenate([part.uneven for part in parts])
     return {
         "expected": expected,
         "missed": missed,
@@ -185,7 +164,6 @@ def summary(parts: Sequence[Judged]) -> dict[str, Any]:
         "outside": outside,
         "median": float(np.median(apart)) if len(apart) else float("nan"),
         "p95": float(np.percentile(apart, 95)) if len(apart) else float("nan"),
-        "scatter": float(np.median(uneven)) if len(uneven) else float("nan"),
     }
 
 

@@ -90,7 +90,7 @@ def measured(scene: Scene, detector: Detector) -> dict[str, Errors] | None:
 
 
 def row(kind: str, parts: Sequence[Errors], **group: Any) -> dict[str, Any]:
-    """Return the figures of a kind over some frames, with the spread of the frames' shares."""
+    """Return the figures of a kind over some frames."""
     shares = []
     for each in parts:
         ratio = np.abs(each.error) / each.sigma[:, None]
@@ -102,7 +102,6 @@ def row(kind: str, parts: Sequence[Errors], **group: Any) -> dict[str, Any]:
         "frames": len(parts),
         "rms": math.sqrt(np.mean(squares)),
         "within_2": float(np.mean(shares)),
-        "within_2_sd": float(np.std(shares)),
     }
 
 

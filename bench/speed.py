@@ -53,7 +53,6 @@ def measure(
                 "method": method.name,
                 "ms": float(np.median(spent)),
                 "ms_p95": float(np.percentile(spent, 95)),
-                "samples": len(spent),
                 "corners": score.expected // score.frames,
                 "missed": score.missed,
                 "false": score.false,
