@@ -142,11 +142,6 @@ class RingHarmonic:
         return math.floor(334 * self.noise + 0.5)
 
     @property
-    def fine_noise(self) -> int:
-        """Return the noise bound of the 3 px ring, in hundredths of the mean noise amplitude."""
-        return 2 * self.coarse_noise
-
-    @property
     def coarse_share(self) -> int:
         """Return the least response of the 5 px ring, in 1/128 of the reference."""
         return math.floor(128 * self.relative + 0.5)

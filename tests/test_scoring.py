@@ -19,7 +19,6 @@ def test_a_perfect_answer_succeeds():
     assert (answer.expected, answer.found, answer.missed, answer.false) == (12, 12, 0, 0)
     assert answer.success == answer.frames == 1
     assert answer.rmse == pytest.approx(0.5)
-    assert answer.p95 == pytest.approx(0.5)
 
 
 def test_missed_and_false_corners_are_counted():

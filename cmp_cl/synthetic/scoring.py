@@ -36,11 +36,6 @@ class Score:
         """Return the root mean square of the errors, px, NaN if nothing was found."""
         return float(np.sqrt(np.mean(self.errors**2))) if self.found else float("nan")
 
-    @property
-    def p95(self) -> float:
-        """Return the 95th percentile of the errors, px, NaN if nothing was found."""
-        return float(np.percentile(self.errors, 95)) if self.found else float("nan")
-
 
 def reach(cell: float) -> float:
     """Return the largest distance of a detection from its corner, px: 0.35 cells, at most 3."""
