@@ -20,8 +20,7 @@ from cmp_cl.files import csv_bytes, first_free, write_bytes, write_text
 from cmp_cl.series.base import moved_by, plain
 from cmp_cl.series.part import Stored
 
-_ROOM = 1 << 20  # bytes that HDF5 needs beside the arrays, and for each frame of one
-_ROOM_OF_FRAME = 128
+_ROOM, _ROOM_OF_FRAME = 1 << 18, 64  # bytes that HDF5 needs beside the arrays, and for each frame
 
 
 def write_npz(series: Stored, path: Path, _target: Path) -> None:
