@@ -248,10 +248,11 @@ class Measurement(Closing):
     def _settle(self, begun: _Begun) -> "_Settled":
         """Wait for a frame. Number it anew where tracking does not hold, or is audited."""
         views, tally = self._views.views, self.tally
+        # One wait: a second one, for the corners, would take a core from the kernels.
+        arrays = self._plan.read() if begun.tracked and self._plan is not None else None
         seen, same = self._views.finish(begun.plans)
-        settled = _Settled(begun.views, seen)
-        if begun.tracked and self._plan is not None and self._tracker is not None:
-            settled.arrays = arrays = self._plan.read()
+        settled = _Settled(begun.views, seen, arrays=arrays)
+        if arrays is not None and self._tracker is not None:
             settled.tracked = same and self._tracker.holds(arrays, seen.counts)
             settled.grids = [
                 functools.partial(grid_of, arrays, number, view.rest, count)
