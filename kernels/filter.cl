@@ -124,7 +124,7 @@ void average_along(float *line, const int reach, __global const float *weights,
   for (int t = 0; t <= 2 * reach; ++t) {
     const float weight = weights[t];
 #pragma unroll
-    for (int n = 0; n < LINE / LANES; ++n) sum[n] += weight * EIGHT_OF(line + LANES * n + t);
+    for (int n = 0; n < LINE / LANES; ++n) sum[n] += weight * LOAD_EIGHT(line + LANES * n + t);
   }
   for (int n = 0; n < LINE / LANES; ++n) EIGHT_AT(result + apart * n) = sum[n];
 }
@@ -139,7 +139,7 @@ float8 eight_nodes(__global const float *plane, const int row, const int column)
   float found[LANES];
   for (int lane = 0; lane < LANES; ++lane)
     found[lane] = plane[row * COLUMNS + min(column + lane, COLUMNS - 1)];
-  return EIGHT_OF(found);
+  return LOAD_EIGHT(found);
 }
 
 /* The residuals of the pilot along both axes, along each axis and along each diagonal; their sizes,
@@ -155,14 +155,14 @@ void pilot_of_row(const int row, __global const float *data, __global const ucha
   for (int k = 0; k < K; ++k) {
     __global const float *plane = data + k * PLANE;
     EACH_EIGHT {
-      EIGHT_OF(here[k] + c) = EIGHT_AT(plane + row * LINE + c);
-      EIGHT_OF(down[k] + c) = filter_down(plane, row, c, PILOT_DOWN, pilot_down);
+      STORE_EIGHT(here[k] + c, EIGHT_AT(plane + row * LINE + c));
+      STORE_EIGHT(down[k] + c, filter_down(plane, row, c, PILOT_DOWN, pilot_down));
     }
     EACH_EIGHT {
-      const float8 value = EIGHT_OF(here[k] + c);
-      EIGHT_OF(left[0][k] + c) = value - filter_along(down[k], c, PILOT_ALONG, pilot_along);
-      EIGHT_OF(left[1][k] + c) = value - EIGHT_OF(down[k] + c);
-      EIGHT_OF(left[2][k] + c) = value - filter_along(here[k], c, PILOT_ALONG, pilot_along);
+      const float8 value = LOAD_EIGHT(here[k] + c);
+      STORE_EIGHT(left[0][k] + c, value - filter_along(down[k], c, PILOT_ALONG, pilot_along));
+      STORE_EIGHT(left[1][k] + c, value - LOAD_EIGHT(down[k] + c));
+      STORE_EIGHT(left[2][k] + c, value - filter_along(here[k], c, PILOT_ALONG, pilot_along));
     }
     for (int sense = 0; sense < 2; ++sense) {
       float *across = left[3 + sense][k];
@@ -181,7 +181,7 @@ void pilot_of_row(const int row, __global const float *data, __global const ucha
   float vote[LINE], supported[LINE];
   const int top = WINDOW_START(row, PILOT_DOWN, ROWS), missing = MISSING_NOW;
   for (int c = 0; c < LINE; ++c) {
-    vote[c] = c < COLUMNS ? votes[row * COLUMNS + c] : 0;
+    vote[c] = c < COLUMNS && votes[row * COLUMNS + c] ? 1.0f : 0.0f;
     supported[c] = 1;
     if (missing == 0 || c >= COLUMNS) continue;
     const int first = WINDOW_START(c, PILOT_ALONG, COLUMNS);
@@ -202,18 +202,18 @@ void pilot_of_row(const int row, __global const float *data, __global const ucha
       const float8 along = EIGHT_AT(own_along + c), across = has_diagonals ? own_inside : 1 + none;
       const float8 own = e == 0 ? own_of_row * along : e == 1 ? own_of_row : e == 2 ? along : across;
       const float8 left_over = 1 - own, least = e == 0 ? 1e-3f : 0.05f;
-      const float8 counts_if = e == 0 ? EIGHT_OF(supported + c) : 1 + none;
+      const float8 counts_if = e == 0 ? LOAD_EIGHT(supported + c) : 1 + none;
       float8 square = 0;
-      for (int k = 0; k < K; ++k) square += EIGHT_OF(left[e][k] + c) * EIGHT_OF(left[e][k] + c);
-      const int8 usable = EIGHT_OF(vote + c) > 0 && counts_if > 0 && left_over > 0.05f;
+      for (int k = 0; k < K; ++k) square += LOAD_EIGHT(left[e][k] + c) * LOAD_EIGHT(left[e][k] + c);
+      const int8 usable = LOAD_EIGHT(vote + c) > 0 && counts_if > 0 && left_over > 0.05f;
       const float8 root = sqrt(square / (K * (left_over > least ? left_over : least)));
-      EIGHT_OF(line + NOISE_REACH + c) = usable ? root : none;
-      EIGHT_OF(mask + NOISE_REACH + c) = usable ? 1 + none : none;
+      STORE_EIGHT(line + NOISE_REACH + c, usable ? root : none);
+      STORE_EIGHT(mask + NOISE_REACH + c, usable ? 1 + none : none);
       const int8 nonzero = usable && root > 0;
       int p = 0;
       for (int j = 0; j < K; ++j)
         for (int k = j; k < K; ++k, ++p)
-          sum[p] += nonzero ? EIGHT_OF(left[e][j] + c) * EIGHT_OF(left[e][k] + c) / root : none;
+          sum[p] += nonzero ? LOAD_EIGHT(left[e][j] + c) * LOAD_EIGHT(left[e][k] + c) / root : none;
     }
     average_along(line, NOISE_REACH, rows_noise, near + (e * ROWS + row) * LINE, LANES);
     if (e < 4)
@@ -228,14 +228,15 @@ void pilot_of_row(const int row, __global const float *data, __global const ucha
   int p = PRODUCT_PLANE;
   for (int j = 0; j < K; ++j)
     for (int k = j; k < K; ++k) {
-      EACH_EIGHT EIGHT_OF(line + NOISE_REACH + c) =
-          EIGHT_OF(vote + c) * EIGHT_OF(left[0][j] + c) * EIGHT_OF(left[0][k] + c);
+      EACH_EIGHT STORE_EIGHT(line + NOISE_REACH + c,
+                             LOAD_EIGHT(vote + c) * LOAD_EIGHT(left[0][j] + c) *
+                                 LOAD_EIGHT(left[0][k] + c));
       average_along(line, NOISE_REACH, rows_noise, near + (p++ * ROWS + row) * LINE, LANES);
     }
   EACH_EIGHT {
     float8 square = 0;
-    for (int k = 0; k < K; ++k) square += EIGHT_OF(left[0][k] + c) * EIGHT_OF(left[0][k] + c);
-    EIGHT_AT(size + row * LINE + c) = EIGHT_OF(vote + c) * square / K;
+    for (int k = 0; k < K; ++k) square += LOAD_EIGHT(left[0][k] + c) * LOAD_EIGHT(left[0][k] + c);
+    EIGHT_AT(size + row * LINE + c) = LOAD_EIGHT(vote + c) * square / K;
   }
   float total = 0;
   for (int k = 0; k < K; ++k) EACH_COLUMN total += here[k][c] * here[k][c];
@@ -307,7 +308,8 @@ void noise_of_row(const int row, __global const float *near, __global const floa
     const float8 lower = LEAST_OF_FIVE * least, lowest = lower < first ? lower : first;
     const float8 unbounded = bends ? lowest : first;
     const float8 bounded = bound < unbounded ? bound : unbounded;
-    EIGHT_OF(both + c) = EIGHT_AT(variance + at) = first;
+    STORE_EIGHT(both + c, first);
+    EIGHT_AT(variance + at) = first;
     EIGHT_AT(chosen + at) = first != first ? first : bounded > smallest ? bounded : smallest;
     float8 product[PRODUCTS], trace = 0;
     int p = 0;
@@ -389,15 +391,15 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
   const int side = sides_down[a], first = WINDOW_START(row, side, ROWS);
   float down[K][LINE], here[K][LINE], twice[LINE], vote[LINE], line[LINE + 2 * RISK_REACH];
   int before[COLUMNS + 1]; /* votes of the window's rows in the columns before */
-  for (int c = 0; c < LINE; ++c) vote[c] = c < COLUMNS ? votes[row * COLUMNS + c] : 0;
+  for (int c = 0; c < LINE; ++c) vote[c] = c < COLUMNS && votes[row * COLUMNS + c] ? 1.0f : 0.0f;
   EACH_EIGHT {
     for (int k = 0; k < K; ++k) {
       __global const float *plane = data + k * PLANE;
-      EIGHT_OF(here[k] + c) = EIGHT_AT(plane + row * LINE + c);
-      EIGHT_OF(down[k] + c) = filter_down(plane, row, c, side, filters_down + a * ROWS * TAPS);
+      STORE_EIGHT(here[k] + c, EIGHT_AT(plane + row * LINE + c));
+      STORE_EIGHT(down[k] + c, filter_down(plane, row, c, side, filters_down + a * ROWS * TAPS));
     }
     const float8 s = EIGHT_AT(chosen + row * LINE + c);
-    EIGHT_OF(twice + c) = 2 * K * own_down[a * ROWS + row] * KNOWN_OR_1(s);
+    STORE_EIGHT(twice + c, 2 * K * own_down[a * ROWS + row] * KNOWN_OR_1(s));
   }
   const int missing = MISSING_NOW;
   if (missing != 0) {
@@ -412,14 +414,14 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
     const int pair = a * FILTERS_ALONG + b, reach = sides_along[b];
     __global const float *matrix = filters_along + b * COLUMNS * LINE;
     EACH_EIGHT {
-      float8 found[K], square = EIGHT_OF(twice + c) * EIGHT_AT(own_along + b * LINE + c);
+      float8 found[K], square = LOAD_EIGHT(twice + c) * EIGHT_AT(own_along + b * LINE + c);
 #pragma unroll
       for (int k = 0; k < K; ++k) found[k] = 0;
       if (c >= reach && c + LANES + reach <= COLUMNS) /* whole windows: eight nodes, one filter */
         for (int j = c - reach; j <= c + reach; ++j) {
           const float weight = matrix[j * LINE + c];
 #pragma unroll
-          for (int k = 0; k < K; ++k) found[k] += weight * EIGHT_OF(down[k] + j);
+          for (int k = 0; k < K; ++k) found[k] += weight * LOAD_EIGHT(down[k] + j);
         }
       else EACH_NODE_OF_WINDOWS(j, c, reach) {
         const float8 weight = EIGHT_AT(matrix + j * LINE + c);
@@ -428,11 +430,11 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
       }
 #pragma unroll
       for (int k = 0; k < K; ++k) {
-        const float8 apart = found[k] - EIGHT_OF(here[k] + c);
+        const float8 apart = found[k] - LOAD_EIGHT(here[k] + c);
         square += apart * apart;
         EIGHT_AT(estimate + (k * PAIRS + pair) * PLANE + IN_PIECES(row, c)) = found[k];
       }
-      EIGHT_OF(line + RISK_REACH + c) = square * EIGHT_OF(vote + c);
+      STORE_EIGHT(line + RISK_REACH + c, square * LOAD_EIGHT(vote + c));
     }
     average_along(line, RISK_REACH, rows_risk, loss + pair * PLANE + IN_PIECES(row, 0),
                   IN_PIECES(0, LANES));
@@ -444,7 +446,7 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
       }
   }
   if (a == 0) {
-    EACH_EIGHT EIGHT_OF(line + RISK_REACH + c) = EIGHT_OF(vote + c);
+    EACH_EIGHT STORE_EIGHT(line + RISK_REACH + c, LOAD_EIGHT(vote + c));
     average_along(line, RISK_REACH, rows_risk, near_votes + IN_PIECES(row, 0), IN_PIECES(0, LANES));
   }
 }

@@ -251,7 +251,8 @@ class LatticeFilter:
         for memory in (self.inputs, self._tables, self._work, results):
             self.parts |= memory.parts
         files = ["filter", *(["strain"] if slopes else [])]
-        defines = {**defines_of(shape, axes), "STRAINED": int(slopes)}
+        is_cpu = int(device.kind is DeviceKind.CPU)
+        defines = {**defines_of(shape, axes), "STRAINED": int(slopes), "IS_CPU": is_cpu}
         self._kernels = programs.kernels(files, defines)
         self.launches = self._listed(bends=np.int32(bends))
         if slopes:
