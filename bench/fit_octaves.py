@@ -29,9 +29,9 @@ class Settings(NamedTuple):
     share: least response against the reference, in 1/128; the fine one is 5/3 of it. frame_wide,
         octave_wide: least response of the ring of 8 px, one in that many; 0 leaves it out.
         octave_share: as share, in octaves. apart: px of the octave. one: whether all octaves have
-        one reference. strong: least response of a strong corner, 1/128 of the reference. wide:
-        least maxima of octave 2 in wide cells, as a share of the strong ones of the frame; inf
-        leaves the check out. seen: px of octave 1.
+        one reference. strong: least response that needs no neighbours, 1/128 of the reference; 0
+        leaves the check out. around: px. opposed: neighbours that suffice; with as many times
+        `askew` of them. cosine: least one of opposed directions. seen: px of octave 1.
     """
 
     share: int = 24
@@ -41,18 +41,25 @@ class Settings(NamedTuple):
     apart: int = 5
     one: bool = True
     strong: int = 64
-    wide: float = 0.6
+    around: int = 24
+    opposed: int = 3
+    askew: float = 2
+    cosine: float = 0.816
     seen: float = 1.5
 
 
 class Maxima(NamedTuple):
-    """The maxima of an octave: places (N, 2) px of the frame, response, whether they are clean, and
-    the response of the ring of 8 px."""
+    """The maxima of an octave: places (N, 2) px of the frame, response, whether they are clean, the
+    response of the ring of 8 px, and the direction as a complex number of length 1."""
 
     xy: np.ndarray
     response: np.ndarray
     clean: np.ndarray
     wide: np.ndarray
+    direction: np.ndarray
+
+    def of(self, some: np.ndarray) -> "Maxima":
+        return Maxima(*(each[some] for each in self))
 
 
 class Listed(NamedTuple):
@@ -76,7 +83,8 @@ def listed(seed: int) -> Listed:
     y, x = np.nonzero(harmonic.maxima(response, bound, RADIUS))
     passed = harmonic.looks_alike_when_squeezed(frame.once, y, x)
     y, x = y[passed], x[passed]
-    fine = Maxima(np.stack([x, y], axis=1), response[y, x], y < 0, y)
+    around = harmonic.harmonics(frame.once, y, x, harmonic.FINE)
+    fine = Maxima(np.stack([x, y], axis=1), response[y, x], y < 0, y, direction(around))
     return Listed(board, [maxima_of(octave) for octave in octaves], fine, ["all", *kinds])
 
 
@@ -88,7 +96,13 @@ def maxima_of(octave: harmonic.Octave) -> Maxima:
         response,
         harmonic.is_clean(response, seen),
         harmonic.wide_response(octave),
+        direction(seen),
     )
+
+
+def direction(seen: harmonic.Harmonics) -> np.ndarray:
+    vector: np.ndarray = seen.a + 1j * seen.b
+    return vector / np.maximum(np.abs(vector), 1)
 
 
 def decided(board: Listed, chosen: Settings) -> np.ndarray:
@@ -98,11 +112,12 @@ def decided(board: Listed, chosen: Settings) -> np.ndarray:
     frame, fine = board.octaves[0], board.fine
     clean = frame.clean & (frame.wide * (chosen.frame_wide or 1e9) >= frame.response)
     least = chosen.share * (level if chosen.one else references[0])
-    kept = np.where(clean, 256, 128) * frame.response >= least
-    xy = frame.xy[kept & seen(frame, board, chosen, level)]
-    least = (5 * chosen.share + 1) // 3 * (level or harmonic.reference(fine.response))
-    kept = (128 * fine.response >= least) & seen(fine, board, chosen, level)
-    xy = far(fine.xy[kept], xy, RADIUS)
+    frame = frame.of(np.where(clean, 256, 128) * frame.response >= least)
+    level = level or harmonic.reference(fine.response)
+    fine = fine.of(128 * fine.response >= (5 * chosen.share + 1) // 3 * level)
+    every = Maxima(*map(np.concatenate, zip(frame, fine, strict=True)))
+    xy = frame.xy[~lone(frame, every, board, chosen, level)]
+    xy = far(fine.xy[~lone(fine, every, board, chosen, level)], xy, RADIUS)
     for n, octave in enumerate(board.octaves[1:], 1):
         least = chosen.octave_share * (level if chosen.one else references[n])
         strong = 128 * octave.response >= least
@@ -111,23 +126,23 @@ def decided(board: Listed, chosen: Settings) -> np.ndarray:
     return xy
 
 
-def seen(maxima: Maxima, board: Listed, chosen: Settings, level: int) -> np.ndarray:
-    """Return which maxima of the frame are strong, or seen in octave 1; all in small cells."""
-    strong = 128 * maxima.response >= chosen.strong * level
-    if len(board.octaves) < 3 or not level:
-        return strong | True
-    half, quarter = board.octaves[1:3]
-    voting = np.count_nonzero(128 * board.octaves[0].response >= chosen.strong * level)
-    there = (128 * quarter.response >= chosen.share * level) & (
-        4 * quarter.wide >= quarter.response
-    )
-    if np.count_nonzero(there) < chosen.wide * voting:
-        return strong | True
-    one = half.xy[128 * half.response >= chosen.share * level]
-    if not len(one) or not len(maxima.xy):
-        return strong
-    beside: np.ndarray = cKDTree(one).query(maxima.xy, p=np.inf)[0] <= 2 * chosen.seen
-    return strong | beside
+def lone(maxima: Maxima, every: Maxima, board: Listed, chosen: Settings, level: int) -> np.ndarray:
+    """Return which maxima of the frame are weak, and neither alternate nor are seen in octave 1."""
+    found = np.zeros(len(maxima.xy), np.bool_)
+    if not chosen.strong or len(board.octaves) < 2:
+        return found
+    half = board.octaves[1]
+    half = half.of(128 * half.response >= chosen.share * level)
+    for n in np.flatnonzero(128 * maxima.response < chosen.strong * level):
+        apart = np.abs(every.xy - maxima.xy[n]).max(axis=1)
+        near = every.direction[(apart > RADIUS) & (apart <= chosen.around)]
+        cosine = (near * np.conj(maxima.direction[n])).real
+        opposed = np.count_nonzero(cosine <= -chosen.cosine)
+        askew = np.count_nonzero(np.abs(cosine) < chosen.cosine)
+        beside = np.abs(half.xy - maxima.xy[n]).max(axis=1) <= 2 * chosen.seen
+        found[n] = opposed < chosen.askew * askew
+        found[n] |= opposed < chosen.opposed and not beside.any()
+    return found
 
 
 def far(added: np.ndarray, known: np.ndarray, apart: float) -> np.ndarray:
@@ -146,8 +161,11 @@ VARIED = [
     *({"octave_share": n} for n in (16, 24, 32, 40, 48, 56, 72, 80)),
     *({"apart": n} for n in (2, 3, 4, 6, 8)),
     {"one": False},
-    *({"wide": n} for n in (0.4, 0.5, 0.7, 0.8, np.inf)),
-    *({"strong": n} for n in (32, 48, 96, 128)),
+    *({"strong": n} for n in (0, 32, 48, 96, 128)),
+    *({"around": n} for n in (16, 20, 32)),
+    *({"opposed": n} for n in (2, 4)),
+    *({"askew": n} for n in (0.5, 1, 3)),
+    *({"cosine": n} for n in (0.71, 0.89, 0.95)),
     *({"seen": n} for n in (1, 1.5, 3)),
     *({"share": 20, "octave_share": n} for n in (32, 48, 64)),
     {"octave_share": 32, "octave_wide": 0},

@@ -145,7 +145,8 @@ bool is_maximum(__global const short *response, const size_t p, const int x, con
 bool is_clean(const int response, const Harmonics h) { return 4 * response >= 3 * h.length; }
 
 /* Append a maximum to a list. The columns are x, y, the response, and the sum and the moments
- * in x and y of the positive responses of the 5 x 5 around it. `mark` is CLEAN or 0. */
+ * in x and y of the positive responses of the 5 x 5 around it. `mark` is CLEAN or 0, and the
+ * direction. */
 void append(__global const short *response, const size_t p, const int x, const int y,
             const int mark, const uint rows, const uint step, const uint capacity,
             __global uint *total, __global int *list) {
@@ -209,7 +210,8 @@ __kernel void coarse_maxima(__global const ushort *restrict fine_plane,
   const int wide = 0;
 #endif
   const uint kind = KIND_OF_OCTAVE(octave);
-  append(response, p, x, y, mark_of(octave, r, outer, wide), rows, step, capacity,
+  const int direction = OCTAVES && !octave ? direction_bits(outer.second, outer.length) : 0;
+  append(response, p, x, y, mark_of(octave, r, outer, wide) | direction, rows, step, capacity,
          counts + LIST(kind), LIST_OF(kind));
 }
 
@@ -226,8 +228,10 @@ __kernel void fine_maxima(__global const ushort *restrict fine_plane,
   if (x < PAD || x >= PAD + (int)columns || !IN_AREA(x, y, step / 32)) return;
   if (!is_maximum(response, p, x, y, rows, step)) return;
   const Harmonics inner = harmonics_of(fine_plane, p, x, y, 2, 1, rows, step);
-  if (!aligned(4, inner, harmonics_of(fine_plane, p, x, y, 3, 2, rows, step))) return;
-  append(response, p, x, y, 0, rows, step, capacity, counts + LIST(1), LIST_OF(1));
+  const Harmonics outer = harmonics_of(fine_plane, p, x, y, 3, 2, rows, step);
+  if (!aligned(4, inner, outer)) return;
+  const int mark = OCTAVES ? direction_bits(outer.second, outer.length) : 0;
+  append(response, p, x, y, mark, rows, step, capacity, counts + LIST(1), LIST_OF(1));
 }
 
 #endif
@@ -235,8 +239,8 @@ __kernel void fine_maxima(__global const ushort *restrict fine_plane,
 /* Empty the lists of a frame. One work-item per list. */
 __kernel void clear_lists(__global uint *restrict counts) { counts[get_global_id(0)] = 0; }
 
-/* With two octaves or more, `seen` has a bit for each maximum of the first one, see see_octaves. */
-#if OCTAVES >= 2
+/* With octaves, `seen` has a bit for each maximum of the first one, see see_octave. */
+#if OCTAVES
 #define SEEN_ARGUMENT __global uint *restrict seen,
 #else
 #define SEEN_ARGUMENT
@@ -251,7 +255,7 @@ __kernel void clear_maxima(const uint rows, const uint step, SEEN_ARGUMENT
   if (get_global_id(0) >= step / 32) return;
   if (get_global_id(0) == 0) row_counts[row] = 0;
   maxima[word] = taken[word] = 0;
-#if OCTAVES >= 2
+#if OCTAVES
   seen[word] = 0;
 #endif
 }
@@ -260,7 +264,6 @@ __kernel void clear_maxima(const uint rows, const uint step, SEEN_ARGUMENT
 typedef struct {
   int bound[2]; /* the least responses that the noise allows */
   int kind, reference;
-  int strong, there; /* in octave 0: maxima for and against wide cells, see see_octaves */
 } Decision;
 
 int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
@@ -331,7 +334,6 @@ __kernel void choose_reference(__global Decision *restrict found) {
   int reference = FINE && frame.kind == 1 ? 0 : frame.reference;
   for (int n = 1; n <= OCTAVES; ++n) reference = max(reference, DECISION(p, n).reference);
   DECISION(p, 0).reference = reference ? reference : frame.reference;
-  DECISION(p, 0).strong = reference ? 0 : -1; /* -1: nothing tells how wide the cells are */
 }
 
 #endif
@@ -360,54 +362,82 @@ bool any_bit(__global const uint *bits, const size_t p, const int x, const int y
   return false;
 }
 
-/* The cells of a frame are wide if its second octave has three maxima for every five strong ones of
- * the frame. Then a corner of the frame is strong, or the first octave has a maximum within 1 px of
- * it. */
-#define IS_STRONG(r, reference) (2 * (r) >= (reference))
-#if OCTAVES < 2
-#define MAY_BE_CORNER(r, decision) true
-#else
-#define MAY_BE_CORNER(r, decision)                                                  \
-  ((decision).strong < 0 || 5 * (decision).there < 3 * (decision).strong ||         \
-   IS_STRONG(r, (decision).reference) || any_bit(seen, p, x & ~1, y & ~1, 1, 3, rows, step))
-
-/* Count the strong maxima of a frame and the maxima of its second octave, and mark those of its
- * first. One work-item per maximum; dimension 1 is one of these octaves of a frame. */
-__kernel void see_octaves(__global int *restrict lists, __global const uint *restrict counts,
-                          volatile __global Decision *found, const uint rows, const uint step,
-                          const uint capacity, const int coarse_share,
-                          __global uint *restrict seen) {
-  const size_t n = get_global_id(0), p = get_global_id(1) / 3;
-  ENTRY(KIND_OF_OCTAVE(get_global_id(1) % 3))
-  const int r = entry[2 * capacity], reference = DECISION(p, 0).reference;
-  if (r <= DECISION(p, octave).bound[0] || DECISION(p, 0).strong < 0) return;
-  if (octave == 0) {
-    if (IS_STRONG(r, reference)) atomic_inc(&DECISION(p, 0).strong);
-    return;
-  }
-  if (128 * r < coarse_share * reference) return;
-  if (octave == 1) atomic_or(seen + word, 1u << x % 32);
-  else if (entry[3 * capacity] & CLEAN) atomic_inc(&DECISION(p, 0).there);
+/* True if a maximum of the frame is strong enough. `marks` is its column of the sums. */
+bool is_candidate(const Decision decision, const bool fine, const int r, const int marks,
+                  const int coarse_share, const int fine_share) {
+  if (r <= decision.bound[fine]) return false;
+  return (marks & CLEAN ? 256 : 128) * r >= (fine ? fine_share : coarse_share) * decision.reference;
 }
 
+#if OCTAVES
+
+/* Mark the maxima of octave 1. One work-item per maximum. */
+__kernel void see_octave(__global const int *restrict lists, __global const uint *restrict counts,
+                         __global const Decision *restrict found, const uint rows,
+                         const uint step, const uint capacity, const int coarse_share,
+                         __global uint *restrict seen) {
+  OF_FRAME
+  ENTRY(KIND_OF_OCTAVE(1))
+  const int r = entry[2 * capacity];
+  if (r <= DECISION(p, octave).bound[0] || 128 * r < coarse_share * DECISION(p, 0).reference) return;
+  atomic_or(seen + word, 1u << x % 32);
+}
+
+/* Count the maxima of the frame around one of them. Others may mark theirs as KEPT meanwhile, which
+ * changes no bit that is read here. */
+Around around_maximum(__global const int *lists, __global const uint *counts, const size_t p,
+                      const Decision decision, __global const int *entry, const uint capacity,
+                      const int coarse_share, const int fine_share) {
+  const int x = entry[0], y = entry[capacity];
+  const int2 direction = direction_of(entry[3 * capacity]);
+  Around around = {0, 0};
+  for (int fine = 0; fine <= FINE; ++fine) {
+    __global const int *list = LIST_OF(fine);
+    const uint count = min(counts[LIST(fine)], capacity);
+    for (uint n = 0; n < count; ++n) {
+      const uint down = abs(list[capacity + n] - y), across = abs(list[n] - x);
+      if (max(down, across) > AROUND || max(down, across) <= NMS_RADIUS) continue;
+      const int marks = list[3 * capacity + n];
+      if (!is_candidate(decision, fine, list[2 * capacity + n], marks, coarse_share, fine_share))
+        continue;
+      const int to_other = facing(direction, direction_of(marks));
+      around.opposed += to_other < 0;
+      around.askew += to_other == 0;
+    }
+  }
+  return around;
+}
+
+/* A corner of the frame is strong, or not lone. A maximum of octave 1 is seen within 1 px of the
+ * pixel of that octave. */
+bool is_lone(__global const int *lists, __global const uint *counts, __global const uint *seen,
+             const size_t p, const Decision decision, __global const int *entry, const uint rows,
+             const uint step, const uint capacity, const int coarse_share, const int fine_share) {
+  if (2 * entry[2 * capacity] >= decision.reference) return false;
+  const Around around =
+      around_maximum(lists, counts, p, decision, entry, capacity, coarse_share, fine_share);
+  const int x = (PAD + entry[0]) & ~1, y = entry[capacity] & ~1;
+  return IS_LONE_IN(around, any_bit(seen, p, x, y, 1, 3, rows, step));
+}
+#define IS_LONE                                                                     \
+  is_lone(lists, counts, seen, p, decision, entry, rows, step, capacity, coarse_share, fine_share)
+#else
+#define IS_LONE false
 #endif
 
 /* Keep the coarse corners: their response is above the noise bound and not below a share of the
- * reference, or half of that share if it is clean. Each marks the window around it as taken. One
- * work-item per maximum. */
-__kernel void keep_coarse(__global int *restrict lists, __global const uint *restrict counts,
+ * reference, or half of that share if it is clean, and they are not lone. Each marks the window
+ * around it as taken. One work-item per maximum. */
+__kernel void keep_coarse(__global int *lists, __global const uint *restrict counts,
                           __global const Decision *restrict found, const uint rows,
                           const uint step, const uint capacity, const int coarse_share,
-                          SEEN_ARGUMENT __global uint *restrict row_counts,
+                          const int fine_share, SEEN_ARGUMENT __global uint *restrict row_counts,
                           __global uint *restrict maxima, __global uint *restrict taken) {
   OF_FRAME
   ENTRY(0)
   const Decision decision = DECISION(p, 0);
-  const int r = entry[2 * capacity];
-  const int clean = entry[3 * capacity] & CLEAN;
-  if (r <= decision.bound[0] || (clean ? 256 : 128) * r < coarse_share * decision.reference)
-    return;
-  if (!MAY_BE_CORNER(r, decision)) return;
+  const int r = entry[2 * capacity], marks = entry[3 * capacity];
+  if (!is_candidate(decision, false, r, marks, coarse_share, fine_share) || IS_LONE) return;
   entry[3 * capacity] |= KEPT;
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);
@@ -423,19 +453,18 @@ __kernel void keep_coarse(__global int *restrict lists, __global const uint *res
 #if FINE
 
 /* Keep the fine corners where no coarse corner has taken the pixel. One work-item per maximum. */
-__kernel void keep_fine(__global int *restrict lists, __global const uint *restrict counts,
+__kernel void keep_fine(__global int *lists, __global const uint *restrict counts,
                         __global const Decision *restrict found,
                         __global const uint *restrict taken, const uint rows, const uint step,
-                        const uint capacity, const int fine_share,
+                        const uint capacity, const int coarse_share, const int fine_share,
                         SEEN_ARGUMENT __global uint *restrict row_counts,
                         __global uint *restrict maxima) {
   OF_FRAME
   ENTRY(1)
   const Decision decision = DECISION(p, 0);
-  const int r = entry[2 * capacity];
-  if (r <= decision.bound[1] || 128 * r < fine_share * decision.reference) return;
+  const int r = entry[2 * capacity], marks = entry[3 * capacity];
   if (taken[word] >> x % 32 & 1) return;
-  if (!MAY_BE_CORNER(r, decision)) return;
+  if (!is_candidate(decision, true, r, marks, coarse_share, fine_share) || IS_LONE) return;
   entry[3 * capacity] |= KEPT;
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);
@@ -511,7 +540,7 @@ __kernel void put_in_order(__global int *restrict lists, __global const uint *re
   __global int *corner = corners + p * corner_capacity + rank;
   for (uint k = 0; k < LIST_COLUMNS; ++k)
     corner[(size_t)k * length] =
-        k == 3 ? entry[k * capacity] & ~(CLEAN | KEPT) : entry[k * capacity];
+        k == 3 ? entry[k * capacity] & SUM_MASK : entry[k * capacity];
 #if OCTAVES
   corner[(size_t)LIST_COLUMNS * length] = octave;
 #endif

@@ -8,6 +8,7 @@ samples (the odd harmonics), and the difference of the centre from the mean of i
 import dataclasses
 import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +33,11 @@ WIDE: Ring = (8, 6)
 LEAST_SIDE = 48  # px, of a halved frame
 OCTAVE_SHARE = 48  # least response of a corner of a halved frame, 1/128 of the reference
 OCTAVE_APART = 5  # px of the halved frame: nearer to a corner found before it is that corner
-# A response of half the reference is strong. Cells are wide if the frame halved twice has 3 maxima
-# for every 5 strong ones of the frame. SEEN is in px of the frame halved once.
-STRONG = 2
-WIDE_CELLS = (3, 5)
-SEEN = 1
+STRONG = 2  # a response of half the reference needs nothing beside it
+NEIGHBOURS = 24  # px in x and y: the corners of narrower cells have neighbours in there
+OPPOSED = 3  # of them suffice
+SEEN = 1  # px of the frame halved once
+UNIT = 15  # of a direction, about
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -77,6 +78,15 @@ class Octave:
         return self.response[self.y, self.x]
 
 
+class Candidates(NamedTuple):
+    """Maxima of the frame that are strong enough, of one ring: (N,) each, direction (N, 2)."""
+
+    x: Whole
+    y: Whole
+    response: Whole
+    direction: Whole
+
+
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Corners:
     """The corners of a frame in raster order of their pixels, with their responses and bounds.
@@ -114,16 +124,9 @@ def corners(
     """
     octaves = list(octaves_of(image, rule, nms_radius, full_scale, mask))
     frame = octaves[0]
-    level = max(reference(each.levels()) for each in octaves)
-    kept = np.zeros(image.shape, np.bool_)
-    wide = has_wide_cells(octaves, rule, level)
-    strong = of_frame(frame, rule, level)
-    if wide:
-        strong &= is_seen(frame.x, frame.y, frame.levels(), octaves[1], rule, level)
-    kept[frame.y[strong], frame.x[strong]] = True
-    found = [(frame.x[strong], frame.y[strong], frame, frame.response, False)]
-
+    level = greatest = max(reference(each.levels()) for each in octaves)
     bounds = noise_bounds(image, rule, full_scale)
+    rings = [(candidates(frame, rule, level), frame.response)]
     fine_response = None
     if rule.fine:
         rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
@@ -131,14 +134,26 @@ def corners(
         y, x = np.nonzero(maxima(fine_response, bounds[1], nms_radius) & mask)
         passed = looks_alike_when_squeezed(frame.once, y, x)
         y, x = y[passed], x[passed]
-        least = rule.fine_share * (level or reference(fine_response[y, x]))
-        strong = 128 * fine_response[y, x] >= least
-        strong &= nms.largest_within(kept.astype(np.int64), nms_radius)[y, x] == 0
-        if wide:
-            strong &= is_seen(x, y, fine_response[y, x], octaves[1], rule, level)
+        level = level or reference(fine_response[y, x])
+        strong = 128 * fine_response[y, x] >= rule.fine_share * level
         y, x = y[strong], x[strong]
+        direction = direction_of(harmonics(frame.once, y, x, FINE))
+        rings.append((Candidates(x, y, fine_response[y, x], direction), fine_response))
+    every = Candidates(*map(np.concatenate, zip(*(found for found, _ in rings), strict=True)))
+
+    kept = np.zeros(image.shape, np.bool_)
+    found = []
+    for is_fine, (each, response) in enumerate(rings):
+        free = nms.largest_within(kept.astype(np.int64), nms_radius)[each.y, each.x] == 0
+        if len(octaves) > 1:
+            weak = free & (STRONG * each.response < level)
+            asked = Candidates(*(of[weak] for of in each))
+            opposed, askew = around(asked, every, nms_radius)
+            seen = is_seen(asked, octaves[1], rule, level)
+            free[weak] = (opposed >= 2 * askew) & (seen | (opposed >= OPPOSED))
+        x, y = each.x[free], each.y[free]
         kept[y, x] = True
-        found.append((x, y, frame, fine_response, True))
+        found.append((x, y, frame, response, bool(is_fine)))
     for octave in octaves[1:]:
         strong = of_octave(octave, level) & far_from(kept, octave)
         x, y = octave.x[strong], octave.y[strong]
@@ -162,7 +177,7 @@ def corners(
         rounded=rounded[order],
         images=[each.image for each in octaves],
         bounds=bounds,
-        reference=level,
+        reference=greatest,
         maps=HarmonicMaps(
             fine=frame.once.astype(np.uint16),
             coarse=frame.thrice.astype(np.uint16),
@@ -226,52 +241,61 @@ def to_frame(pixel: Whole, halvings: int | Whole) -> Whole:
     return (pixel << halvings) + (1 << np.asarray(halvings) >> 1)
 
 
-def of_frame(frame: Octave, rule: RingHarmonic, level: int) -> NDArray[np.bool_]:
-    """Return (N,): the maxima of the frame that are strong enough against the reference.
+def candidates(frame: Octave, rule: RingHarmonic, level: int) -> Candidates:
+    """Return the maxima of the frame that are strong enough against the reference.
 
     Clean ones may be half as strong; with octaves only if the ring of 8 px responds half as much:
     noise that looks like a corner on one ring is independent of it on the next.
     """
-    response = frame.levels()
-    clean = is_clean(response, harmonics(frame.thrice, frame.y, frame.x, COARSE))
+    response, seen = frame.levels(), harmonics(frame.thrice, frame.y, frame.x, COARSE)
+    clean = is_clean(response, seen)
     if rule.octaves:
         clean &= 2 * wide_response(frame) >= response
-    strong: NDArray[np.bool_] = np.where(clean, 256, 128) * response >= rule.coarse_share * level
-    return strong
+    strong = np.where(clean, 256, 128) * response >= rule.coarse_share * level
+    return Candidates(*(of[strong] for of in (frame.x, frame.y, response, direction_of(seen))))
 
 
-def of_octave(octave: Octave, level: int, share: int = OCTAVE_SHARE) -> NDArray[np.bool_]:
-    """Return (N,): the maxima of a halved frame that are at least a share of the reference, in
-    1/128, and to which the ring of 8 px responds at least a quarter as much."""
+def of_octave(octave: Octave, level: int) -> NDArray[np.bool_]:
+    """Return (N,): the maxima of a halved frame that are at least a share of the reference, and to
+    which the ring of 8 px responds at least a quarter as much."""
     response = octave.levels()
-    strong: NDArray[np.bool_] = 128 * response >= share * level
+    strong: NDArray[np.bool_] = 128 * response >= OCTAVE_SHARE * level
     return strong & (4 * wide_response(octave) >= response)
 
 
-def has_wide_cells(octaves: list[Octave], rule: RingHarmonic, level: int) -> bool:
-    """Return whether the cells of the frame are so wide that the frame halved twice has the
-    corners too. Without such a frame they count as small."""
-    if len(octaves) < 3 or not level:
-        return False
-    strong = np.count_nonzero(STRONG * octaves[0].levels() >= level)
-    there = np.count_nonzero(of_octave(octaves[2], level, rule.coarse_share))
-    least, of = WIDE_CELLS
-    return bool(of * there >= least * strong)
-
-
-def is_seen(
-    x: Whole, y: Whole, response: Whole, half: Octave, rule: RingHarmonic, level: int
-) -> NDArray[np.bool_]:
-    """Return (N,): whether maxima of a frame with wide cells are strong, or the halved frame has a
-    maximum within SEEN of the pixel that they lie in, in both axes.
+def is_seen(asked: Candidates, half: Octave, rule: RingHarmonic, level: int) -> NDArray[np.bool_]:
+    """Return (N,): whether the halved frame has a maximum within SEEN of the pixel that a candidate
+    lies in, in both axes.
 
     There, noise is weaker, and independent of that of the frame; the corners of wide cells stay.
     """
     there = 128 * half.levels() >= rule.coarse_share * level
-    apart_x = np.abs((x[:, None] >> 1) - half.x[there])
-    apart_y = np.abs((y[:, None] >> 1) - half.y[there])
+    apart_x = np.abs((asked.x[:, None] >> 1) - half.x[there])
+    apart_y = np.abs((asked.y[:, None] >> 1) - half.y[there])
     seen: NDArray[np.bool_] = (np.maximum(apart_x, apart_y) <= SEEN).any(axis=1)
-    return seen | (STRONG * response >= level)
+    return seen
+
+
+def direction_of(seen: Harmonics) -> Whole:
+    """Return (N, 2), the second harmonic at a length of about UNIT, rounded."""
+    vector, length = np.stack([seen.a, seen.b], axis=1), seen.length[:, None]
+    direction: Whole = (2 * UNIT * vector + length) // np.maximum(2 * length, 1)
+    return direction
+
+
+def around(asked: Candidates, every: Candidates, nms_radius: int) -> Whole:
+    """Return (2, N): how many of the candidates around one are opposed to it, and how many askew.
+
+    Those of a checkerboard are opposed or alike; those of noise have any direction.
+    """
+    found = np.zeros((2, len(asked.x)), np.int64)
+    for n, (x, y, _, direction) in enumerate(zip(*asked, strict=True)):
+        apart = np.maximum(np.abs(every.x - x), np.abs(every.y - y))
+        near = every.direction[(apart > nms_radius) & (apart <= NEIGHBOURS)]
+        along = near @ direction
+        askew = 3 * along**2 < 2 * (direction @ direction) * (near**2).sum(axis=1)
+        found[:, n] = (~askew & (along < 0)).sum(), askew.sum()
+    return found
 
 
 def wide_response(octave: Octave) -> Whole:

@@ -40,7 +40,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
     if plan.form is Form.CPU:
         return {
             **sizes,
-            "maxima": _bits(plan),
+            "maxima": (1 + (plan.octaves > 0)) * _bits(plan),
             "work": 2 * frames * plan.bands * _work_rows(plan) * plan.step,
             "noise": 8 * frames * plan.bands * (1 + plan.octaves),
             "spans": 8 * frames * plan.bands * plan.lists,
@@ -61,10 +61,10 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
     decided = {
         "maxima": _bits(plan),
         "taken": _bits(plan),
-        **({"seen": _bits(plan)} if plan.octaves >= 2 else {}),
+        **({"seen": _bits(plan)} if plan.octaves else {}),
         "row_counts": 4 * rows,
         "row_starts": 4 * rows,
-        "decision": 24 * frames * (1 + plan.octaves),
+        "decision": 16 * frames * (1 + plan.octaves),
     }
     return [noise.scratch(plan), dict.fromkeys(("fine", "coarse", "response"), plane), decided]
 
@@ -189,7 +189,7 @@ def _decide(plan: PlanBase) -> list[Launch]:
     listed = {"counts": b["counts"], "lists": b["lists"]}
     row_counts, maxima, taken = b["row_counts"], b["maxima"], b["taken"]
     kept = {"row_counts": row_counts, "maxima": maxima}
-    seen = {"seen": b["seen"]} if plan.octaves >= 2 else {}
+    seen = {"seen": b["seen"]} if plan.octaves else {}
     stages = [
         plan.stage(
             "clear_maxima",
@@ -229,15 +229,13 @@ def _decide(plan: PlanBase) -> list[Launch]:
         return plan.stage(name, items, (GROUP, 1), **lists, found=b["decision"], **arguments)
 
     limits = {"rows": rows, "step": step, "capacity": capacity}
-    share = {"coarse_share": np.int32(rule.coarse_share)}
-    if plan.octaves >= 2:
-        items = (plan.list_capacity, 3 * plan.frames)
-        looked = {**lists, "found": b["decision"], **limits, **share, **seen}
-        stages.append(plan.stage("see_octaves", items, (GROUP, 1), **looked))
-    stages.append(of_maxima("keep_coarse", **limits, **share, **seen, **kept, taken=taken))
+    coarse = {"coarse_share": np.int32(rule.coarse_share)}
+    shares = {**coarse, "fine_share": np.int32(rule.fine_share)}
+    if plan.octaves:
+        stages.append(of_maxima("see_octave", **limits, **coarse, **seen))
+    stages.append(of_maxima("keep_coarse", **limits, **shares, **seen, **kept, taken=taken))
     if rule.fine:
-        share = {"fine_share": np.int32(rule.fine_share)}
-        stages.append(of_maxima("keep_fine", taken=taken, **limits, **share, **seen, **kept))
+        stages.append(of_maxima("keep_fine", taken=taken, **limits, **shares, **seen, **kept))
     items = (plan.list_capacity, plan.frames)
     for octave in range(1, plan.octaves + 1):
         number = {"number": np.uint32(octave)}

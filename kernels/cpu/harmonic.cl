@@ -266,10 +266,11 @@ int coarse_response_of(const Harmonics h) {
 int dot_of(const int2 a, const int2 b) { return a.x * b.x + a.y * b.y; }
 
 /* Append a maximum to a list. The columns are x, y, the response, and the sum and the moments in x
- * and y of the positive responses of the 5 x 5 around it. `mark` is CLEAN or 0. `rows_of` holds the
- * five rows; those outside the image are 0. A response is at most 11 220, so the sum of five fits
+ * and y of the positive responses of the 5 x 5 around it. `mark` is CLEAN or 0, and the direction.
+ * `rows_of` holds the five rows; those outside the image are 0. A response is at most 11 220, so the sum of five fits
  * in 16 bits. */
 #define CLEAN (1 << 30) /* in the column of the sums: see mark_of */
+#define LONE (1 << 29)  /* in the same column: no corner */
 #define ABOVE_ZERO(v) ((v) & ~((v) >> (short)15))
 #define POSITIVE(k) ABOVE_ZERO(EIGHT_AT(rows_of[k] + x - 2))
 #define SUM5(v) ((int)v.s0 + (int)v.s1 + (int)v.s2 + (int)v.s3 + (int)v.s4)
@@ -408,58 +409,70 @@ int is_marked(__global const uint *marks, const int x, const int y, const int be
   return 0;
 }
 
-/* Count the maxima of a list that are above a bound and at least a share of the reference, in 1/128,
- * and to which the wide ring responds if `wide`. Mark them unless `marks` is 0. */
-uint count_maxima(__global const int *lists, __global const uint2 *spans, const uint kind,
-                  const uint bands, const uint capacity, const int bound, const int share,
-                  const int reference, const int wide, __global uint *marks, const uint width) {
-  uint count = 0;
+/* Mark the maxima of octave 1 that are above a bound and at least a share of the reference. */
+void mark_octave(const Octave octave, __global const int *lists, __global const uint2 *spans,
+                 const uint bands, const uint capacity, const int bound, const int least,
+                 __global uint *marks) {
+  const uint kind = KIND_OF_OCTAVE(1), width = octave.step / 32;
+  for (uint k = 0; k < octave.rows * width; ++k) marks[k] = 0;
   for (uint band = 0; band < bands; ++band) {
     __global const int *list = LIST_OF(band, kind);
     for (uint k = 0; k < SMALLER(SPAN_OF(band, kind).y, capacity); ++k) {
-      const int r = list[2 * capacity + k];
-      if (r <= bound || 128 * r < share * reference) continue;
-      if (wide && !(list[3 * capacity + k] & CLEAN)) continue;
-      ++count;
-      const uint x = PAD + (uint)list[k];
-      if (marks) marks[(uint)list[capacity + k] * width + x / 32] |= 1u << x % 32;
+      const int r = list[2 * capacity + k], x = PAD + list[k];
+      if (r <= bound || 128 * r < least) continue;
+      marks[(uint)list[capacity + k] * width + x / 32] |= 1u << x % 32;
     }
   }
-  return count;
 }
 
-/* In a frame with wide cells, remove the maxima of a list of the frame that are not strong and that
- * the first octave does not have: their response becomes 0. The cells are wide if the second octave
- * has three maxima for every five strong ones of the frame. */
-#define STRONG_SHARE 64 /* of the reference, in 1/128 */
-void remove_unseen(__global int *lists, __global const uint2 *spans, const int *bounds,
-                   const uint rows, const uint columns, const uint step, const uint bands,
-                   const uint capacity, const int reference, const int coarse_share,
-                   __global uint *marks) {
-#if OCTAVES >= 2
-  if (!reference) return;
-  const uint bands_2 = bands_of(2, rows, bands);
-  const uint strong = count_maxima(lists, spans, 0, bands, capacity, bounds[0], STRONG_SHARE,
-                                   reference, 0, 0, 0);
-  const uint there = count_maxima(lists, spans, KIND_OF_OCTAVE(2), bands_2, capacity, bounds[2],
-                                  coarse_share, reference, 1, 0, 0);
-  if (5 * there < 3 * strong) return;
-  const Octave smaller = octave_of(1, rows, columns, step, 1);
-  const uint width = smaller.step / 32;
-  for (uint k = 0; k < smaller.rows * width; ++k) marks[k] = 0;
-  count_maxima(lists, spans, KIND_OF_OCTAVE(1), bands_of(1, rows, bands), capacity, bounds[1],
-               coarse_share, reference, 0, marks, width);
+/* Count those of some maxima that are around (x, y). */
+ROW_LOOP Around count_around(__global const int *restrict columns, __global const int *restrict rows,
+                             __global const int *restrict marks, const uint count, const int x,
+                             const int y, const int2 direction) {
+  Around around = {0, 0};
+  for (uint n = 0; n < count; ++n) {
+    const int across = MAGNITUDE_OF(columns[n] - x), down = MAGNITUDE_OF(rows[n] - y);
+    const int near = (across <= AROUND) & ((across > NMS_RADIUS) | (down > NMS_RADIUS));
+    const int to_other = facing(direction, direction_of(marks[n]));
+    around.opposed += near & (to_other < 0);
+    around.askew += near & (to_other == 0);
+  }
+  return around;
+}
+
+/* The first entry of a list in row y or below it. */
+uint first_from(__global const int *rows, const uint count, const int y) {
+  uint first = 0;
+  for (uint end = count; first < end;) {
+    const uint middle = (first + end) / 2;
+    if (rows[middle] < y) first = middle + 1;
+    else end = middle;
+  }
+  return first;
+}
+
+/* Whether a weak maximum of the frame is lone. `marks` holds the maxima of octave 1. */
+int is_lone(__global const int *lists, __global const uint2 *spans, const uint bands,
+            const uint capacity, const int x, const int y, const int2 direction,
+            __global const uint *marks, const Octave smaller) {
+  Around around = {0, 0};
   for (uint kind = 0; kind <= FINE; ++kind)
     for (uint band = 0; band < bands; ++band) {
-      __global int *list = LIST_OF(band, kind);
-      for (uint k = 0; k < SMALLER(SPAN_OF(band, kind).y, capacity); ++k)
-        if (2 * list[2 * capacity + k] < reference &&
-            !is_marked(marks, list[k] >> 1, list[capacity + k] >> 1, 1, 1,
-                       (int)smaller.rows - 1, width))
-          list[2 * capacity + k] = 0;
+      __global const int *list = LIST_OF(band, kind), *rows = list + capacity;
+      const uint count = SPAN_OF(band, kind).y, first = first_from(rows, count, y - AROUND);
+      const uint end = first + first_from(rows + first, count - first, y + AROUND + 1);
+      const Around here = count_around(list + first, rows + first, list + 3 * capacity + first,
+                                       end - first, x, y, direction);
+      around.opposed += here.opposed;
+      around.askew += here.askew;
     }
-#endif
+  return IS_LONE_IN(
+      around, is_marked(marks, x >> 1, y >> 1, 1, 1, (int)smaller.rows - 1, smaller.step / 32));
 }
+#define IS_LONE(list, n)                                                            \
+  (2 * list[2 * capacity + (n)] < reference &&                                      \
+   is_lone(lists, spans, bands, capacity, list[n], list[capacity + (n)],            \
+           direction_of(list[3 * capacity + (n)]), marks, smaller))
 
 /* Add the corners of octave n to those of the frame and of the octaves before. Return how many
  * there are then. `marks` has room for the bits of the octave. */
@@ -476,7 +489,7 @@ uint add_octave(const uint n, const Octave octave, __global uint2 *spans, __glob
       const int r = list[2 * capacity + k];
       if (r <= bound || 128 * r < LEAST_SHARE * reference) continue;
       if (!(list[3 * capacity + k] & CLEAN)) continue;
-      list[3 * capacity + k] &= ~CLEAN;
+      list[3 * capacity + k] &= SUM_MASK;
       if (kept < k) copy_entries(list + k, capacity, 1, list + kept, capacity);
       ++kept;
     }
@@ -521,9 +534,32 @@ uint add_octave(const uint n, const Octave octave, __global uint2 *spans, __glob
 
 #endif
 
-/* Write the maxima that are corners, in (y, x) order. Their response is above the bound from the
- * noise, and not below a share of the reference, or half of that share if it is clean; a fine one
- * counts only if no coarse corner is within NMS_RADIUS. `maxima` gets a bit for each coarse corner.
+/* Shorten the lists of a kind to the maxima above the bound from the noise, and not below a share of
+ * the reference, or half of that share if they are clean; or to those that are not LONE. */
+#define SHORTEN(IS_KEPT)                                                            \
+  for (uint band = 0; band < bands; ++band) {                                       \
+    __global int *list = LIST_OF(band, kind);                                       \
+    const uint count = SMALLER(SPAN_OF(band, kind).y, capacity);                    \
+    uint kept = 0;                                                                  \
+    for (uint n = 0; n < count; ++n) {                                              \
+      const int r = list[2 * capacity + n], marks = list[3 * capacity + n];         \
+      if (!(IS_KEPT)) continue;                                                     \
+      if (kept < n) copy_entries(list + n, capacity, 1, list + kept, capacity);     \
+      ++kept;                                                                       \
+    }                                                                               \
+    SPAN_OF(band, kind).y = kept;                                                   \
+  }
+void keep_strong(__global int *lists, __global uint2 *spans, const uint kind, const uint bands,
+                 const uint capacity, const int bound, const int least) {
+  SHORTEN(r > bound && (marks & CLEAN ? 256 : 128) * r >= least)
+}
+void remove_lone(__global int *lists, __global uint2 *spans, const uint kind, const uint bands,
+                 const uint capacity) {
+  SHORTEN(r > 0 && !(marks & LONE))
+}
+
+/* Write the maxima that are corners, in (y, x) order: those that are strong enough and not lone; a
+ * fine one counts only if no coarse corner is within NMS_RADIUS. `maxima` gets a bit for each coarse corner.
  * The lists keep the corners. */
 void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
             __global int *lists, const uint rows, const uint columns, const uint step,
@@ -532,17 +568,18 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
             const uint corner_capacity, const uint count_offset, const uint length,
             __global uint *maxima, __global int *corners, __global uint *counts) {
   noise += p * bands * (1 + OCTAVES);
-  const int coarse_bound =
-      bound_of_octave(noise, 0, rows, columns, bands, full_scale, coarse_noise);
+  const int least[2] = {coarse_share, fine_share}; /* of the reference, 1/128 */
+  const int bound[2] = {
+      bound_of_octave(noise, 0, rows, columns, bands, full_scale, coarse_noise),
+      bound_of_octave(noise, 0, rows, columns, bands, full_scale, 2 * coarse_noise)};
   lists += p * ((bands + 1) / 2) * KINDS * LIST_COLUMNS * capacity;
   spans += p * bands * KINDS;
-  maxima += p * rows * step / 32;
+  maxima += p * (1 + (OCTAVES > 0)) * rows * step / 32;
   corners += p * corner_capacity;
   const uint width = step / 32;
-  int reference = reference_of(lists, spans, 0, bands, capacity, coarse_bound);
+  int reference = reference_of(lists, spans, 0, bands, capacity, bound[0]);
 #if OCTAVES
   int bounds[OCTAVES + 1];
-  bounds[0] = coarse_bound;
   for (uint n = 1; n <= OCTAVES; ++n) {
     const uint own = bands_of(n, rows, bands);
     bounds[n] =
@@ -550,15 +587,10 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
     const int other = reference_of(lists, spans, KIND_OF_OCTAVE(n), own, capacity, bounds[n]);
     reference = LARGER(reference, other);
   }
-  remove_unseen(lists, spans, bounds, rows, columns, step, bands, capacity, reference, coarse_share,
-                maxima);
 #endif
 #if FINE
-  const int fine_bound =
-      bound_of_octave(noise, 0, rows, columns, bands, full_scale, 2 * coarse_noise);
   if (reference == 0)
-    reference = reference_of(lists, spans, 1, bands, capacity, fine_bound);
-  for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
+    reference = reference_of(lists, spans, 1, bands, capacity, bound[1]);
 #endif
   uint total = 0, most = 0;
   for (uint kind = 0; kind < KINDS; ++kind)
@@ -566,38 +598,46 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
       const uint before = band % 2 ? SPAN_OF(band - 1, kind).y : 0;
       most = LARGER(most, before + SPAN_OF(band, kind).y);
     }
+  for (uint kind = 0; kind <= FINE; ++kind)
+    keep_strong(lists, spans, kind, bands, capacity, bound[kind], least[kind] * reference);
+#if OCTAVES
+  __global uint *marks = maxima + rows * width;
+  const Octave smaller = octave_of(1, rows, columns, step, 1);
+  mark_octave(smaller, lists, spans, bands_of(1, rows, bands), capacity, bounds[1],
+              coarse_share * reference, marks);
+#else
+#define IS_LONE(list, n) 0
+#endif
+#if FINE
+  for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
+#endif
   for (uint band = 0; band < bands; ++band) {
     __global int *list = LIST_OF(band, 0);
-    const uint count = SMALLER(SPAN_OF(band, 0).y, capacity);
-    uint kept = 0;
-    for (uint n = 0; n < count; ++n) {
-      const int r = list[2 * capacity + n], clean = list[3 * capacity + n] & CLEAN;
-      if (r <= coarse_bound || (clean ? 256 : 128) * r < coarse_share * reference) continue;
-      list[3 * capacity + n] &= ~CLEAN;
-#if FINE
+    for (uint n = 0; n < SPAN_OF(band, 0).y; ++n) {
       const uint x = (uint)list[n] + PAD;
-      maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
+      if (IS_LONE(list, n)) list[3 * capacity + n] |= LONE;
+#if FINE
+      else maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
 #endif
-      if (kept < n) copy_entries(list + n, capacity, 1, list + kept, capacity);
-      ++kept;
     }
-    SPAN_OF(band, 0).y = kept;
   }
+#if FINE
+  for (uint band = 0; band < bands; ++band) {
+    __global int *list = LIST_OF(band, 1);
+    for (uint n = 0; n < SPAN_OF(band, 1).y; ++n)
+      if (any_near(maxima, list[n] + PAD, list[capacity + n], (int)rows, width) || IS_LONE(list, n))
+        list[3 * capacity + n] |= LONE;
+  }
+#endif
+  for (uint kind = 0; kind <= FINE; ++kind) remove_lone(lists, spans, kind, bands, capacity);
   for (uint band = 0; band < bands; ++band) {
     const uint coarse_count = SPAN_OF(band, 0).y;
     __global const int *coarse = LIST_OF(band, 0);
-    uint fine_count = 0; /* few are kept: the merge copies the coarse ones between them at once */
 #if FINE
-    __global int *fine = LIST_OF(band, 1);
-    for (uint f = 0; f < SMALLER(SPAN_OF(band, 1).y, capacity); ++f) {
-      const int r = fine[2 * capacity + f], x = fine[f] + PAD, y = fine[capacity + f];
-      if (r <= fine_bound || 128 * r < fine_share * reference ||
-          any_near(maxima, x, y, (int)rows, width))
-        continue;
-      copy_entries(fine + f, capacity, 1, fine + fine_count, capacity);
-      ++fine_count;
-    }
+    const uint fine_count = SPAN_OF(band, 1).y;
+    __global const int *fine = LIST_OF(band, 1);
 #else
+    const uint fine_count = 0;
     __global const int *fine = coarse;
 #endif
     for (uint c = 0, f = 0; c < coarse_count || f < fine_count;) {
@@ -616,6 +656,7 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
       c = next;
     }
   }
+  for (uint k = 0; k < SMALLER(total, corner_capacity); ++k) CORNER_COLUMN(3, k) &= SUM_MASK;
 #if OCTAVES
   for (uint k = 0; k < SMALLER(total, corner_capacity); ++k) CORNER_COLUMN(6, k) = 0;
   for (uint n = 1; n <= OCTAVES; ++n)
@@ -753,8 +794,9 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
         int mark = 0;
         if (fine) {
           const int2 v2 = harmonics_of(&s1_2, x, 2, 1).second;
-          const int2 v3 = harmonics_of(&s1_3, x, 3, 2).second;
-          if (4 * dot_of(v2, v3) < dot_of(v3, v3)) continue;
+          const Harmonics h3 = harmonics_of(&s1_3, x, 3, 2);
+          if (4 * dot_of(v2, h3.second) < dot_of(h3.second, h3.second)) continue;
+          mark = OCTAVES ? direction_bits(h3.second, h3.length) : 0;
         } else {
           const Harmonics h5 = harmonics_of(&s3_5, x, 5, 4);
           const int2 v3 = harmonics_of(&s1_3, x, 3, 2).second;
@@ -765,6 +807,7 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
           if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along))
             continue;
           mark = mark_of(n, x, r, h5, &s3_8);
+          if (OCTAVES && !n) mark |= direction_bits(h5.second, h5.length);
         }
         if (found[fine] < capacity) {
           const uint place = upward ? capacity - 1 - found[fine] : found[fine];

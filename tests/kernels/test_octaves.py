@@ -69,8 +69,19 @@ def test_noise_between_wide_cells_is_no_corner(detector_in_form, smooth):
     apart = np.linalg.norm(truth[:, None] - found.xy, axis=2)
     assert apart[inside].min(axis=1).max() < 6
     assert apart[:, near].min(axis=0).max() < 6
-    once = DetectorConfig(detection=RingHarmonic(octaves=1))
-    assert len(assert_corners_equal(detector_in_form(image, once), image)) > len(found) + 2
+    none = DetectorConfig(detection=RingHarmonic(octaves=0))
+    assert len(assert_corners_equal(detector_in_form(image, none), image)) > len(found) + 2
+
+
+@pytest.mark.parametrize("cell", [8, 12, 17])
+def test_a_faint_pattern_of_small_cells_beside_wide_ones_is_found(detector_in_form, cell):
+    image, _ = images.board(*SHAPE, 60, angle=0.3, blur=0.7)
+    small, truth = images.board(*SHAPE, cell, angle=0.2, blur=0.7)
+    image[:, 150:] = 90 + 0.25 * (small[:, 150:] - 128.0)
+    inside = ((truth > (165, 15)) & (truth < (290, 248))).all(axis=1)
+    found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
+    apart = np.linalg.norm(truth[inside][:, None] - found.xy, axis=2)
+    assert apart.min(axis=1).max() < 1
 
 
 @pytest.mark.parametrize("cell", [40, 50])
