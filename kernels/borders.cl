@@ -196,8 +196,8 @@ int list_pairs(__global const float2 *nodes, __global const int *owner, const in
   return read;
 }
 
-/* Whether most places of a line before the first one lie in the image. */
-#define BEYOND 1.4f /* steps: a place nearer to the edge of the image may be missed */
+/* Whether most places of a line before the first one lie in the image; one nearer to its edge than
+ * half a cell may be missed. */
 bool has_room(__global const float2 *nodes, __global const int *owner, const int side,
               const int height, const int width, const uint rows, const uint columns) {
   int known = 0, inside = 0;
@@ -208,7 +208,7 @@ bool has_room(__global const float2 *nodes, __global const int *owner, const int
     const float2 one = AT(side, line, k), two = AT(side, line + 1, k);
     if (!IS_HERE(two)) continue;
     ++known;
-    inside += is_in_view(one + BEYOND * (one - two), rows, columns);
+    inside += is_in_view(one + FAR_CELL * (one - two), rows, columns);
   }
   return 2 * inside > known;
 }
@@ -236,8 +236,8 @@ int step_past(IMAGE_OF_BOARD, __global const float2 *nodes, __global const int *
   int sum = 0;
   bool seen = reach != UNSEEN && other != UNSEEN;
   for (int m = 0; m < 6 && seen; ++m) {
-    const float across = REACH(reach) + (m < 3 ? -0.3f : 0.3f);
-    const float2 p = (node + across * out) + (REACH(other) + 0.3f * (float)(m % 3 + 1)) * along;
+    const float across = REACH(reach) + (m < 3 ? -2 : 2) * STEP_OF_LEVELS;
+    const float2 p = (node + across * out) + (REACH(other) + STEP_OF_LEVELS * (float)(2 * (m % 3 + 1))) * along;
     seen = is_in_view(p, rows, columns);
     if (seen) sum += m < 3 ? -grey_at(IMAGE, p) : grey_at(IMAGE, p);
   }
@@ -245,10 +245,6 @@ int step_past(IMAGE_OF_BOARD, __global const float2 *nodes, __global const int *
 }
 
 /* Measure the sides of a board. One work-group. */
-#define FAR_SIGHT 1.75f /* cells that the image must reach beyond a side */
-#define FAR_CELL 1.5f   /* the middle of those that a longer pattern has there */
-#define NEAR_SIGHT 1.2f /* the same where the image ends before */
-#define NEAR_CELL 1.15f
 __kernel void measure_border(__global const PIXEL *restrict image, const uint step, const uint rows,
                              const uint columns, const float end_share, const float follow_share,
                              const int parallel, __global const float2 *restrict nodes,
@@ -286,7 +282,7 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
       const float out = depth == 0 ? -0.5f : depth == 1 ? far : 0.1f * (float)(depth + 1);
       int sum = 0;
       for (int spot = -1; spot <= 1; ++spot)
-        sum += grey_at(IMAGE, (square.middle + out * square.out) + 0.15f * (float)spot * square.along);
+        sum += grey_at(IMAGE, (square.middle + out * square.out) + STEP_OF_LEVELS * (float)spot * square.along);
       levels[m * DEPTHS + depth] = sum;
     }
   }

@@ -19,10 +19,10 @@ typedef struct {
   float depth;
   float rough_weight;
   float side_nats, cells_nats, prior, firm_penalty, loose_penalty;
-  float stay, drop, enter, outside;
+  float stay, enter;
   float reach, near, edge;
 } Nats;
-#define FIRM 8.0f /* the least weight of a prediction between neighbours */
+#define FIRM (2 * MIDDLE_WEIGHT) /* the least of a prediction between neighbours */
 
 /* Number the corners of the part with the most faces: column, row, rotation, and 1; 0 in the fourth
  * place of others. One work-group. */
@@ -165,13 +165,13 @@ typedef struct {
     }                                                                               \
   }
 #define CUBIC(r, c)                                                                 \
-  PREDICTS(12.0f, BY_4 * AT(-(r), -(c)) + BY_4 * AT(r, c) + BY_1 * AT(-2 * (r), -2 * (c)) + \
+  PREDICTS(CUBIC_WEIGHT, BY_4 * AT(-(r), -(c)) + BY_4 * AT(r, c) + BY_1 * AT(-2 * (r), -2 * (c)) + \
                       BY_1 * AT(2 * (r), 2 * (c)))                                  \
-  PREDICTS(4.0f, 0.5f * AT(-(r), -(c)) + 0.5f * AT(r, c))
-#define CORNER_OF_CELL(r, c) PREDICTS(1.5f, AT(r, 0) + AT(0, c) - AT(r, c))
+  PREDICTS(MIDDLE_WEIGHT, 0.5f * AT(-(r), -(c)) + 0.5f * AT(r, c))
+#define CORNER_OF_CELL(r, c) PREDICTS(CELL_WEIGHT, AT(r, 0) + AT(0, c) - AT(r, c))
 #define BEYOND(r, c)                                                                \
-  PREDICTS(0.7f, 2.0f * AT(r, c) - AT(2 * (r), 2 * (c)))                            \
-  PREDICTS(0.7f, 3.0f * AT(r, c) - 3.0f * AT(2 * (r), 2 * (c)) + AT(3 * (r), 3 * (c)))
+  PREDICTS(BEYOND_WEIGHT, 2.0f * AT(r, c) - AT(2 * (r), 2 * (c)))                            \
+  PREDICTS(BEYOND_WEIGHT, 3.0f * AT(r, c) - 3.0f * AT(2 * (r), 2 * (c)) + AT(3 * (r), 3 * (c)))
 #define BY_4 (4.0f / 6.0f)
 #define BY_1 (-1.0f / 6.0f)
 Prediction predicted(__global const float2 *at, const int place, const int width) {
@@ -347,7 +347,7 @@ float score_of(LEVELS_OF_IMAGE, const float sides, const int quality, const floa
                        nats->prior) - penalty;
   const bool inside =
       at.x >= 0 && at.y >= 0 && at.x <= (float)((int)columns - 1) && at.y <= (float)((int)rows - 1);
-  return inside ? score : nats->outside;
+  return inside ? score : -INFINITY;
 }
 
 /* The score of a node, and the number of its sides; no node has a score of 99. */
@@ -394,12 +394,13 @@ __kernel void score_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
   }
 }
 
-/* Whether a node scores too little; the worst of each 3 x 3 goes first. */
+/* Whether a node scores too little; one that is less likely than not goes at once, of others the
+ * worst of each 3 x 3 first. */
 bool is_weak(__constant Nats *nats, const int width, const int place, __global const float *score,
              __global const uchar *sides_of) {
   const float own = score[place];
   if (own == NO_SCORE) return false;
-  if (!sides_of[place] || own < nats->drop) return true;
+  if (!sides_of[place] || own < 0) return true;
   bool is_worst = own < nats->stay;
   for (int r = -1; is_worst && r <= 1; ++r)
     for (int c = -1; c <= 1; ++c) is_worst &= own <= score[place + r * width + c];

@@ -16,6 +16,7 @@ class LatticeConstants:
 
     contrast_radius_px: px, distance from a corner at which the levels of its four cells are
         read; the inner ring of the detector.
+    least_contrast: sixteenths of a grey level, twice: below it a ratio of contrasts means nothing.
     link_neighbours: corners, bins around a corner are added until they hold so many; 24 are the
         places within 2.8 cells, and its own bin is not in their middle.
     link_rings: bins, most rings of bins around a corner, which bounds the work.
@@ -45,6 +46,8 @@ class LatticeConstants:
     tear_rough: cells^2, noise of positions in the bending energy.
     tear_most: nodes, of each side of a tear; the cost of a placement grows with its cube. With 32
         torn gels lost 262 of 47 893 nodes; 48 does as well as 64.
+    prediction_weights: shares, in the prediction of a node, of a cubic through four neighbours, of
+        the middle of two, of the fourth corner of a cell, of an extrapolation.
     cell_depth: steps, from a node along both axes, at which its four cells are read.
     rough_weight_per_px2: 1/px^2, weight of a rough corner among the predictions of its
         neighbours, per area of a cell: 14 at cells of 13 px. Least false nodes and least error
@@ -61,6 +64,10 @@ class LatticeConstants:
     enter_nats: nats, that a new node needs.
     rounds: times, that nodes are looked for.
     edge_px: px, nearer to the edge of the image no node is predicted.
+    beyond_cells: cells, where the middle of a further square is looked for, and the same where the
+        image ends before.
+    sight_cells: cells, that the image must reach beyond a side for the one, and for the other.
+    border_step_cells: cells, steps between the levels that are read at a border.
     end_share: share, of the contrast of the last squares that is no sign of further ones.
     parallel_cells: cells, by which squares that end together may reach differently far, and the
         squares at one border in two images.
@@ -79,6 +86,7 @@ class LatticeConstants:
 
     # Links
     contrast_radius_px: float = 3.0
+    least_contrast: int = 32
     link_neighbours: int = 32
     link_rings: int = 16
     turn_price: float = 6.0
@@ -102,6 +110,7 @@ class LatticeConstants:
     tear_rough: float = 0.1
     tear_most: int = 48
     # Nodes
+    prediction_weights: tuple[float, float, float, float] = (12.0, 4.0, 1.5, 0.7)
     cell_depth: float = 0.2
     rough_weight_per_px2: float = 0.08
     near_cells: float = 0.1
@@ -116,6 +125,9 @@ class LatticeConstants:
     rounds: int = 12
     edge_px: float = 3.0
     # Borders, numberings, boards
+    beyond_cells: tuple[float, float] = (1.5, 1.15)
+    sight_cells: tuple[float, float] = (1.75, 1.2)
+    border_step_cells: float = 0.15
     end_share: float = 0.3
     parallel_cells: float = 0.11
     passing: float = 0.2

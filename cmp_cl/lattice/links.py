@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from cmp_cl.lattice.plan import LatticePlan
 
 DIRECTIONS = 1024  # unit vectors in a full turn
-LEAST_CONTRAST = 32  # twice a grey level, in sixteenths: below it a ratio means nothing
 
 
 def sizes(plan: "LatticePlan") -> dict[str, int]:
@@ -64,7 +63,7 @@ def launches(plan: "LatticePlan") -> list[Launch]:
             **plan.levels,
             circle=plan.constant(circle()),
             radius=np.float32(k.contrast_radius_px),
-            least_contrast=np.int32(LEAST_CONTRAST),
+            least_contrast=np.int32(k.least_contrast),
             **directed,
         ),
         plan.one_group("fill_bins", **corners, rows=rows, columns=columns, **bins),

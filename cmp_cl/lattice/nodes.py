@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.lattice.links import LEAST_CONTRAST
 from cmp_cl.opencl.launches import Launch
 
 if TYPE_CHECKING:
@@ -15,7 +14,6 @@ PARTS, LAYOUT = 11, 12  # in the layout, see kernels/lattice.clh: the parts; num
 ANY = 2**31 - 1  # number of parts
 TILES = 8  # places for each tile, at least: a board has margins
 MARKS = ("changed", "fresh", "moved", "near", "wide", "stale", "asking")  # of tiles
-OUTSIDE = -9.0  # nats of a node outside the image
 
 
 def sizes(plan: "LatticePlan") -> dict[str, int]:
@@ -119,12 +117,12 @@ def nats(plan: "LatticePlan") -> NDArray[np.float32]:
     firm, loose = (0.5 / sd**2 for sd in (k.firm_sd_cells, k.loose_sd_cells))
     return np.array(
         [
-            *(k.side_depth_cells, k.side_depth_px, 1 / len(k.side_points), LEAST_CONTRAST),
+            *(k.side_depth_cells, k.side_depth_px, 1 / len(k.side_points), k.least_contrast),
             k.cell_depth,
             k.rough_weight_per_px2,
             *(k.side_nats, k.cells_nats, k.prior_nats),
             *(firm, loose),
-            *(k.stay_nats, k.stay_nats - 1, k.enter_nats, OUTSIDE),
+            *(k.stay_nats, k.enter_nats),
             *(k.reach_cells, k.near_cells, k.edge_px),
         ],
         np.float32,

@@ -154,14 +154,19 @@ class LatticePlan(Binder):
     @property
     def _defines(self) -> dict[str, str | int]:
         whole = self.dtype == np.uint8 and self.full_scale == 255
+        k = self.constants
+        shares = ("CUBIC_WEIGHT", "MIDDLE_WEIGHT", "CELL_WEIGHT", "BEYOND_WEIGHT")
+        cells = ("FAR_CELL", "NEAR_CELL", "FAR_SIGHT", "NEAR_SIGHT", "STEP_OF_LEVELS")
+        values = *k.prediction_weights, *k.beyond_cells, *k.sight_cells, k.border_step_cells
         return {
+            **{name: f"{value}f" for name, value in zip(shares + cells, values, strict=True)},
             "PIXEL": "uchar" if self.dtype == np.uint8 else "ushort",
             "PAD": self.pad,
             "WHOLE_LEVELS": int(whole),
             "HEAD": RESULT_HEAD,
             "EDGES_FIELD": EDGES.start,
             "METHOD_FIELD": METHOD,
-            "SIDE_STEP": 4 // (len(self.constants.side_points) - 1),
+            "SIDE_STEP": 4 // (len(k.side_points) - 1),
         }
 
     def _sizes(self, *, own: bool) -> dict[str, int]:

@@ -17,9 +17,6 @@ from cmp_cl.reference.lattice.parts import F, Mask, Real, Whole
 
 PAIRS = 16  # pairs of neighbouring squares of a side that are read
 DEPTHS = np.array([F(0.1) * F(n) for n in range(3, 15)])  # cells, where the last squares may end
-SPOTS = np.array([F(0.15) * F(n) for n in (-1, 0, 1)])  # cells along the side
-SIGHT, BEYOND = (F(1.75), F(1.2)), (F(1.5), F(1.15))  # cells; the second where the image ends
-ROOM = F(1.4)  # steps: a place nearer to the edge of the image may be missed
 Positions = tuple[Real, Real]  # x, y, px, NaN where missing
 
 
@@ -129,13 +126,14 @@ class Sides:
 
     def _has_room(self, x: Real, y: Real) -> bool:
         known = inside = 0
+        far = F(self.k.beyond_cells[0])
         for column in range(x.shape[1]):
             nodes = np.flatnonzero(~np.isnan(x[:, column]))
             if len(nodes) < 2 or nodes[1] != nodes[0] + 1:
                 continue
             (x1, x2), (y1, y2) = x[nodes[:2], column], y[nodes[:2], column]
             known += 1
-            inside += bool(self._in_view(x1 + ROOM * (x1 - x2), y1 + ROOM * (y1 - y2)))
+            inside += bool(self._in_view(x1 + far * (x1 - x2), y1 + far * (y1 - y2)))
         return 2 * inside > known
 
     def _read(self, x: Real, y: Real) -> tuple[bool, int]:
@@ -160,13 +158,15 @@ class Sides:
             return tuple((middle[n][both] + depth * out[n][both]) + spot * along[n][both]
                          for n in (0, 1))  # fmt: skip
 
-        seen = [self._in_view(*at(depth, F(0))).all(axis=1) for depth in SIGHT]
+        sight, cells = ([F(v) for v in each] for each in (self.k.sight_cells, self.k.beyond_cells))
+        seen = [self._in_view(*at(depth, F(0))).all(axis=1) for depth in sight]
         near = bool(2 * np.count_nonzero(seen[0]) < asked)
         both = both[seen[near]]
         if not len(both) or 2 * len(both) < asked:
             return False, UNSEEN
-        depths = [F(-0.5), BEYOND[near], *DEPTHS]
-        level = np.array([sum(self._grey(*at(d, spot)) for spot in SPOTS) for d in depths])
+        depths = [F(-0.5), cells[near], *DEPTHS]
+        spots = [F(self.k.border_step_cells) * F(n) for n in (-1, 0, 1)]
+        level = np.array([sum(self._grey(*at(d, spot)) for spot in spots) for d in depths])
         inside, beyond = (abs(int((level[n, :, 0] - level[n, :, 1]).sum())) for n in (0, 1))
         change = int(np.abs(level[0] - level[1]).sum())
         follows = bool(F(change) < F(2) * F(self.k.passing) * F(inside))
@@ -216,8 +216,9 @@ class Sides:
             )
             across, ahead = (F(0.25) + F(each) * F(0.05 / WHOLE) for each in (reach, other))
             levels = []
-            for aside in (F(-0.3), F(0.3)):
-                on = [ahead + F(0.3) * F(n) for n in (1, 2, 3)]
+            step = F(self.k.border_step_cells)
+            for aside in (F(-2) * step, F(2) * step):
+                on = [ahead + step * F(2 * n) for n in (1, 2, 3)]
                 px, py = (
                     np.array([(a[0, end] + (across + aside) * o) + each * s for each in on])
                     for a, o, s in ((x, out[0], along[0]), (y, out[1], along[1]))

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from cmp_cl.lattice.arrays import LOOKED, NONE, Board
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.reference.lattice.parts import (
-    LEAST_CONTRAST,
     F,
     Mask,
     Real,
@@ -27,8 +26,6 @@ from cmp_cl.reference.lattice.parts import (
 Plane = NDArray[np.integer]
 
 FOUR = ((0, 1), (1, 0), (0, -1), (-1, 0))  # (row, column) of the neighbours
-OUTSIDE = F(-9.0)  # nats of a node outside the image
-FIRM = F(8.0)  # weight of a prediction between neighbours
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -57,28 +54,26 @@ def inverse(x: Real) -> Real:
     return root * root
 
 
-def predictors() -> list[tuple[Any, list[tuple[int, int, Any]]]]:
+def predictors(k: LatticeConstants) -> list[tuple[Any, list[tuple[int, int, Any]]]]:
     """Return weights and the nodes (row, column, factor) that each prediction is a sum of."""
+    of_cubic, of_middle, of_cell, of_beyond = map(F, k.prediction_weights)
     found = []
     for r, c in ((0, 1), (1, 0)):
         a, b = F(4 / 6), F(-1 / 6)
         cubic = [(-r, -c, a), (r, c, a), (-2 * r, -2 * c, b), (2 * r, 2 * c, b)]
-        found += [(F(12), cubic), (F(4), [(-r, -c, F(0.5)), (r, c, F(0.5))])]
+        found += [(of_cubic, cubic), (of_middle, [(-r, -c, F(0.5)), (r, c, F(0.5))])]
     for r, c in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        found.append((F(1.5), [(r, 0, F(1)), (0, c, F(1)), (r, c, F(-1))]))
+        found.append((of_cell, [(r, 0, F(1)), (0, c, F(1)), (r, c, F(-1))]))
     for r, c in FOUR:
-        found.append((F(0.7), [(r, c, F(2)), (2 * r, 2 * c, F(-1))]))
-        found.append((F(0.7), [(r, c, F(3)), (2 * r, 2 * c, F(-3)), (3 * r, 3 * c, F(1))]))
+        found.append((of_beyond, [(r, c, F(2)), (2 * r, 2 * c, F(-1))]))
+        found.append((of_beyond, [(r, c, F(3)), (2 * r, 2 * c, F(-3)), (3 * r, 3 * c, F(1))]))
     return found
 
 
-PREDICTORS = predictors()
-
-
-def predicted(x: Real, y: Real) -> tuple[Real, Real, Real]:
+def predicted(x: Real, y: Real, k: LatticeConstants) -> tuple[Real, Real, Real]:
     """Return where the neighbours predict each node, and the weight of that; 0 where unknown."""
     total_x, total_y, weight = (np.zeros(x.shape, np.float32) for _ in range(3))
-    for w, terms in PREDICTORS:
+    for w, terms in predictors(k):
         px, py = np.zeros(x.shape, np.float32), np.zeros(x.shape, np.float32)
         for r, c, factor in terms:
             px = px + factor * shifted(x, r, c, np.nan)
@@ -141,7 +136,7 @@ def blended(
 def result(board: Board, k: LatticeConstants) -> Board:
     """Return the board with the positions of rough nodes blended; rough are torn ones, and those
     far from their prediction."""
-    prediction, cell = predicted(board.x, board.y), steps_of(board.x, board.y).cell
+    prediction, cell = predicted(board.x, board.y, k), steps_of(board.x, board.y).cell
     dx, dy, limit = board.x - prediction[0], board.y - prediction[1], F(k.near_cells) * cell
     rough = board.there & (board.torn | (dx * dx + dy * dy > limit * limit))
     x, y = blended((board.x, board.y), rough, prediction, cell, k)
@@ -209,7 +204,7 @@ def evidence(
     board's own nodes.
     """
     there, parity = board.there, board.parity()
-    first = predicted(board.x, board.y)
+    first = predicted(board.x, board.y, k)
     cell = steps_of(board.x, board.y).cell
     own_x, own_y = blended((board.x, board.y), board.torn, first, cell, k)
     steps = steps_of(own_x, own_y)
@@ -218,11 +213,12 @@ def evidence(
     quality, contrast = cells_at(plane, *filled, steps, parity, k)
     if new is not None:
         seen_x, seen_y, torn = new
-        prediction = predicted(own_x, own_y)
+        prediction = predicted(own_x, own_y, k)
         x, y = blended((seen_x, seen_y), torn, prediction, steps.cell, k)
         filled = np.nan_to_num(x), np.nan_to_num(y)
         quality = cells_at(plane, *filled, steps, parity, k)[0]
-    share = _usual(np.where(there & steps.known, contrast, 0), there & steps.known)
+    known = there & steps.known
+    share = _usual(np.where(known, contrast, 0), known, k.least_contrast)
 
     if new is None:
         right, down = side_sums(plane, x, y, parity, k)
@@ -243,11 +239,11 @@ def evidence(
         misfit = (dx * dx + dy * dy) * inverse(np.maximum(steps.cell * steps.cell, F(1e-6)))
     misfit = np.where(weight > 0, misfit, F(0))
     firm, loose = F(0.5 / k.firm_sd_cells**2), F(0.5 / k.loose_sd_cells**2)
-    penalty = misfit * np.where(weight >= FIRM, firm, loose)
+    penalty = misfit * np.where(weight >= F(2 * k.prediction_weights[1]), firm, loose)
     score = ((F(k.side_nats) * sides + F(k.cells_nats) * cells) + F(k.prior_nats)) - penalty
     height, width = plane.shape
     inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
-    score = np.where(inside, score, OUTSIDE)
+    score = np.where(inside, score, F(-np.inf))
     return Evidence(
         score=np.where(np.isnan(x), F(np.nan), score),
         count=count,
@@ -263,7 +259,7 @@ def evidence(
     )
 
 
-def _usual(contrast: Whole, there: Mask) -> Real:
+def _usual(contrast: Whole, there: Mask, least: int) -> Real:
     """Return one over the mean contrast of the nodes within 5 x 5, (R, C)."""
     total, many = np.zeros(contrast.shape, np.int64), np.zeros(contrast.shape, np.int64)
     for i in range(-2, 3):
@@ -271,7 +267,7 @@ def _usual(contrast: Whole, there: Mask) -> Real:
             total = total + shifted(contrast, i, j, 0)
             many = many + shifted(there.astype(np.int64), i, j, 0)
     many = np.maximum(many, 1)
-    total = np.maximum(total, LEAST_CONTRAST * many)
+    total = np.maximum(total, least * many)
     return (2 * many).astype(np.float32) * inverse(total.astype(np.float32))
 
 
@@ -326,7 +322,7 @@ def settled(
         if np.count_nonzero(there) < 4:
             break
         now = evidence(plane, board, k)
-        px, py, weight = predicted(now.x, now.y)
+        px, py, weight = predicted(now.x, now.y, k)
         beside = np.zeros(there.shape, np.bool_)
         for step in FOUR:
             beside |= shifted(there, *step, False)
@@ -381,7 +377,7 @@ def dropped(plane: Plane, board: Board, k: LatticeConstants) -> Board:
             for j in range(-1, 2):
                 worst = np.fmin(worst, shifted(score, i, j, np.nan))
         low = score < F(k.stay_nats)
-        bad = there & ((now.count == 0) | (low & ((score <= worst) | (score < F(k.stay_nats - 1)))))
+        bad = there & ((now.count == 0) | (low & ((score <= worst) | (score < 0))))
         if not bad.any():
             return board
         board = Board(

@@ -23,7 +23,6 @@ COSINE = (np.rint(16384 * np.cos(np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS
 COLUMN_STEP = np.array([1, 0, -1, 0])
 ROW_STEP = np.array([0, 1, 0, -1])
 F = np.float32
-LEAST_CONTRAST = 32  # sixteenths of a grey level, twice: below it a ratio means nothing
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -135,7 +134,7 @@ def directed(
     radius = F(constants.contrast_radius_px)
     level = read(plane, x[:, None] + radius * across, y[:, None] + radius * down)
     contrast = level[:, 1] + level[:, 3] - level[:, 0] - level[:, 2]
-    contrast = np.maximum(contrast, LEAST_CONTRAST)
+    contrast = np.maximum(contrast, constants.least_contrast)
     return Directed(x=x, y=y, angle=angle, contrast=contrast, placed=placed, known=known)
 
 
