@@ -23,11 +23,8 @@ from cmp_cl.lattice.numbers import (
 )
 
 SMALL = 0.1  # least share of the corners that the board must hold
-OTHER = 12  # corners: a board of so many may be the one that is meant
 COMPARABLE = 0.5  # share of a board's nodes from which another may be the one that is meant
-TEXTURE = 1 / 16  # share of a board's area; another of less, with gaps, is texture
-LEAST_GAP, GAP = 10, 0.04  # places inside a board without a node that are many, and their share
-WHOLE = 0.9  # share of the places of a rectangle, or of a known shape, that have a corner
+GAP = 0.04  # share of the places inside a board; so many without a node are a gap
 BORDERS = 3  # sides; the edge of the image, or things beside, may hide one
 
 K = LatticeConstants()
@@ -61,10 +58,11 @@ class Found:
         x, y = self.board.x[mine], self.board.y[mine]
         return float(x.min()), float(y.min()), float(x.max()), float(y.max())
 
-    @property
-    def area(self) -> float:
-        x0, y0, x1, y1 = self.box
-        return (x1 - x0) * (y1 - y0)
+    def is_comparable(self, other: "Found") -> bool:
+        """Return whether it has about as many nodes as another, which are no texture far smaller
+        than the other's."""
+        sides = np.subtract(self.box[2:], self.box[:2]) / np.subtract(other.box[2:], other.box[:2])
+        return self.size >= COMPARABLE * other.size and sides.max() >= COMPARABLE
 
     @property
     def gap(self) -> int:
@@ -75,11 +73,7 @@ class Found:
             return 0
         inside = _between(there) & _between(there.T).T
         missing = int(np.count_nonzero(inside & ~there))
-        return missing if missing >= max(LEAST_GAP, GAP * np.count_nonzero(inside)) else 0
-
-    def is_texture(self, first: "Found") -> bool:
-        """Return whether it has gaps, and is as small as texture beside another board."""
-        return self.size < self.board.owner.size and self.area < TEXTURE * first.area
+        return missing if missing >= max(K.least_board, GAP * np.count_nonzero(inside)) else 0
 
     @functools.cached_property
     def smooth(self) -> float:
@@ -90,7 +84,7 @@ class Found:
     @property
     def is_full(self) -> bool:
         """Return whether it is a full rectangle, but for a few corners."""
-        return self.size >= OTHER and self.smooth >= WHOLE
+        return self.smooth >= K.least_line
 
     @functools.cached_property
     def is_whole(self) -> bool:
@@ -103,7 +97,7 @@ class Found:
 
     def fills(self, shape: tuple[int, int]) -> bool:
         """Return whether it has nearly all nodes of a known size."""
-        return self.fits and self.size >= WHOLE * shape[0] * shape[1]
+        return self.fits and self.size >= K.least_line * shape[0] * shape[1]
 
     @property
     def fits(self) -> bool:
@@ -211,12 +205,8 @@ def _alone(found: list[Found]) -> tuple[Found, int]:
     Raises GridError if another is comparable, unless it has gaps and the first is whole.
     """
     chosen = next((each for each in found if each.is_whole), found[0])
-    others = [
-        each
-        for each in found
-        if each is not chosen and each.size >= OTHER and not each.is_texture(chosen)
-    ]
-    rivals = [each for each in others if each.size >= COMPARABLE * chosen.size]
+    others = [each for each in found if each is not chosen]
+    rivals = [each for each in others if each.is_comparable(chosen)]
     if not chosen.is_whole and rivals:
         raise _two(chosen, rivals[0])
     if not chosen.is_whole:

@@ -89,13 +89,3 @@ class Board:
             sign=self.sign * (1 - 2 * odd),
             border=self.border and self.border.turned(quarters),
         )
-
-    def only(self, nodes: Mask) -> "Board":
-        """Return the board with only some of its nodes, (R, C)."""
-        return Board(
-            x=np.where(nodes, self.x, np.float32(np.nan)),
-            y=np.where(nodes, self.y, np.float32(np.nan)),
-            owner=np.where(nodes, self.owner, NONE),
-            torn=self.torn & nodes,
-            sign=self.sign,
-        )

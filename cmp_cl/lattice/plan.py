@@ -330,15 +330,6 @@ class LatticePlan(Binder):
         self.enqueue(self.lay)
         return self._board()[1]
 
-    def measured(self, board: Board) -> tuple[Border, int]:
-        """Return the border of a board, and the quarter turns that make it upright."""
-        self.write("border", np.array(board.owner.shape, np.int32))
-        self.write("nodes", np.stack([board.x, board.y], axis=2))
-        self.write("node_owner", board.owner.astype(np.int32))
-        self.enqueue(self.measure)
-        found = self.read("border", np.int32)
-        return Border.of(found), borders.upright(found)
-
     def _board(self) -> tuple[NDArray[np.int32], Board]:
         """Wait. Return the layout, and the board as it is: upright, with its border, without outer
         lines that hold too few of their places in view."""
