@@ -60,7 +60,7 @@ ABLATION: dict[str, dict[str, Any]] = {
     "no joins across tears": {"join_votes": 1e9},
     "joins whatever the surface": {"join_bend": 0.0},
     "torn corners count as whole ones": {"rough_weight_per_px2": 1e9},
-    "no test of nodes": {"stay_nats": -1e6},
+    "no test of nodes": {"prior_nats": 1e6},
     "outer lines hold what they hold": {"least_line": 0.0},
 }
 VERDICTS = ("right", "right, told", "refused", "wrong, told", "silent")

@@ -237,7 +237,8 @@ int step_past(IMAGE_OF_BOARD, __global const float2 *nodes, __global const int *
   bool seen = reach != UNSEEN && other != UNSEEN;
   for (int m = 0; m < 6 && seen; ++m) {
     const float across = REACH(reach) + (m < 3 ? -2 : 2) * STEP_OF_LEVELS;
-    const float2 p = (node + across * out) + (REACH(other) + STEP_OF_LEVELS * (float)(2 * (m % 3 + 1))) * along;
+    const float ahead = REACH(other) + STEP_OF_LEVELS * (float)(2 * (m % 3 + 1));
+    const float2 p = (node + across * out) + ahead * along;
     seen = is_in_view(p, rows, columns);
     if (seen) sum += m < 3 ? -grey_at(IMAGE, p) : grey_at(IMAGE, p);
   }
@@ -246,8 +247,8 @@ int step_past(IMAGE_OF_BOARD, __global const float2 *nodes, __global const int *
 
 /* Measure the sides of a board. One work-group. */
 __kernel void measure_border(__global const PIXEL *restrict image, const uint step, const uint rows,
-                             const uint columns, const float end_share, const float follow_share,
-                             const int parallel, __global const float2 *restrict nodes,
+                             const uint columns, const float passing, const int parallel,
+                             __global const float2 *restrict nodes,
                              __global const int *restrict owner, __global int *restrict row_levels,
                              __global int *restrict border) {
   const int height = border[ROWS_OF], width = border[COLUMNS_OF];
@@ -316,8 +317,8 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
     }
     const bool read = some && 2 * some >= pairs[side];
     const float whole = (float)MAGNITUDE_OF(inside);
-    border[FOLLOWS_OF + side] = read && (float)change < 2.0f * follow_share * whole;
-    reaches[side] = read && (float)MAGNITUDE_OF(beyond) < end_share * whole
+    border[FOLLOWS_OF + side] = read && (float)change < 2.0f * passing * whole;
+    reaches[side] = read && (float)MAGNITUDE_OF(beyond) < passing * whole
                         ? common_reach(reach + start, some, LENGTH_OF(side), parallel)
                         : UNSEEN;
     border[REACH_OF + side] = reaches[side];

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from cmp_cl.errors import GridError
-from cmp_cl.grid.grid import MEASURED, SURE, Grid
+from cmp_cl.grid.grid import MEASURED, Grid
 from cmp_cl.lattice.arrays import Board, Mask
-from cmp_cl.lattice.borders import Border
+from cmp_cl.lattice.borders import SIDES, Border
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.numbers import (
     Decision,
@@ -21,11 +21,6 @@ from cmp_cl.lattice.numbers import (
     in_shape,
     like_rest,
 )
-
-SMALL = 0.1  # least share of the corners that the board must hold
-COMPARABLE = 0.5  # share of a board's nodes from which another may be the one that is meant
-GAP = 0.04  # share of the places inside a board; so many without a node are a gap
-BORDERS = 3  # sides; the edge of the image, or things beside, may hide one
 
 K = LatticeConstants()
 
@@ -61,8 +56,8 @@ class Found:
     def is_comparable(self, other: "Found") -> bool:
         """Return whether it has about as many nodes as another, which are no texture far smaller
         than the other's."""
-        sides = np.subtract(self.box[2:], self.box[:2]) / np.subtract(other.box[2:], other.box[:2])
-        return self.size >= COMPARABLE * other.size and sides.max() >= COMPARABLE
+        own, its = (np.subtract(each.box[2:], each.box[:2]) for each in (self, other))
+        return 2 * self.size >= other.size and bool((2 * own >= its).any())
 
     @property
     def gap(self) -> int:
@@ -73,7 +68,7 @@ class Found:
             return 0
         inside = _between(there) & _between(there.T).T
         missing = int(np.count_nonzero(inside & ~there))
-        return missing if missing >= max(K.least_board, GAP * np.count_nonzero(inside)) else 0
+        return missing if missing >= max(K.least_board, K.gap * np.count_nonzero(inside)) else 0
 
     @functools.cached_property
     def smooth(self) -> float:
@@ -91,9 +86,9 @@ class Found:
         """Return whether it is a full rectangle whose border is seen, but for one side; or one that
         has every corner, and a further line on any side would be in view."""
         border = self.border
-        ended = int(np.count_nonzero(border.ends)) >= BORDERS
+        ended = np.count_nonzero(border.ends) >= SIDES - 1
         alone = self.smooth == 1 and bool((border.room & ~border.follows).all())
-        return self.is_full and (ended or alone)
+        return self.is_full and bool(ended or alone)
 
     def fills(self, shape: tuple[int, int]) -> bool:
         """Return whether it has nearly all nodes of a known size."""
@@ -156,13 +151,13 @@ def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | Non
         return None, 0
     if asked.like is not None:
         chosen, others = _alike(found, asked.like)
-        sure, least = False, SMALL * count
+        sure, least = False, K.few * count
     elif asked.shape is not None:
         chosen, others = _fitting(found, asked.shape), 0
-        sure, least = chosen.fills(asked.shape), SMALL * count
+        sure, least = chosen.fills(asked.shape), K.few * count
     else:
         chosen, others = _alone(found)
-        sure, least = chosen.is_whole, max(SMALL * count, min(count / 2, K.least_board))
+        sure, least = chosen.is_whole, max(K.few * count, min(count / 2, K.least_board))
     if not sure and chosen.size < least:
         raise GridError(
             f"the largest board has {chosen.size} of {count} corners, expected at least "
@@ -178,9 +173,9 @@ def _alike(found: list[Found], rest: Grid) -> tuple[Found, int]:
     A board of less than half the nodes of the largest, and of the pattern, is a part or texture.
     """
     nodes = min(found[0].size, int(np.count_nonzero(rest.valid)))
-    fair = [each for each in found if each.size >= COMPARABLE * nodes]
+    fair = [each for each in found if 2 * each.size >= nodes]
     best = max(each.decision.best.nats for each in fair)
-    chosen, *others = [each for each in fair if each.decision.best.nats > best - SURE]
+    chosen, *others = [each for each in fair if each.decision.best.nats > best - K.sure_nats]
     return chosen, others[0].size if others else 0
 
 

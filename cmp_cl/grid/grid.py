@@ -17,6 +17,7 @@ from cmp_cl.filter import bent_sigma
 from cmp_cl.grid.curves import points_between
 from cmp_cl.grid.limits import check_size
 from cmp_cl.grid.saved import SAVED, packed, unpacked
+from cmp_cl.lattice.constants import LatticeConstants
 
 
 class NodeStatus(enum.IntEnum):
@@ -61,7 +62,7 @@ def turned_sides(sides: tuple[T, T, T, T], quarters: int) -> tuple[T, T, T, T]:
 
 
 NO_SIDES = Sides()
-SURE = 5.0  # nats: least confidence of numbers that are not ambiguous
+SURE = LatticeConstants.sure_nats
 UNSEEN = (math.nan, math.nan, math.nan, math.nan)
 
 

@@ -105,7 +105,7 @@ def cut(plan: "LatticePlan") -> Launch:
         "cut_board",
         **plan.size,
         least_line=np.float32(k.least_line),
-        edge=np.float32(k.edge_px),
+        edge=np.float32(k.contrast_radius_px),
         **{name: b[name] for name in names},
     )
 
@@ -118,8 +118,7 @@ def measure(plan: "LatticePlan") -> Launch:
         image=b["image"],
         step=np.uint32(plan.step),
         **plan.size,
-        end_share=np.float32(k.end_share),
-        follow_share=np.float32(k.passing),
+        passing=np.float32(k.passing),
         parallel=np.int32(k.parallel_cells / HALF_STEP * WHOLE),
         nodes=b["nodes"],
         owner=b["node_owner"],

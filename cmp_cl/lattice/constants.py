@@ -15,7 +15,7 @@ class LatticeConstants:
     """The constants of the lattice: unit, and meaning.
 
     contrast_radius_px: px, distance from a corner at which the levels of its four cells are
-        read; the inner ring of the detector.
+        read; the inner ring of the detector. Nearer to the edge of the image no node is predicted.
     least_contrast: sixteenths of a grey level, twice: below it a ratio of contrasts means nothing.
     link_neighbours: corners, bins around a corner are added until they hold so many; 24 are the
         places within 2.8 cells, and its own bin is not in their middle.
@@ -36,8 +36,9 @@ class LatticeConstants:
         them hangs on the wrong side of a tear. With 0 for all, 3 of 96 torn gels had wrong numbers.
     least_part: faces, of a part; smaller ones are loose corners.
     least_board: nodes, of a board.
-    least_line: share, of its places in view that an outer line must hold. With .7 a line of noise
-        beside one of 75 boards was taken for theirs; .8 loses nothing on 50 005 corners of gels.
+    least_line: share, of its places in view that an outer line must hold, and a whole board. With
+        .7 a line of noise beside one of 75 boards was taken for theirs; .8 loses nothing on 50 005
+        corners of gels, and .9 refuses two of 110 boards in clutter.
     span: steps, of the longest way across a tear, and cells beside it whose nodes show the surface.
     join_votes: votes, that a placement needs. With 4, waves that stretch cells 2.5 times had wrong
         joins; right ones in torn gels have 8 to 80.
@@ -55,24 +56,22 @@ class LatticeConstants:
     near_cells: cells, a node farther from its prediction is rough, and a corner nearer to a
         missing place is at that place itself. .08 to .2 do the same.
     reach_cells: cells, a corner so far from a prediction is another.
-    side_nats: nats, for each whole side (this and the four below: regression).
+    side_nats: nats, for each whole side (this and the three below: regression).
     cells_nats: nats, for the whole contrast of the four cells.
-    firm_sd_cells: cells, standard deviation from a prediction between neighbours.
-    loose_sd_cells: cells, the same of an extrapolation.
+    firm_sd_cells: cells, standard deviation from a prediction between neighbours; that from an
+        extrapolation is twice as large.
     prior_nats: nats, of a node without evidence.
-    stay_nats: nats, that a node needs.
-    enter_nats: nats, that a new node needs.
+    stay_nats: nats, that a node needs; a new one needs twice as many.
     rounds: times, that nodes are looked for.
-    edge_px: px, nearer to the edge of the image no node is predicted.
     beyond_cells: cells, where the middle of a further square is looked for, and the same where the
         image ends before.
     sight_cells: cells, that the image must reach beyond a side for the one, and for the other.
     border_step_cells: cells, steps between the levels that are read at a border.
-    end_share: share, of the contrast of the last squares that is no sign of further ones.
     parallel_cells: cells, by which squares that end together may reach differently far, and the
         squares at one border in two images.
-    passing: share, of the contrast; levels two cells apart that differ by less show that cells
-        follow, and a line that shows more past the pattern is an object's edge.
+    passing: share, of the contrast that counts as none: levels two cells apart that differ by less
+        show that cells follow; squares beyond a side that differ by less, that the pattern ends; a
+        line that shows more past the pattern is an object's edge.
     end_nats: nats, for a border; half as much for one that may be the edge of an object.
     place_nats: nats, against a line that a known size lacks, or whose places in view are empty.
     rest_sd_cells: cells, standard deviation of the motion since rest.
@@ -82,6 +81,10 @@ class LatticeConstants:
     turn_sd_degrees: degrees, standard deviation of the rotation since rest.
     turn_nats: nats, the most against any rotation.
     camera_px: px, printing errors as small as that may be the camera's.
+    print_clip: times, the median of printing errors, to which larger ones are clipped.
+    sure_nats: nats, least confidence of numbers that are not ambiguous.
+    few: share, of the corners that a board must hold, unless it has all nodes of a known size.
+    gap: share, of the places inside a board; so many without a node are told.
     """
 
     # Links
@@ -118,17 +121,13 @@ class LatticeConstants:
     side_nats: float = 2.35
     cells_nats: float = 1.65
     firm_sd_cells: float = 0.118
-    loose_sd_cells: float = 0.23
     prior_nats: float = -2.9
     stay_nats: float = 1.0
-    enter_nats: float = 2.0
     rounds: int = 12
-    edge_px: float = 3.0
     # Borders, numberings, boards
     beyond_cells: tuple[float, float] = (1.5, 1.15)
     sight_cells: tuple[float, float] = (1.75, 1.2)
     border_step_cells: float = 0.15
-    end_share: float = 0.3
     parallel_cells: float = 0.11
     passing: float = 0.2
     end_nats: float = 6.0
@@ -139,6 +138,10 @@ class LatticeConstants:
     turn_sd_degrees: float = 8.0
     turn_nats: float = 14.0
     camera_px: float = 0.1
+    print_clip: float = 2.5
+    sure_nats: float = 5.0
+    few: float = 0.1
+    gap: float = 0.04
 
     def face_tolerances(self) -> NDArray[np.float32]:
         """Return the squared tolerance of faces after so many cuts, (cuts + 1,) float32."""

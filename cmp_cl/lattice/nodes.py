@@ -114,16 +114,16 @@ def lay(plan: "LatticePlan", most_parts: int) -> list[Launch]:
 def nats(plan: "LatticePlan") -> NDArray[np.float32]:
     """Return the constants of the score, in the order of kernels/nodes.cl."""
     k = plan.constants
-    firm, loose = (0.5 / sd**2 for sd in (k.firm_sd_cells, k.loose_sd_cells))
+    firm = 0.5 / k.firm_sd_cells**2
     return np.array(
         [
             *(k.side_depth_cells, k.side_depth_px, 1 / len(k.side_points), k.least_contrast),
             k.cell_depth,
             k.rough_weight_per_px2,
             *(k.side_nats, k.cells_nats, k.prior_nats),
-            *(firm, loose),
-            *(k.stay_nats, k.enter_nats),
-            *(k.reach_cells, k.near_cells, k.edge_px),
+            *(firm, firm / 4),  # an extrapolation is half as good
+            *(k.stay_nats, 2 * k.stay_nats),
+            *(k.reach_cells, k.near_cells, k.contrast_radius_px),
         ],
         np.float32,
     )

@@ -19,7 +19,6 @@ from cmp_cl.lattice.printing import Prints, agreement, prints_of
 
 VOTERS = 400  # nodes that show the motion from a reference
 LOOKS = 6  # steps from the affine guess of a node's number to the nearest node of the reference
-NEAR = 0.75  # cells from that node, at most
 MOVED = 0.5  # cells: an edge that moved so far with the pattern is no object's
 ENOUGH = 10.0  # nats: a turn whose rotation alone costs so many more than the best is left out
 
@@ -54,7 +53,7 @@ class Seen:
 
     @functools.cached_property
     def prints(self) -> Prints:
-        return prints_of(self.at)
+        return prints_of(self.at, LatticeConstants.print_clip)
 
     @functools.cached_property
     def steps(self) -> tuple[complex, complex]:
@@ -323,7 +322,7 @@ def _unmoved(at: Numbers, reference: Reference) -> Float:
         r, c = np.rint(np.clip(place, 0, np.array(there.shape) - 1)).astype(np.int64).T
         off = z - there[r, c]
         x, y = (off.conj() * down).imag / area, (along.conjugate() * off).imag / area
-        near = ~np.isnan(off) & (np.abs(x) < NEAR) & (np.abs(y) < NEAR)
+        near = ~np.isnan(off)
         found = np.stack([r + y, c + x], axis=1)
         place = np.where(np.isnan(off)[:, None], place, found)
     if np.count_nonzero(near) < 4:

@@ -13,7 +13,6 @@ import numpy as np
 from cmp_cl.lattice.arrays import Float, Mask, Numbers, Whole
 from cmp_cl.lattice.constants import LatticeConstants
 
-CLIP = 2.5  # times the median: larger errors are clipped to it
 FROM_CUBICS = np.zeros((5, 5))  # a node minus the mean of the cubics along its row and column
 FROM_CUBICS[2] = FROM_CUBICS[:, 2] = np.array([1, -4, 12, -4, 1]) / 12
 GAIN = float(np.square(FROM_CUBICS).sum())  # variance of the result, of errors of variance 1
@@ -39,7 +38,7 @@ class Prints(NamedTuple):
         return self._replace(error=error, known=np.rot90(self.known, quarters))
 
 
-def prints_of(at: Numbers) -> Prints:
+def prints_of(at: Numbers, clip: float) -> Prints:
     """Return the printing errors of measured nodes; at: (R, C) complex, px, NaN where missing."""
     error, known = np.zeros(at.shape, np.complex128), np.zeros(at.shape, np.bool_)
     if min(at.shape) < 5:
@@ -53,7 +52,7 @@ def prints_of(at: Numbers) -> Prints:
         return Prints(error, known, 1.0, 0.0)
     off = off[inner] / step[inner]
     size = np.abs(off)
-    off *= np.minimum(1, CLIP * np.median(size) / np.maximum(size, 1e-12))
+    off *= np.minimum(1, clip * np.median(size) / np.maximum(size, 1e-12))
     error[2:-2, 2:-2][inner], known[2:-2, 2:-2] = off, inner
     cell = float(np.abs(step[inner]).mean())
     return Prints(error, known, cell, float(np.square(np.abs(off)).mean()))

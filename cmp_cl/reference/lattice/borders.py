@@ -25,7 +25,7 @@ def trimmed(board: Board, shape: tuple[int, int], k: LatticeConstants) -> Board:
     `least_line` of their places in the image. A place is where the next two lines predict it. The
     line that lacks most goes first."""
     rows, columns = np.array(shape) - 1
-    edge = F(k.edge_px)
+    edge = F(k.contrast_radius_px)
     box = [0, board.x.shape[0], 0, board.x.shape[1]]
     while True:
         owner, x, y = (a[box[0] : box[1], box[2] : box[3]] for a in (board.owner, board.x, board.y))
@@ -170,7 +170,7 @@ class Sides:
         inside, beyond = (abs(int((level[n, :, 0] - level[n, :, 1]).sum())) for n in (0, 1))
         change = int(np.abs(level[0] - level[1]).sum())
         follows = bool(F(change) < F(2) * F(self.k.passing) * F(inside))
-        if not F(beyond) < F(self.k.end_share) * F(inside):
+        if not F(beyond) < F(self.k.passing) * F(inside):
             return follows, UNSEEN
         return follows, self._common(np.abs(level[..., 0] - level[..., 1]), x.shape[1])
 

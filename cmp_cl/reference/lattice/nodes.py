@@ -238,7 +238,7 @@ def evidence(
     with np.errstate(over="ignore", invalid="ignore"):
         misfit = (dx * dx + dy * dy) * inverse(np.maximum(steps.cell * steps.cell, F(1e-6)))
     misfit = np.where(weight > 0, misfit, F(0))
-    firm, loose = F(0.5 / k.firm_sd_cells**2), F(0.5 / k.loose_sd_cells**2)
+    firm, loose = F(0.5 / k.firm_sd_cells**2), F(0.125 / k.firm_sd_cells**2)
     penalty = misfit * np.where(weight >= F(2 * k.prediction_weights[1]), firm, loose)
     score = ((F(k.side_nats) * sides + F(k.cells_nats) * cells) + F(k.prior_nats)) - penalty
     height, width = plane.shape
@@ -348,10 +348,10 @@ def settled(
         r, c = row[ask], column[ask]
         new_x[r, c], new_y[r, c], new_owner[r, c], new_torn[r, c] = px[r, c], py[r, c], LOOKED, True
         found = evidence(plane, board, k, (new_x, new_y, new_torn))
-        edge = F(k.edge_px)
+        edge = F(k.contrast_radius_px)
         near_edge = (new_x < edge) | (new_y < edge)
         near_edge |= (new_x > width - 1 - edge) | (new_y > height - 1 - edge)
-        take = (new_owner != NONE) & (found.score >= F(k.enter_nats))
+        take = (new_owner != NONE) & (found.score >= F(2 * k.stay_nats))
         take &= ~((new_owner == LOOKED) & near_edge)
         take &= _first_claims(new_owner, found.score, take)
         if not take.any():
