@@ -247,8 +247,8 @@ int step_past(IMAGE_OF_BOARD, __global const float2 *nodes, __global const int *
 
 /* Measure the sides of a board. One work-group. */
 __kernel void measure_border(__global const PIXEL *restrict image, const uint step, const uint rows,
-                             const uint columns, const float passing, const int parallel,
-                             __global const float2 *restrict nodes,
+                             const uint columns, const float end_share, const float follow_share,
+                             const int parallel, __global const float2 *restrict nodes,
                              __global const int *restrict owner, __global int *restrict row_levels,
                              __global int *restrict border) {
   const int height = border[ROWS_OF], width = border[COLUMNS_OF];
@@ -317,8 +317,8 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
     }
     const bool read = some && 2 * some >= pairs[side];
     const float whole = (float)MAGNITUDE_OF(inside);
-    border[FOLLOWS_OF + side] = read && (float)change < 2.0f * passing * whole;
-    reaches[side] = read && (float)MAGNITUDE_OF(beyond) < passing * whole
+    border[FOLLOWS_OF + side] = read && (float)change < 2.0f * follow_share * whole;
+    reaches[side] = read && (float)MAGNITUDE_OF(beyond) < end_share * whole
                         ? common_reach(reach + start, some, LENGTH_OF(side), parallel)
                         : UNSEEN;
     border[REACH_OF + side] = reaches[side];

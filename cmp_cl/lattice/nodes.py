@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 PARTS, LAYOUT = 11, 12  # in the layout, see kernels/lattice.clh: the parts; numbers in all
 ANY = 2**31 - 1  # number of parts
+ROUNDS = 12  # times that nodes are looked for, three less than the margin in kernels/nodes.cl
 TILES = 8  # places for each tile, at least: a board has margins
 MARKS = ("changed", "fresh", "moved", "near", "wide", "stale", "asking")  # of tiles
 
@@ -97,7 +98,7 @@ def lay(plan: "LatticePlan", most_parts: int) -> list[Launch]:
             **corners,
             **image,
             **nats,
-            rounds=np.int32(plan.constants.rounds),
+            rounds=np.int32(ROUNDS),
             **some("starts", "binned", "layout"),
             **nodes,
             **some("tried"),

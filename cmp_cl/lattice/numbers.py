@@ -19,8 +19,6 @@ from cmp_cl.lattice.printing import Prints, agreement, prints_of
 
 VOTERS = 400  # nodes that show the motion from a reference
 LOOKS = 6  # steps from the affine guess of a node's number to the nearest node of the reference
-MOVED = 0.5  # cells: an edge that moved so far with the pattern is no object's
-ENOUGH = 10.0  # nats: a turn whose rotation alone costs so many more than the best is left out
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -124,7 +122,7 @@ def _like(
     nats = [-min(angle**2 / (2 * k.turn_sd_degrees**2), k.turn_nats) for angle in angles]
     found: list[Numbering] = []
     for quarters in sorted(range(4), key=lambda q: angles[q]):
-        if found and nats[quarters] < max(found).nats - ENOUGH:
+        if found and nats[quarters] < max(found).nats - 2 * k.sure_nats:
             break
         turned = now.turned(quarters)
         prints = now.prints.turned(quarters)
@@ -169,7 +167,6 @@ def _shifts(
             now.border,
             rest.seen.border,
             2 * axis,
-            unmoved[axis] - origin[axis],
             k,
         )
         score += ends[:, None] if axis == 0 else ends
@@ -190,16 +187,14 @@ def _of_ends(
     now: Border,
     rest: Border,
     side: int,
-    unmoved: float,
     k: LatticeConstants,
 ) -> Float:
     """Return the nats of two opposite sides for each number of the first line, (P,).
 
-    here, there: the first and the last full line, now and at rest. unmoved: the number of the first
-    line if the pattern had not moved.
+    here, there: the first and the last full line, now and at rest.
 
     Two borders on one line agree. Else the pattern did not end where it seemed to, at rest or now,
-    and an object hid its rest. An edge that moved with the pattern is no object's.
+    and an object hid its rest.
     """
     nats_now, nats_rest = now.nats(k), rest.nats(k)
     total = np.zeros(len(first))
@@ -207,9 +202,6 @@ def _of_ends(
     for n, lines in zip((side, side + 1), beyond, strict=True):
         unlike = abs(now.reach[n] - rest.reach[n]) > k.parallel_cells
         unlike |= abs(now.past[n] - rest.past[n]) > k.passing
-        moved = abs(there[n - side] - here[n - side] - unmoved) > MOVED
-        if moved and not unlike and now.ends[n] and rest.ends[n]:
-            nats_now[n] = nats_rest[n] = k.end_nats
         same = -k.end_nats / 2 if unlike else 0.0
         if rest.ends[n] and now.follows[n]:
             same = -nats_rest[n]

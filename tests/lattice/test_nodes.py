@@ -8,6 +8,7 @@ from lattices import keep
 from cmp_cl import detect
 from cmp_cl.lattice.arrays import LOOKED, NONE, Board
 from cmp_cl.lattice.borders import CONTRAST, upright
+from cmp_cl.lattice.nodes import ROUNDS
 from cmp_cl.reference import harmonic
 from cmp_cl.reference.lattice import borders
 from cmp_cl.reference.lattice import nodes as lattice_nodes
@@ -39,7 +40,7 @@ def alone(numbers):
 def board_of(numbers, xy, torn):
     """Return the board of these numbers, with a margin."""
     corner = np.flatnonzero(numbers[:, 3])
-    margin = K.rounds + 3
+    margin = ROUNDS + 3
     column, row, turn, _ = numbers[corner].T.astype(np.int64)
     column, row = column - column.min() + margin, row - row.min() + margin
     shape = row.max() + margin + 1, column.max() + margin + 1

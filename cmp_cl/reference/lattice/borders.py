@@ -170,7 +170,7 @@ class Sides:
         inside, beyond = (abs(int((level[n, :, 0] - level[n, :, 1]).sum())) for n in (0, 1))
         change = int(np.abs(level[0] - level[1]).sum())
         follows = bool(F(change) < F(2) * F(self.k.passing) * F(inside))
-        if not F(beyond) < F(self.k.passing) * F(inside):
+        if not F(beyond) < F(self.k.end_share) * F(inside):
             return follows, UNSEEN
         return follows, self._common(np.abs(level[..., 0] - level[..., 1]), x.shape[1])
 

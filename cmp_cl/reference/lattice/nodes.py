@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.lattice.arrays import LOOKED, NONE, Board
 from cmp_cl.lattice.constants import LatticeConstants
+from cmp_cl.lattice.nodes import ROUNDS
 from cmp_cl.reference.lattice.parts import (
     F,
     Mask,
@@ -316,7 +317,7 @@ def settled(
     """
     height, width = plane.shape
     tried = np.zeros(board.x.shape, np.bool_)
-    for _ in range(k.rounds):
+    for _ in range(ROUNDS):
         board = dropped(plane, board, k)
         there = board.there
         if np.count_nonzero(there) < 4:
