@@ -102,6 +102,20 @@ def shown_in(path):
     return [float(int(Path(entry.get("file")).stem)) for entry in sets]
 
 
+def test_rosbags_reads_an_mcap(tmp_path):
+    pytest.importorskip("mcap_ros2", reason="mcap is not installed")
+    bags = pytest.importorskip("rosbags.highlevel", reason="rosbags is not installed")
+    path = write(tmp_path / "press.mcap")
+    with bags.AnyReader([path]) as bag:
+        found = [
+            (stamp, bag.deserialize(raw, connection.msgtype))
+            for connection, stamp, raw in bag.messages()
+        ]
+    assert [stamp for stamp, _ in found] == [0, 20_000_000, 40_000_000]  # ns
+    for (_, cloud), points in zip(found, clouds(path), strict=True):
+        assert cloud.data.tobytes() == points.tobytes()
+
+
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_a_series_can_be_read_while_it_is_written_and_has_its_name_at_the_end(tmp_path, suffix):
     path, part = tmp_path / f"a press{suffix}", tmp_path / f"a press{suffix}.part"
