@@ -156,7 +156,9 @@ class Source:
     def _capture(self) -> Any:
         capture = cv2.VideoCapture(self._opened_as)
         if not capture.isOpened():
-            raise ImageError(f"there is no camera {self.name} that OpenCV can open")
+            raise ImageError(
+                f"there is no camera {self.name} that OpenCV can open; {_cameras_here()}"
+            )
         asked: list[tuple[int, float | None, str]] = [
             (cv2.CAP_PROP_FRAME_WIDTH, self._settings.size and self._settings.size[0], "width"),
             (cv2.CAP_PROP_FRAME_HEIGHT, self._settings.size and self._settings.size[1], "height"),
@@ -235,3 +237,11 @@ def paired(
     if not endless:
         yield from ((frame, None) for frame in itertools.chain([one] if one else [], left))
         yield from ((None, frame) for frame in itertools.chain([two] if two else [], right))
+
+
+def _cameras_here() -> str:
+    """Return which cameras there are, as far as the folder of devices tells."""
+    devices = sorted(str(path) for path in Path("/dev").glob("video*"))
+    if not devices:
+        return "none is seen in /dev: connect one, or check its driver and its permissions"
+    return f"{', '.join(devices)} can be given, if no other program has it open"
