@@ -4,7 +4,7 @@
 
 A row of results/octaves.csv is a set of images with one of two settings: the default, and
 `octaves=0`. covered: the share of the coordinates of corners from halved frames whose error is
-within two sigma, without the boards whose ink spreads, which has no sharp truth.
+within two sigma; the ink of half of these boards has spread.
 """
 
 import itertools

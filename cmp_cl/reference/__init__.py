@@ -97,10 +97,10 @@ def _of_octaves(found: _Found, config: DetectorConfig) -> tuple[Corners, NDArray
     values: dict[str, NDArray[Any]] = {}
     for halvings, image in enumerate(found.images):
         here = found.halvings == halvings
-        refined = refine.refine(
-            image, found.rounded[here], found.centroid[here], config.refinement, 1.0
-        )
         size = 2**halvings
+        refined = refine.refine(
+            image, found.rounded[here], found.centroid[here], config.refinement, 1.0, size
+        )
         placed = dataclasses.replace(
             refined, xy=refined.xy * size + (size - 1) / 2, sigma=refined.sigma * size
         )

@@ -49,6 +49,7 @@ def edge_step(
     points: EdgePoints,
     refinement: EdgeStep,
     scale: float,
+    size: int = 1,
 ) -> Step:
     """Apply EDGE_STEP: one weighted linear least-squares step of a blurred corner from EDGE_LINES.
 
@@ -57,6 +58,9 @@ def edge_step(
     clamp(0.75 cell s, 4.5, 9) / s with the working scale s. The terms of the normal equations that
     depend only on the model are integrated over the disc. In the frame of the edges the equations
     separate into two systems of two unknowns.
+
+    size: px of the frame of a pixel of the image. What a corner that does not look like the model
+    adds to its variance is in px of the frame.
     """
     radius = disc_radius(refinement, scale)
     n1, n2 = (normal_of(line) for line in both_lines(points))
@@ -78,7 +82,7 @@ def edge_step(
         least, low, middle = (ranked(correlation[accepted], n) for n in (5, 40, 50))
         excess = np.maximum(0, correlation - middle)
         spread = max(0, low - least - LEAST_RANGE)
-    of_step = STEP_ERROR**2 + 0.5 * variance + 1000 * excess**2
+    of_step = STEP_ERROR**2 + 0.5 * variance + 1000 * (excess / size) ** 2
     of_refused = np.where(solvable, longest**2, 0)  # the lines and the step differ by more
     margin = np.min(
         [
@@ -95,7 +99,7 @@ def edge_step(
         refusal=np.select([accepted, solvable], [Refusal.NONE, Refusal.SHIFT], Refusal.FLAT).astype(
             np.uint8
         ),
-        variance=np.where(accepted, of_step, of_refused) + 3000 * spread**2,
+        variance=np.where(accepted, of_step, of_refused) + 3000 * (spread / size) ** 2,
         doubtful=accepted & (excess > DOUBT),
         margin=margin,
     )

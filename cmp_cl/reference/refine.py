@@ -45,12 +45,13 @@ def refine(
     centroid: Floats,
     refinement: EdgeLines | EdgeStep | Midlines | None,
     scale: float,
+    size: int = 1,
 ) -> Refined:
     """Refine the positions of N corners.
 
     start: (N, 2) (x, y), the rounded centroids; centroid: (N, 2), the positions that are kept if a
         check rejects the refinement; both in the full image. scale: the working scale that they
-        come from.
+        come from. size: px of the frame of a pixel of the image, which may be halved.
     """
     count = len(start)
     unknown = np.full(count, np.nan)
@@ -79,7 +80,7 @@ def refine(
     lines = np.nonzero(method == Method.EDGE_LINES)[0]
     if isinstance(refinement, EdgeStep) and len(lines):
         step = edge_step(
-            image, start[lines], shift[lines], _chosen(points, lines), refinement, scale
+            image, start[lines], shift[lines], _chosen(points, lines), refinement, scale, size
         )
         accepted = lines[step.accepted]
         shift[accepted] = step.position[step.accepted]

@@ -269,7 +269,7 @@ def _deviation(
     for n in np.unique(octave):
         here = octave == n
         excess[here], more[here] = _excess(correlation[here], accepted[here])
-    return np.sqrt(variance + more * np.float32(4) ** octave), excess > DOUBTFUL_EXCESS
+    return np.sqrt(variance + more), excess > DOUBTFUL_EXCESS
 
 
 def _excess(
