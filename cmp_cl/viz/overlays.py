@@ -35,6 +35,7 @@ PLASMA: NDArray[np.uint8] = np.asarray(  # (256, 3), RGB, from dark blue to yell
     cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_PLASMA)[:, 0, ::-1],
     np.uint8,
 )
+_UNKNOWN = 128  # grey of a node without a value
 _OFF_GRID = (150, 150, 190)  # of corners off the grid
 _FRACTION_BITS = 4
 
@@ -80,6 +81,12 @@ def _enlarged(image: GreyImage, cell: float) -> tuple[NDArray[np.uint8], int]:
     factor = max(1, min(max(round(32 / cell), math.ceil(1000 / longest)), 2400 // longest))
     blocks = eight_bits(image).repeat(factor, axis=0).repeat(factor, axis=1)
     return np.repeat(blocks[:, :, None], 3, axis=2), factor
+
+
+def coloured(values: NDArray[np.floating[Any]], top: float) -> NDArray[np.uint8]:
+    """Return the colours (N, 3), RGB, of values (N,) from 0 to the top; grey where one is NaN."""
+    levels = np.rint(255 * np.nan_to_num(values) / (top or 1)).astype(np.uint8)
+    return np.where(np.isnan(values)[:, None], np.uint8(_UNKNOWN), PLASMA[levels])
 
 
 def eight_bits(image: GreyImage) -> NDArray[np.uint8]:

@@ -13,14 +13,13 @@ from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.files import check_target, suffix_of, temporary_beside
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage
-from cmp_cl.viz.overlays import PLASMA, eight_bits, strips
+from cmp_cl.viz.overlays import PLASMA, coloured, eight_bits, strips
 
 _STRIP = 40  # px below the image for the text and the colour bar
 _WIDEST = 1920  # px, the widest video; wider images are reduced by a whole factor
 _NARROWEST = 480  # px, the narrowest video, so that its text fits
 _DISC = [(y, x) for y in range(-2, 3) for x in range(-2, 3) if y * y + x * x <= 5]
 _LINE = (150, 110, 50)  # BGR
-_NO_VALUE = (150, 150, 150)
 
 
 class OverlayVideo(Closing):
@@ -91,8 +90,7 @@ class OverlayVideo(Closing):
         whole = np.rint(np.where(valid[..., None], xy, 0)).astype(np.int32)
         lines = [np.ascontiguousarray(line) for line in strips(whole, valid)]
         cv2.polylines(canvas, lines, False, _LINE, 1)
-        level = np.rint(np.nan_to_num(moved[valid]) * (255 / (self._top or 1))).astype(np.uint8)
-        colours = np.where(np.isnan(moved[valid])[:, None], _NO_VALUE, PLASMA[level, ::-1])
+        colours = coloured(moved[valid], self._top)[:, ::-1]
         x, y = whole[valid].T
         for down, right in _DISC:
             row, column = y + down, x + right

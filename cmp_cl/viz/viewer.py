@@ -12,7 +12,7 @@ from cmp_cl.field import DisplacementField
 from cmp_cl.field.nodes import quadrilaterals
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage
-from cmp_cl.viz.overlays import PLASMA, strips
+from cmp_cl.viz.overlays import coloured, strips
 
 
 class Viewer(Closing):
@@ -82,12 +82,9 @@ class Viewer(Closing):
         self._stream.log("gel/displacement", arrows)
 
     def _colours(self, length: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
-        """Return the colours (N, 3), RGB, of lengths (N,); grey where one is NaN."""
+        """Return the colours of lengths (N,), up to the largest so far."""
         self._top = max(self._top, float(np.nan_to_num(length).max(initial=0)))
-        levels = np.rint(255 * np.nan_to_num(length) / self._top).astype(np.uint8)
-        colours = PLASMA[levels]
-        colours[np.isnan(length)] = 128
-        return np.asarray(colours, np.uint8)
+        return coloured(length, self._top)
 
     def close(self) -> None:
         """End the stream; the viewer stays open."""
