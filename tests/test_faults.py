@@ -106,8 +106,10 @@ def refuse_to_compile(monkeypatch):
 
 DETECT = """
 import numpy as np
+import pyopencl
 import cmp_cl
 with cmp_cl.Detector(shape=(64, 64)) as detector:
+    assert not pyopencl._PYOPENCL_NO_CACHE
     print(len(detector(np.zeros((64, 64), np.uint8))))
 """
 

@@ -145,6 +145,7 @@ def test_maps_have_the_recorded_values_with_their_units(recorded):
     assert values.count() == 7 * 9 - 4  # the cells around the missing node have no value
     assert values[8] == pytest.approx(0.04 * 42.5)
     assert (ends[0], colours) == (0, "plasma")
+    assert figure.axes[0].yaxis_inverted()  # y points down, as in the image
     arrows = figure.axes[0].collections[1]
     enlarged = float(figure.axes[0].get_title().split("arrows ")[1].split(" x")[0])
     assert arrows.scale == pytest.approx(1 / enlarged, rel=0.05)
@@ -236,6 +237,7 @@ def write_video(path, frames=3):
     xy = np.stack(np.meshgrid(np.arange(40, 281, 24.0), np.arange(30, 211, 20.0)), axis=-1)
     xy[4, 5] = np.nan
     moved = np.linalg.norm(xy - [160, 120], axis=-1) / 100
+    moved[1, 1] = np.nan
     with OverlayVideo(path, fps=10, unit="mm") as writer:
         for number in range(frames):
             image = np.full((240, 320), 90 + number, np.uint8)
@@ -259,6 +261,7 @@ def test_a_video_shows_nodes_by_their_displacement(tmp_path):
 
     near, far = colour((4, 4)), colour((0, 0))
     assert near[0] > near[1] + 40  # dark blue, BGR
+    np.testing.assert_allclose(colour((1, 1)), 128, atol=25)  # unknown
     assert far[2] > 150  # yellow
     assert far[1] > 150
     assert picture[480:].std() > 10  # the bar
