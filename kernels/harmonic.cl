@@ -388,8 +388,7 @@ __kernel void see_octave(__global const int *restrict lists, __global const uint
 Around around_maximum(__global const int *lists, __global const uint *counts, const size_t p,
                       const Decision decision, __global const int *entry, const uint capacity,
                       const int coarse_share, const int fine_share) {
-  const int x = entry[0], y = entry[capacity];
-  const int2 direction = direction_of(entry[3 * capacity]);
+  const int x = entry[0], y = entry[capacity], own = entry[3 * capacity];
   Around around = {0, 0};
   for (int fine = 0; fine <= FINE; ++fine) {
     __global const int *list = LIST_OF(fine);
@@ -400,7 +399,8 @@ Around around_maximum(__global const int *lists, __global const uint *counts, co
       const int marks = list[3 * capacity + n];
       if (!is_candidate(decision, fine, list[2 * capacity + n], marks, coarse_share, fine_share))
         continue;
-      const int to_other = facing(direction, direction_of(marks));
+      const int to_other = facing(DIRECTION_X(own), DIRECTION_Y(own), DIRECTION_X(marks),
+                                  DIRECTION_Y(marks));
       around.opposed += to_other < 0;
       around.askew += to_other == 0;
     }

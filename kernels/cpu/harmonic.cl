@@ -425,18 +425,20 @@ void mark_octave(const Octave octave, __global const int *lists, __global const 
   }
 }
 
-/* Count those of some maxima that are around (x, y). */
+/* Count those of some maxima that are around (x, y). own: the marks of the maximum there. */
 ROW_LOOP Around count_around(__global const int *restrict columns, __global const int *restrict rows,
                              __global const int *restrict marks, const uint count, const int x,
-                             const int y, const int2 direction) {
-  Around around = {0, 0};
+                             const int y, const int own) {
+  const int own_x = DIRECTION_X(own), own_y = DIRECTION_Y(own);
+  int opposed = 0, askew = 0;
   for (uint n = 0; n < count; ++n) {
     const int across = MAGNITUDE_OF(columns[n] - x), down = MAGNITUDE_OF(rows[n] - y);
     const int near = (across <= AROUND) & ((across > NMS_RADIUS) | (down > NMS_RADIUS));
-    const int to_other = facing(direction, direction_of(marks[n]));
-    around.opposed += near & (to_other < 0);
-    around.askew += near & (to_other == 0);
+    const int to_other = facing(own_x, own_y, DIRECTION_X(marks[n]), DIRECTION_Y(marks[n]));
+    opposed += near & (to_other < 0);
+    askew += near & (to_other == 0);
   }
+  const Around around = {opposed, askew};
   return around;
 }
 
@@ -453,7 +455,7 @@ uint first_from(__global const int *rows, const uint count, const int y) {
 
 /* Whether a weak maximum of the frame is lone. `marks` holds the maxima of octave 1. */
 int is_lone(__global const int *lists, __global const uint2 *spans, const uint bands,
-            const uint capacity, const int x, const int y, const int2 direction,
+            const uint capacity, const int x, const int y, const int own,
             __global const uint *marks, const Octave smaller) {
   Around around = {0, 0};
   for (uint kind = 0; kind <= FINE; ++kind)
@@ -462,7 +464,7 @@ int is_lone(__global const int *lists, __global const uint2 *spans, const uint b
       const uint count = SPAN_OF(band, kind).y, first = first_from(rows, count, y - AROUND);
       const uint end = first + first_from(rows + first, count - first, y + AROUND + 1);
       const Around here = count_around(list + first, rows + first, list + 3 * capacity + first,
-                                       end - first, x, y, direction);
+                                       end - first, x, y, own);
       around.opposed += here.opposed;
       around.askew += here.askew;
     }
@@ -472,7 +474,7 @@ int is_lone(__global const int *lists, __global const uint2 *spans, const uint b
 #define IS_LONE(list, n)                                                            \
   (2 * list[2 * capacity + (n)] < reference &&                                      \
    is_lone(lists, spans, bands, capacity, list[n], list[capacity + (n)],            \
-           direction_of(list[3 * capacity + (n)]), marks, smaller))
+           list[3 * capacity + (n)], marks, smaller))
 
 /* Add the corners of octave n to those of the frame and of the octaves before. Return how many
  * there are then. `marks` has room for the bits of the octave. */
