@@ -69,7 +69,7 @@ def units_of(numbered: list[NDArray[np.int32]], xy: NDArray[np.float32], least: 
     roots = np.flatnonzero(faces >= least)
     rank = np.full(len(faces) + 1, -1)  # the last one is of half-edges without a part
     rank[roots[np.argsort(-faces[roots], kind="stable")]] = np.arange(len(roots))
-    part = rank[root].reshape(-1, FULL).T
+    part = np.ascontiguousarray(rank[root].reshape(-1, FULL).T)
     fresh = part >= 0  # at the first boundary of a corner in its part
     for s in range(1, FULL):
         fresh[s] &= (part[s] != part[:s]).all(axis=0)
