@@ -26,7 +26,7 @@ __kernel void noise(__global const PIXEL *restrict image, const uint rows, const
 }
 
 /* Sum them over the inner columns. One work-group per band. */
-__kernel void noise_of_band(__global const NOISE *restrict sums, const uint columns,
+__kernel void sum_bands(__global const NOISE *restrict sums, const uint columns,
                             const uint step, __global ulong *restrict noise) {
   const size_t band = get_global_id(1) * get_num_groups(0) + get_group_id(0);
   __local ulong parts[GROUP];

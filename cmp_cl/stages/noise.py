@@ -32,7 +32,7 @@ def launches(plan: PlanBase, octave: int = 0) -> list[Launch]:
             sums=b["noise_sums"],
         ),
         plan.stage(
-            "noise_of_band",
+            "sum_bands",
             (GROUP * count, plan.frames),
             (GROUP, 1),
             sums=b["noise_sums"],
