@@ -19,7 +19,7 @@ device=${DEVICE:-nvidia}
 
 if [ "${1:-}" = pack ]; then
     # PoCL is left out, so that only the GPU is found.
-    $python -m pip download --only-binary :all: --dest bench/wheels hatchling editables wheel \
+    "$python" -m pip download --only-binary :all: --dest bench/wheels hatchling editables wheel \
         ".[test]"
     exit
 fi
@@ -33,10 +33,10 @@ fi
 out=$(mkdir -p "${OUT:-bench/results/nvidia}" && cd "${OUT:-bench/results/nvidia}" && pwd)
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
-if $python -c "import cv2, hypothesis, platformdirs, pyopencl, xdist" 2> "$work/missing"; then
+if "$python" -c "import cv2, hypothesis, platformdirs, pyopencl, xdist" 2> "$work/missing"; then
     export PYTHONPATH="$PWD${PYTHONPATH:+:$PYTHONPATH}"
 else
-    $python -m venv "$work/venv"
+    "$python" -m venv "$work/venv"
     . "$work/venv/bin/activate"
     python=python
     pip install --quiet --no-index --find-links bench/wheels hatchling editables
@@ -55,17 +55,17 @@ step() {
 }
 
 [ "$device" != nvidia ] || nvidia-smi | tee "$out/nvidia-smi.txt"
-step devices $python -m cmp_cl devices
+step devices "$python" -m cmp_cl devices
 # shellcheck disable=SC2086
-step tests $python -m pytest -n 2 --durations 20 $tests
-step fuzz $python tests/fuzz.py --images $images --configs $configs
-step endurance $python bench/endurance.py --minutes $minutes --openings $openings \
+step tests "$python" -m pytest -n "$(nproc)" --durations 20 $tests
+step fuzz "$python" tests/fuzz.py --images $images --configs $configs
+step endurance "$python" bench/endurance.py --minutes $minutes --openings $openings \
     --json "$out/endurance.json"
 # Sizes, one VGA frame after another, batches of up to 256 frames, the time of each kernel.
 # shellcheck disable=SC2086
-step scaling $python bench/scaling.py --device "$device" $scaling --out "$out"
-step speed $python bench/speed.py --quick --out "$out"
-step report $python bench/report.py --out "$out"
+step scaling "$python" bench/scaling.py --device "$device" $scaling --out "$out"
+step speed "$python" bench/speed.py --quick --out "$out"
+step report "$python" bench/report.py --out "$out"
 if [ ${#failed[@]} -gt 0 ]; then
     echo "FAILED: ${failed[*]}"
     exit 1
