@@ -7,7 +7,7 @@ refractive geometry, CVPR 2012.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -221,17 +221,18 @@ class Window:
         depth = (points - centre) @ self.normal
         across = points - centre - depth[:, None] * self.normal
         lateral = np.maximum(np.linalg.norm(across, axis=1), _TINY)
-        behind = depth - self.height(centre) - self.thickness
+        height = self.height(centre)
+        behind = depth - height - self.thickness
         behind[~(behind >= 0)] = np.nan
-        above = [(self.height(centre), 1.0), *self.layers]
-        media = [*((np.full_like(behind, d), n) for d, n in above), (behind, self.index)]
-        q = lateral / np.sum([d / n for d, n in media], axis=0)
+        media: list[tuple[Any, float]] = [*self.layers, (behind, self.index)]
+        q = lateral / sum((d / n for d, n in media), height)
         for _ in range(_MOST_STEPS):
-            reach, slope = np.zeros_like(q), np.zeros_like(q)
+            square, reach, slope = q * q, height * q, np.full_like(q, height)
             for d, n in media:
-                root = np.sqrt(n**2 + (n**2 - 1) * q * q)
-                reach += d * q / root
-                slope += d * n**2 / (root * root * root)
+                root = np.sqrt(n**2 + (n**2 - 1) * square)
+                share = d / root
+                reach = reach + share * q
+                slope = slope + share * n**2 / (root * root)
             off = lateral - reach
             inside = q / root  # of the last one
             q = q + off / slope
