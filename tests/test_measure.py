@@ -63,7 +63,7 @@ def test_two_views_have_the_field_that_displacement_returns(film):
 
 def assert_same(values, others, name=""):
     """Assert that results of a tracked frame are those of one that the host numbered: to the bit on
-    a CPU; on a card, whose roots are not the host's, to 1e-7 mm."""
+    a CPU, and to 1e-7 mm on a card."""
     near = 0 if select_device().kind is DeviceKind.CPU else 1e-7
     np.testing.assert_allclose(values, others, rtol=100 * near, atol=near, err_msg=name)
 
