@@ -146,3 +146,17 @@ def test_what_a_camera_does_not_do_is_reported(monkeypatch):
         list(Source("0").frames())
     monkeypatch.setattr(Capture, "read", lambda _: (False, None))
     assert list(Source("0").frames()) == []
+
+
+@pytest.mark.parametrize(
+    ("devices", "words"),
+    [([], "none is seen in /dev"), (["video2", "video0", "null"], "video0, .*video2 can be given")],
+)
+def test_a_camera_that_is_not_there_names_those_that_are(devices, words, tmp_path, monkeypatch):
+    for name in devices:
+        (tmp_path / name).touch()
+    frames = Source("7").frames()
+    monkeypatch.setattr("cmp_cl.media.cameras._DEVICES", tmp_path)
+    with pytest.raises(ImageError, match=f"no camera 7 that OpenCV can open; .*{words}") as raised:
+        next(frames)
+    assert "null" not in str(raised.value)

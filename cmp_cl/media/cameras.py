@@ -28,6 +28,7 @@ from cmp_cl.media.videos import LONGEST_GAP, Frame, VideoInfo, read_frames, vide
 
 _WAITING = 64  # the most frames of a camera that wait to be measured
 _LONGEST_WAIT = 10.0  # s, the longest wait for a frame of a camera
+_DEVICES = Path("/dev")  # where Linux has its cameras
 
 _Queue = queue.Queue[Frame | ImageError | None]
 
@@ -241,7 +242,7 @@ def paired(
 
 def _cameras_here() -> str:
     """Return which cameras there are, as far as the folder of devices tells."""
-    devices = sorted(str(path) for path in Path("/dev").glob("video*"))
+    devices = sorted(str(path) for path in _DEVICES.glob("video*"))
     if not devices:
         return "none is seen in /dev: connect one, or check its driver and its permissions"
     return f"{', '.join(devices)} can be given, if no other program has it open"
