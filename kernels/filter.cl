@@ -39,12 +39,18 @@ __constant float DIAGONAL[7] = {5 / 231.0f,  -30 / 231.0f, 75 / 231.0f, 131 / 23
 
 /* The value of node i, or what fills its hole: the quadratic surface through the votes around, with
  * weights that fall with the distance and a ridge towards a constant; 0 if there are fewer than 8
- * votes. */
+ * votes. `voted`: a plane, 1 where a node has a vote and 0 elsewhere, since where bytes became floats
+ * in the loops below, NVIDIA's compiler (580.159) made others of them for 33 to 40 columns. */
 void fill_node(const int i, __global const float *moved, __global const uchar *votes,
-               __global float *data) {
+               __global float *data, __global float *voted) {
   const int row = i / COLUMNS, column = i % COLUMNS, at = IN_LINE(i);
-  for (int k = 0; k < K; ++k) data[k * PLANE + at] = votes[i] ? moved[k * NODES + i] : 0.0f;
-  if (votes[i]) return;
+  if (votes[i]) {
+    voted[at] = 1;
+    for (int k = 0; k < K; ++k) data[k * PLANE + at] = moved[k * NODES + i];
+    return;
+  }
+  voted[at] = 0;
+  for (int k = 0; k < K; ++k) data[k * PLANE + at] = 0;
   for (int reach = 3; reach <= 6; reach += 3) {
     float normal[6][6 + K], origin[K];
     int found = 0;
@@ -80,9 +86,9 @@ void fill_node(const int i, __global const float *moved, __global const uchar *v
 
 /* Fill the holes. One work-item a node. */
 __kernel void fill(__global const float *moved, __global const uchar *votes,
-                   __global float *data) {
+                   __global float *data, __global float *voted) {
   const int i = get_global_id(0);
-  if (i < NODES) fill_node(i, moved, votes, data);
+  if (i < NODES) fill_node(i, moved, votes, data, voted);
 }
 
 /* Apply a filter along the columns for eight nodes of a row. */
@@ -147,10 +153,11 @@ float8 eight_nodes(__global const float *plane, const int row, const int column)
  * along the row into `near`; and sums over the row, from which the degrees of freedom of each
  * estimate and the floor of the noise come. */
 void pilot_of_row(const int row, __global const float *data, __global const uchar *votes,
-                  __global const int *counts, __global const float *pilot_down,
-                  __global const float *pilot_along, __global const float *own_down,
-                  __global const float *own_along, __global const float *rows_noise,
-                  __global float *size, __global float *near, __global float *sums) {
+                  __global const float *voted, __global const int *counts,
+                  __global const float *pilot_down, __global const float *pilot_along,
+                  __global const float *own_down, __global const float *own_along,
+                  __global const float *rows_noise, __global float *size, __global float *near,
+                  __global float *sums) {
   float left[ESTIMATES][K][LINE], here[K][LINE], down[K][LINE];
   for (int k = 0; k < K; ++k) {
     __global const float *plane = data + k * PLANE;
@@ -178,10 +185,10 @@ void pilot_of_row(const int row, __global const float *data, __global const ucha
 #endif
     }
   }
-  float vote[LINE], supported[LINE];
+  float supported[LINE];
+  __global const float *vote = voted + row * LINE;
   const int top = WINDOW_START(row, PILOT_DOWN, ROWS), missing = MISSING_NOW;
   for (int c = 0; c < LINE; ++c) {
-    vote[c] = c < COLUMNS && votes[row * COLUMNS + c] ? 1.0f : 0.0f;
     supported[c] = 1;
     if (missing == 0 || c >= COLUMNS) continue;
     const int first = WINDOW_START(c, PILOT_ALONG, COLUMNS);
@@ -205,7 +212,7 @@ void pilot_of_row(const int row, __global const float *data, __global const ucha
       const float8 counts_if = e == 0 ? LOAD_EIGHT(supported + c) : 1 + none;
       float8 square = 0;
       for (int k = 0; k < K; ++k) square += LOAD_EIGHT(left[e][k] + c) * LOAD_EIGHT(left[e][k] + c);
-      const int8 usable = LOAD_EIGHT(vote + c) > 0 && counts_if > 0 && left_over > 0.05f;
+      const int8 usable = EIGHT_AT(vote + c) > 0 && counts_if > 0 && left_over > 0.05f;
       const float8 root = sqrt(square / (K * (left_over > least ? left_over : least)));
       STORE_EIGHT(line + NOISE_REACH + c, usable ? root : none);
       STORE_EIGHT(mask + NOISE_REACH + c, usable ? 1 + none : none);
@@ -229,14 +236,14 @@ void pilot_of_row(const int row, __global const float *data, __global const ucha
   for (int j = 0; j < K; ++j)
     for (int k = j; k < K; ++k) {
       EACH_EIGHT STORE_EIGHT(line + NOISE_REACH + c,
-                             LOAD_EIGHT(vote + c) * LOAD_EIGHT(left[0][j] + c) *
+                             EIGHT_AT(vote + c) * LOAD_EIGHT(left[0][j] + c) *
                                  LOAD_EIGHT(left[0][k] + c));
       average_along(line, NOISE_REACH, rows_noise, near + (p++ * ROWS + row) * LINE, LANES);
     }
   EACH_EIGHT {
     float8 square = 0;
     for (int k = 0; k < K; ++k) square += LOAD_EIGHT(left[0][k] + c) * LOAD_EIGHT(left[0][k] + c);
-    EIGHT_AT(size + row * LINE + c) = LOAD_EIGHT(vote + c) * square / K;
+    EIGHT_AT(size + row * LINE + c) = EIGHT_AT(vote + c) * square / K;
   }
   float total = 0;
   for (int k = 0; k < K; ++k) EACH_COLUMN total += here[k][c] * here[k][c];
@@ -245,14 +252,15 @@ void pilot_of_row(const int row, __global const float *data, __global const ucha
 
 /* The pilot. One work-item a row. */
 __kernel void pilot(__global const float *data, __global const uchar *votes,
-                    __global const int *counts, __global const float *pilot_down,
-                    __global const float *pilot_along, __global const float *own_down,
-                    __global const float *own_along, __global const float *rows_noise,
-                    __global float *size, __global float *near, __global float *sums) {
+                    __global const float *voted, __global const int *counts,
+                    __global const float *pilot_down, __global const float *pilot_along,
+                    __global const float *own_down, __global const float *own_along,
+                    __global const float *rows_noise, __global float *size, __global float *near,
+                    __global float *sums) {
   const int row = get_global_id(0);
   if (row < ROWS)
-    pilot_of_row(row, data, votes, counts, pilot_down, pilot_along, own_down, own_along, rows_noise,
-                 size, near, sums);
+    pilot_of_row(row, data, votes, voted, counts, pilot_down, pilot_along, own_down, own_along,
+                 rows_noise, size, near, sums);
 }
 
 /* The mean length of a residual with variance 1 per coordinate, if its length is chi-distributed.
@@ -358,15 +366,15 @@ __kernel void settle(__global const float *moved, __global const float *pilot_do
                      __global const float *own_along, __global const float *rows_noise,
                      __global const float *bound_rest, __global const float *variance_now,
                      const int bends, __global int *counts, __global uchar *votes,
-                     __global float *data, __global float *size, __global float *near,
-                     __global float *sums, __global float *variance, __global float *chosen,
-                     __global float *common) {
+                     __global float *data, __global float *voted, __global float *size,
+                     __global float *near, __global float *sums, __global float *variance,
+                     __global float *chosen, __global float *common) {
   const int first = get_local_id(0), items = get_local_size(0);
   for (int round = 1; round <= ROUNDS && counts[REJECTED + round - 1] > 0; ++round) {
-    for (int i = first; i < NODES; i += items) fill_node(i, moved, votes, data);
+    for (int i = first; i < NODES; i += items) fill_node(i, moved, votes, data, voted);
     barrier(CLK_GLOBAL_MEM_FENCE);
     for (int row = first; row < ROWS; row += items)
-      pilot_of_row(row, data, votes, counts, pilot_down, pilot_along, own_down, own_along,
+      pilot_of_row(row, data, votes, voted, counts, pilot_down, pilot_along, own_down, own_along,
                    rows_noise, size, near, sums);
     barrier(CLK_GLOBAL_MEM_FENCE);
     for (int row = first; row < ROWS; row += items)
@@ -379,19 +387,19 @@ __kernel void settle(__global const float *moved, __global const float *pilot_do
 /* Every pair of filters: its estimate, and its loss, averaged along the row. A pair whose window
  * holds too few votes is marked. One work-item a row and a filter along the columns. */
 __kernel void smooth(__global const float *data, __global const uchar *votes,
-                     __global const int *counts, __global const float *chosen,
-                     __global const int *sides_down, __global const int *sides_along,
-                     __global const float *filters_down, __global const float *filters_along,
-                     __global const float *own_down, __global const float *own_along,
-                     __global const float *rows_risk, __global float *estimate,
-                     __global float *loss, __global float *near_votes,
+                     __global const float *voted, __global const int *counts,
+                     __global const float *chosen, __global const int *sides_down,
+                     __global const int *sides_along, __global const float *filters_down,
+                     __global const float *filters_along, __global const float *own_down,
+                     __global const float *own_along, __global const float *rows_risk,
+                     __global float *estimate, __global float *loss, __global float *near_votes,
                      __global float *unsupported) {
   const int row = get_global_id(0), a = get_global_id(1);
   if (row >= ROWS) return;
   const int side = sides_down[a], first = WINDOW_START(row, side, ROWS);
-  float down[K][LINE], here[K][LINE], twice[LINE], vote[LINE], line[LINE + 2 * RISK_REACH];
+  float down[K][LINE], here[K][LINE], twice[LINE], line[LINE + 2 * RISK_REACH];
   int before[COLUMNS + 1]; /* votes of the window's rows in the columns before */
-  for (int c = 0; c < LINE; ++c) vote[c] = c < COLUMNS && votes[row * COLUMNS + c] ? 1.0f : 0.0f;
+  __global const float *vote = voted + row * LINE;
   EACH_EIGHT {
     for (int k = 0; k < K; ++k) {
       __global const float *plane = data + k * PLANE;
@@ -434,7 +442,7 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
         square += apart * apart;
         EIGHT_AT(estimate + (k * PAIRS + pair) * PLANE + IN_PIECES(row, c)) = found[k];
       }
-      STORE_EIGHT(line + RISK_REACH + c, square * LOAD_EIGHT(vote + c));
+      STORE_EIGHT(line + RISK_REACH + c, square * EIGHT_AT(vote + c));
     }
     average_along(line, RISK_REACH, rows_risk, loss + pair * PLANE + IN_PIECES(row, 0),
                   IN_PIECES(0, LANES));
@@ -446,7 +454,7 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
       }
   }
   if (a == 0) {
-    EACH_EIGHT STORE_EIGHT(line + RISK_REACH + c, LOAD_EIGHT(vote + c));
+    EACH_EIGHT STORE_EIGHT(line + RISK_REACH + c, EIGHT_AT(vote + c));
     average_along(line, RISK_REACH, rows_risk, near_votes + IN_PIECES(row, 0), IN_PIECES(0, LANES));
   }
 }

@@ -247,6 +247,7 @@ class LatticeFilter:
         self.inputs = Memory(queue, self._inputs())
         self._tables = Memory.of(queue, **self._table_arrays())
         self._work = Memory(queue, self._work_layout())
+        self._work.upload()  # no votes beyond the last column
         self.parts: dict[str, cl.Buffer] = {}
         for memory in (self.inputs, self._tables, self._work, results):
             self.parts |= memory.parts
@@ -332,6 +333,7 @@ class LatticeFilter:
         products = axes * (axes + 1) // 2
         in_line = {
             "data": axes,
+            "voted": 1,
             "size": 1,
             "near": _ESTIMATES + _MASKS + products,
             "chosen": 1,
@@ -360,10 +362,10 @@ class LatticeFilter:
         found, noise = ("size", "near", "sums"), ("variance", "chosen", "common")
         planes = "pilot_down", "pilot_along"
         group = 1 if self._device.kind is DeviceKind.CPU else GROUP
-        settle = "moved", *planes, *pilots, *bounds, "data", *found, *noise
+        settle = "moved", *planes, *pilots, *bounds, "data", "voted", *found, *noise
         listed = [
-            self._of_nodes("fill", "moved", "votes", "data"),
-            self._of_rows("pilot", 1, "data", "votes", "counts", *planes, *pilots, *found),
+            self._of_nodes("fill", "moved", "votes", "data", "voted"),
+            self._of_rows("pilot", 1, "data", "votes", "voted", "counts", *planes, *pilots, *found),
             self._of_rows("noise", 1, "near", "sums", "size", *pilots, *bounds, *noise),
             _bound(self._kernels, self.parts, "settle", (group,), (group,), settle),
         ]
@@ -376,7 +378,7 @@ class LatticeFilter:
             self._of_rows(
                 "smooth",
                 len(self._down.sides),
-                *("data", "votes", "counts", "chosen", "sides_down", "sides_along"),
+                *("data", "votes", "voted", "counts", "chosen", "sides_down", "sides_along"),
                 *("filters_down", "filters_along", *owns, "rows_risk"),
                 *("estimate", "loss", "near_votes", "unsupported"),
             ),

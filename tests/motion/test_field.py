@@ -274,7 +274,7 @@ def test_the_field_in_the_plane_is_the_oracles(run, case):
 
 @pytest.mark.parametrize("at_once", [True, False], ids=["in the plan", "later"])
 @pytest.mark.parametrize("views", [1, 2])
-@pytest.mark.parametrize("case", ["whole", "holes and a tear", "outliers", "narrow"])
+@pytest.mark.parametrize("case", ["whole", "holes and a tear", "outliers", "narrow", "wide"])
 def test_the_strain_is_the_oracles(run, device, case, views, at_once):
     rig = rig_with()
     rest, now, complete = pressed(case, rig, 4, shared=0.2)
