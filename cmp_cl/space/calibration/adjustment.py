@@ -7,13 +7,12 @@ the cameras, the pose of the board at each moment and, if the board is free, its
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.space.lens import POSE, Lens, projected, rotation_of
+from cmp_cl.space.lens import POSE, Lens, projected, rotation_of, unknowns
 
 Array = NDArray[np.float64]
 
@@ -53,31 +52,13 @@ def residuals(lens: Lens, look: Look, state: State) -> Array:
 
 
 def root_mean_square(offs: Sequence[Array]) -> float:
-    """Return the root mean square length of residuals (N, 2), px."""
-    return math.sqrt(float(np.square(np.concatenate(offs)).sum(axis=1).mean()))
-
-
-def slopes(lens: Lens, look: Look, state: State) -> tuple[Array, Array, Array]:
-    """Return the derivatives of the projection, px.
-
-    They are (N, 2, P) by the camera, (N, 2, 6) by the pose of the board, and (N, 2, 3) by the node.
-    """
-    camera, pose = state.cameras[look.camera], state.poses[look.moment]
-    turn, by_turn = (np.asarray(each, np.float64) for each in cv2.Rodrigues(pose[:3]))
-    by_camera = projected(lens, _placed(look, state), camera)[1]
-    by_point = by_camera[..., -3:] @ rotation_of(camera)
-    turning = np.einsum("kij,nj->nik", by_turn.reshape(3, 3, 3), state.board[look.nodes])
-    by_pose = np.concatenate([by_point @ turning, by_point], axis=2)
-    return by_camera, by_pose, by_point @ turn
+    """Return the root mean square length of residuals (..., 2), px, of those that are not NaN."""
+    every = np.concatenate([off.reshape(-1, 2) for off in offs])
+    return math.sqrt(float(np.nanmean(np.square(every).sum(axis=1))))
 
 
 def adjust(
-    lens: Lens,
-    looks: Sequence[Look],
-    state: State,
-    free: NDArray[np.bool_],
-    *,
-    free_board: bool = False,
+    lens: Lens, looks: Sequence[Look], state: State, *, free_board: bool = False
 ) -> tuple[State, Array | None]:
     """Minimize the reprojection error of all looks by Levenberg's method, from a near solution.
 
@@ -85,10 +66,9 @@ def adjust(
     takes 100 times as long: its inner iterations converge slowly where lens, pose and board can
     replace each other.)
 
-    free: (C, P), True for each parameter of a camera that is adjusted. free_board:
-        whether the nodes of the board are adjusted too. A weak spring draws each node to its place
-        in `state`, where squares have side 1; it determines the size, the position and the
-        orientation of the board, which the views leave open.
+    free_board: whether the nodes of the board are adjusted too. A weak spring draws each node to
+        its place in `state`, where squares have side 1; it determines the size, the position and
+        the orientation of the board, which the views leave open.
 
     Returns the result, and its `covariance`.
     """
@@ -102,9 +82,9 @@ def adjust(
         return float(sum(squares) + stiffness * np.square(state.board - flat).sum())
 
     cost, damping = cost_of(state), _DAMPING
-    equations = _equations(lens, looks, state, free, flat, stiffness)
+    equations = _equations(lens, looks, state, flat, stiffness)
     for _ in range(_STEPS):
-        moved = _moved(state, *_solved(equations, damping), free)
+        moved = _moved(lens, state, _step(*equations, damping))
         lower = cost_of(moved)
         if not lower < cost:
             damping *= 10
@@ -113,147 +93,119 @@ def adjust(
             continue
         done = cost - lower < _SMALL * cost
         state, cost, damping = moved, lower, damping / 10
-        equations = _equations(lens, looks, state, free, flat, stiffness)
         if done:
             break
-    return state, covariance(lens, looks, state, free, stiffness)
+        equations = _equations(lens, looks, state, flat, stiffness)
+    return state, covariance(lens, looks, state, stiffness)
 
 
 def covariance(
-    lens: Lens,
-    looks: Sequence[Look],
-    state: State,
-    free: NDArray[np.bool_],
-    stiffness: float = 0.0,
+    lens: Lens, looks: Sequence[Look], state: State, stiffness: float = 0.0
 ) -> Array | None:
-    """Return the covariance of the free parameters of the cameras, (n, n).
+    """Return the covariance of the unknown parameters of the cameras, (n, n).
 
-    free: (C, P). stiffness: of the springs, 0 for a flat board. The variance of a corner is that of
-    the residuals; for a flat board it is increased if the errors of a view are shared, see
-    `_shared_variance`. Returns None if the views do not determine a parameter.
+    stiffness: of the springs, 0 for a flat board. The variance of a corner is that of the
+    residuals, per degree of freedom; for a flat board it is increased if the errors of a view are
+    shared, see `_shared_variance`. Returns None if the views do not determine a parameter.
     """
-    matrix = _reduced(_equations(lens, looks, state, free, state.board, stiffness), 0.0)[0]
+    matrix, _ = _equations(lens, looks, state, state.board, stiffness)
     unit = np.sqrt(np.diag(matrix))
     if not (unit > 0).all():
         return None
     values, axes = np.linalg.eigh(matrix / np.outer(unit, unit))
     if not values[0] > _SINGULAR:
         return None
-    count = int(np.count_nonzero(free))
-    inverse = ((axes / values) @ axes.T)[:count, :count] / np.outer(unit[:count], unit[:count])
+    count = int(np.count_nonzero(unknowns(lens, len(state.cameras))))
+    few, unit = axes[:count], unit[:count]
+    inverse = (few / values) @ few.T / np.outer(unit, unit)
     shown = len(np.unique(np.concatenate([look.nodes for look in looks])))
-    unknown = count + (3 * shown - POSE - 1 if stiffness else 0)
-    variance = _variance(lens, looks, state, unknown)
+    board = 3 * shown - POSE - 1 if stiffness else 0
+    offs = np.concatenate([residuals(lens, look, state) for look in looks])
+    variance = np.square(offs).sum() / max(offs.size - count - state.poses.size - board, 1)
     if not stiffness:
-        variance = max(variance, _shared_variance(lens, looks, state, free, inverse))
+        variance = max(variance, _shared_variance(lens, looks, state, inverse))
     found: Array = inverse * variance
     return found
 
 
-class _Equations(NamedTuple):
-    """The normal equations, of n parameters of cameras and poses, and of the B nodes of a board.
-
-    both: (n, n). right: (n,). cross: (B, n, 3), own: (B, 3, 3), own_right: (B, 3): of each node,
-    which occurs with no other node in one residual. B is 0 for a flat board.
-    """
-
-    both: Array
-    right: Array
-    cross: Array
-    own: Array
-    own_right: Array
-
-
 def _equations(
-    lens: Lens,
-    looks: Sequence[Look],
-    state: State,
-    free: NDArray[np.bool_],
-    flat: Array,
-    stiffness: float,
-) -> _Equations:
-    """Return the normal equations at a state; stiffness: of the springs, 0 for a flat board."""
-    count = int(np.count_nonzero(free))
-    size, nodes = count + state.poses.size, len(flat) if stiffness else 0
-    both, right = np.zeros((size, size)), np.zeros(size)
-    cross, own = np.zeros((nodes, size, 3)), np.tile(stiffness * np.eye(3), (nodes, 1, 1))
-    own_right = stiffness * (flat - state.board)[:nodes]
-    column = np.cumsum(free).reshape(free.shape) - 1
+    lens: Lens, looks: Sequence[Look], state: State, flat: Array, stiffness: float
+) -> tuple[Array, Array]:
+    """Return the normal equations, (n, n) and (n,), of the unknown parameters of the cameras, of
+    the poses and, with springs to the places `flat`, of the nodes."""
+    free = unknowns(lens, len(state.cameras))
+    number = np.cumsum(free).reshape(free.shape) - 1
+    poses = number[-1, -1] + 1
+    nodes = poses + state.poses.size
+    size = nodes + (state.board.size if stiffness else 0)
+    matrix, right = np.zeros((size, size)), np.zeros(size)
     for look in looks:
-        by_camera, by_pose, by_node = slopes(lens, look, state)
+        by_camera, by_pose, by_node = _slopes(lens, look, state)
         off, chosen = residuals(lens, look, state)[..., None], free[look.camera]
-        pose = count + POSE * look.moment + np.arange(POSE)
-        columns = np.concatenate([column[look.camera][chosen], pose])
-        by_both = np.concatenate([by_camera[..., chosen], by_pose], axis=2)
-        turned = by_both.transpose(0, 2, 1)
-        both[np.ix_(columns, columns)] += (turned @ by_both).sum(axis=0)
-        right[columns] += (turned @ off).sum(axis=0)[:, 0]
-        if nodes:
-            cross[np.ix_(look.nodes, columns)] += turned @ by_node
-            own[look.nodes] += by_node.transpose(0, 2, 1) @ by_node
-            own_right[look.nodes] += (by_node.transpose(0, 2, 1) @ off)[..., 0]
-    return _Equations(both, right, cross, own, own_right)
+        of_pose = poses + POSE * look.moment + np.arange(POSE)
+        column = np.concatenate([number[look.camera][chosen], of_pose])
+        slopes = np.concatenate([by_camera[..., chosen], by_pose], axis=2)
+        turned = slopes.transpose(0, 2, 1)
+        matrix[np.ix_(column, column)] += (turned @ slopes).sum(axis=0)
+        right[column] += (turned @ off).sum(axis=0)[:, 0]
+        if stiffness:
+            node = nodes + 3 * look.nodes[:, None] + np.arange(3)
+            mixed, turned = turned @ by_node, by_node.transpose(0, 2, 1)
+            matrix[column[:, None], node[:, None]] += mixed
+            matrix[node[..., None], column] += mixed.transpose(0, 2, 1)
+            matrix[node[..., None], node[:, None]] += turned @ by_node
+            right[node] += (turned @ off)[..., 0]
+    if stiffness:
+        matrix[range(nodes, size), range(nodes, size)] += stiffness
+        right[nodes:] += stiffness * (flat - state.board).ravel()
+    return matrix, right
 
 
-def _reduced(equations: _Equations, damping: float) -> tuple[Array, Array, Array]:
-    """Eliminate the nodes: return the matrix (n, n) and the right side (n,) of what is left, and
-    the inverses (B, 3, 3). damping: share that is added to the diagonals."""
-    both, right, cross, own, own_right = equations
-    inverse = np.linalg.inv(own * (1 + damping * np.eye(3))).astype(np.float64)
-    through = cross @ inverse
-    reduced = both * (1 + damping * np.eye(len(both)))
-    reduced -= np.tensordot(through, cross, axes=((0, 2), (0, 2)))
-    return reduced, right - np.tensordot(through, own_right, axes=((0, 2), (0, 1))), inverse
+def _slopes(lens: Lens, look: Look, state: State) -> tuple[Array, Array, Array]:
+    """Return the derivatives of the projection by the camera, (N, 2, P), by the pose of the board,
+    (N, 2, 6), and by the node, (N, 2, 3), px."""
+    camera, pose = state.cameras[look.camera], state.poses[look.moment]
+    turn, by_turn = (np.asarray(each, np.float64) for each in cv2.Rodrigues(pose[:3]))
+    by_camera = projected(lens, _placed(look, state), camera)[1]
+    by_point = by_camera[..., -3:] @ rotation_of(camera)
+    turning = np.einsum("kij,nj->nik", by_turn.reshape(3, 3, 3), state.board[look.nodes])
+    by_pose = np.concatenate([by_point @ turning, by_point], axis=2)
+    return by_camera, by_pose, by_point @ turn
 
 
-def _solved(equations: _Equations, damping: float) -> tuple[Array, Array]:
-    """Return a step of the parameters (n,) and of the nodes (B, 3)."""
-    reduced, right, inverse = _reduced(equations, damping)
-    step = _inverse(reduced) @ right
-    nodes = inverse @ (equations.own_right - step @ equations.cross)[..., None]
-    return step, nodes[..., 0]
-
-
-def _inverse(matrix: Array) -> Array:
-    """Return the inverse of a symmetric matrix, whatever the units of the unknowns."""
+def _step(matrix: Array, right: Array, damping: float) -> Array:
+    """Return a step of the unknowns; damping: share that is added to the diagonal."""
     unit = np.sqrt(np.diag(matrix))
-    inverse: Array = np.linalg.inv(matrix / unit / unit[:, None]) / unit / unit[:, None]
-    return inverse
+    scaled = matrix / np.outer(unit, unit) + damping * np.eye(len(unit))
+    step: Array = np.linalg.solve(scaled, right / unit) / unit
+    return step
 
 
-def _moved(state: State, step: Array, nodes: Array, free: NDArray[np.bool_]) -> State:
-    """Return the state after a step of the parameters and the nodes."""
-    cameras, count = state.cameras.copy(), int(np.count_nonzero(free))
+def _moved(lens: Lens, state: State, step: Array) -> State:
+    """Return the state after a step of the unknowns."""
+    free, cameras = unknowns(lens, len(state.cameras)), state.cameras.copy()
+    count = int(np.count_nonzero(free))
     cameras[free] += step[:count]
-    board = state.board + nodes if len(nodes) else state.board
-    return State(cameras, state.poses + step[count:].reshape(-1, POSE), board)
+    poses, nodes = np.split(step[count:], [state.poses.size])
+    board = state.board + nodes.reshape(-1, 3) if len(nodes) else state.board
+    return State(cameras, state.poses + poses.reshape(-1, POSE), board)
 
 
-def _variance(lens: Lens, looks: Sequence[Look], state: State, unknown: int) -> float:
-    """Return the variance of a corner along an axis, px^2: squared residuals by the degrees of
-    freedom. unknown: the number of unknowns beside the poses of the board."""
-    offs = np.concatenate([residuals(lens, look, state) for look in looks])
-    degrees = offs.size - unknown - POSE * len({look.moment for look in looks})
-    return float(np.square(offs).sum()) / max(degrees, 1)
-
-
-def _shared_variance(
-    lens: Lens, looks: Sequence[Look], state: State, free: NDArray[np.bool_], inverse: Array
-) -> float:
+def _shared_variance(lens: Lens, looks: Sequence[Look], state: State, inverse: Array) -> float:
     """Return the variance of a corner that the differences between the views show, px^2.
 
-    inverse: of the normal equations of the free parameters, (n, n).
+    inverse: of the normal equations of the unknown parameters of the cameras, (n, n).
 
     The corners of one view may have errors in common, of the lens or of the print. With A_m and g_m
     the normal equations of the cameras by view m, A = sum A_m, and independent corners of variance
     v, the mean of g_m^T A^-1 g_m is v tr(B - B^2) with B = A^-1 A_m; common errors make it larger.
     """
-    count = int(np.count_nonzero(free))
+    count = len(inverse)
     found = expected = 0.0
-    for moment in {look.moment for look in looks}:
+    for moment in range(len(state.poses)):
         own = [dataclasses.replace(look, moment=0) for look in looks if look.moment == moment]
         there = dataclasses.replace(state, poses=state.poses[moment : moment + 1])
-        both, right = _equations(lens, own, there, free, state.board, 0.0)[:2]
+        both, right = _equations(lens, own, there, state.board, 0.0)
         by_pose = both[:count, count:] @ np.linalg.inv(both[count:, count:])
         share = inverse @ (both[:count, :count] - by_pose @ both[count:, :count])
         slope = right[:count] - by_pose @ right[count:]

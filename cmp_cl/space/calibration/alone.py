@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError
 from cmp_cl.space.calibration.adjustment import Look, State, covariance
-from cmp_cl.space.lens import Lens, camera_of, unknowns
+from cmp_cl.space.lens import Lens, camera_of
 
 # Share of the focal length; a larger sigma means that the views do not determine it.
 _MAX_FOCAL_SIGMA = 0.05
@@ -67,7 +67,7 @@ def calibrate_alone(
         dataclasses.replace(look, camera=0, moment=moment) for moment, look in enumerate(looks)
     ]
     state = State(camera[None], np.array(poses), board)
-    spread = covariance(lens, numbered, state, unknowns(lens, 1))
+    spread = covariance(lens, numbered, state)
     sigma = math.inf if spread is None else math.sqrt(float(np.diag(spread)[:2].max()))
     if not sigma < _MAX_FOCAL_SIGMA * camera[0]:
         raise CalibrationError(

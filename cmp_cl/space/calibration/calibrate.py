@@ -1,7 +1,8 @@
 """Calibrates one, two or more cameras on views of a board."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,11 +77,10 @@ class Calibration:
     """Cameras, calibrated on views of a board. V is the number of moments.
 
     cameras: by name, the first at the origin.
-    error: root mean square reprojection error, with one pose of the board a moment, px.
-    view_errors: by camera, the same for each view, (V,), NaN for views that are not used.
     grids: by camera, the grid of each view that is used, all with the numbers of the first camera
         that sees the board; None for the others.
-    residuals: by camera, for each of these (R, C, 2) measured minus projected, px.
+    residuals: by camera, for each of these (R, C, 2) measured minus projected, px, with one pose
+        of the board a moment.
     normals: (V, 3), the direction of the board's back in the frame of the first camera, NaN for
         moments that are not used.
     alike: groups of moments that show the same; of each only the first is used.
@@ -91,8 +91,6 @@ class Calibration:
     """
 
     cameras: Mapping[str, Camera]
-    error: float
-    view_errors: Mapping[str, Array]
     grids: Mapping[str, Sequence[Grid | None]]
     residuals: Mapping[str, Sequence[Array | None]]
     normals: Array
@@ -100,6 +98,20 @@ class Calibration:
     focal_sigma: Mapping[str, float]
     board: Array | None = None
     covariance: Array | None = None
+
+    @property
+    def error(self) -> float:
+        """Return the root mean square reprojection error, px."""
+        every = itertools.chain.from_iterable(self.residuals.values())
+        return root_mean_square([each for each in every if each is not None])
+
+    @property
+    def view_errors(self) -> dict[str, Array]:
+        """Return the same for each view, by camera, (V,), NaN for views that are not used."""
+        return {
+            name: np.array([np.nan if one is None else root_mean_square([one]) for one in each])
+            for name, each in self.residuals.items()
+        }
 
     def rig(self) -> StereoRig:
         """Return the rig of two cameras; raises CalibrationError for fisheyes or another number."""
@@ -151,52 +163,44 @@ def calibrate(
     check_positive("spacing", spacing, CalibrationError)
     check_kind("lens", lens, Lens, CalibrationError)
     check_kind("unit", unit, str, CalibrationError)
-    grids = {
-        name: {m: grid for m, grid in enumerate(each) if grid is not None and _large(grid)}
-        for name, each in views.items()
-    }
-    alike = _alike(grids)
-    copies = {moment for group in alike for moment in group[1:]}
-    seen = {
-        name: {moment: grid for moment, grid in each.items() if moment not in copies}
-        for name, each in grids.items()
-    }
-    for name, each in seen.items():
-        _check_count(name, len(each), len(grids[name]) - len(each))
+    seen, alike = _different(views)
     if free_board:
         seen = _numbered_alike(seen)
     board = _board_of(seen)
     alone = {name: _alone(name, each, board, sizes[name], lens) for name, each in seen.items()}
     places = place(alone, seen)
-    seen = {
-        name: {moment: grid.turned(places.quarters[name][moment]) for moment, grid in each.items()}
-        for name, each in seen.items()
-    }
-    board = _board_of(seen)
+    seen, board = places.grids, _board_of(places.grids)
     moments = {moment: number for number, moment in enumerate(sorted(places.boards))}
-    looks = [
-        _look(grid, board, camera, moments[moment])
-        for camera, each in enumerate(seen.values())
+    looks = {
+        (name, moment): _look(grid, board, camera, moments[moment])
+        for camera, (name, each) in enumerate(seen.items())
         for moment, grid in each.items()
-    ]
+    }
+    every = list(looks.values())
     state = State(
         np.array([np.r_[alone[n].camera[:-POSE], vector_of(places.cameras[n])] for n in seen]),
         np.array([vector_of(places.boards[moment]) for moment in moments]),
         board.reshape(-1, 3),
     )
-    free = unknowns(lens, len(seen))
-    state, cov = adjust(lens, looks, state, free)
-    _check_fit(lens, looks, state, alone, places.odd)
-    side = 1.0
+    state, cov = adjust(lens, every, state)
+    _check_fit(lens, every, state, alone, places.odd)
+    scale = spacing
     if free_board:
-        state, cov = adjust(lens, looks, state, free, free_board=True)
-        side = _mean_side(state, looks, board.shape)
-    state, cov = _scaled(state, cov, free, spacing / side)
-    offs = [residuals(lens, look, state) for look in looks]
-    by_view = _by_view(views, seen, offs)
+        state, cov = adjust(lens, every, state, free_board=True)
+        scale /= _mean_side(state, every, board.shape)
+    factor = np.ones(state.cameras.shape)
+    factor[:, -3:] = scale  # the translations
+    cameras, unknown = state.cameras * factor, unknowns(lens, len(seen))
+    deviation = np.full(unknown.shape, np.nan)
+    if cov is not None:
+        cov = cov * np.outer(factor[unknown], factor[unknown])
+        deviation[unknown] = np.sqrt(np.diag(cov))
+    residual: dict[str, list[Array | None]] = {n: [None] * len(each) for n, each in views.items()}
+    for (name, moment), look in looks.items():
+        valid = seen[name][moment].valid
+        residual[name][moment] = spread(valid, residuals(lens, look, state))
     normals = np.full((max(map(len, views.values())), 3), np.nan)
-    for moment, number in moments.items():
-        normals[moment] = pose_of(state.poses[number])[:3, 2]
+    normals[list(moments)] = [pose_of(pose)[:3, 2] for pose in state.poses]
     return Calibration(
         cameras={
             name: Camera(
@@ -208,16 +212,14 @@ def calibrate(
                 T=camera[-3:],
                 unit=unit,
             )
-            for name, camera in zip(seen, state.cameras, strict=True)
+            for name, camera in zip(seen, cameras, strict=True)
         },
-        error=root_mean_square(offs),
-        view_errors=by_view[0],
-        grids=by_view[1],
-        residuals=by_view[2],
+        grids={n: [seen[n].get(moment) for moment in range(len(views[n]))] for n in seen},
+        residuals=residual,
         normals=normals,
         alike=alike,
-        focal_sigma=_focal_sigma(seen, free, cov),
-        board=state.board.reshape(board.shape) if free_board else None,
+        focal_sigma={name: float(row[:2].max()) for name, row in zip(seen, deviation, strict=True)},
+        board=state.board.reshape(board.shape) * scale if free_board else None,
         covariance=cov if lens is Lens.PINHOLE and len(seen) == 2 else None,
     )
 
@@ -250,18 +252,38 @@ def _large(grid: Grid) -> bool:
     return bool(len(rows) >= MIN_NODES and np.ptp(rows) > 0 and np.ptp(columns) > 0)
 
 
-def _alike(grids: Mapping[str, Mapping[int, Grid]]) -> list[list[int]]:
-    """Return the groups of at least two moments whose views are alike in each camera."""
+def _different(
+    views: Mapping[str, Sequence[Grid | None]],
+) -> tuple[dict[str, dict[int, Grid]], list[list[int]]]:
+    """Return the grids that bring something new, by camera and moment, and the groups of at least
+    two moments whose views are alike in each camera, of which the first is taken.
+
+    Raises CalibrationError if a camera has too few of them.
+    """
+    large = {
+        name: {m: grid for m, grid in enumerate(each) if grid is not None and _large(grid)}
+        for name, each in views.items()
+    }
     groups: list[list[int]] = []
-    for moment in sorted({moment for each in grids.values() for moment in each}):
+    for moment in sorted({moment for each in large.values() for moment in each}):
         for group in groups:
-            both = [each for each in grids.values() if moment in each and group[0] in each]
+            both = [each for each in large.values() if moment in each and group[0] in each]
             if both and all(_same(each[group[0]], each[moment]) for each in both):
                 group.append(moment)
                 break
         else:
             groups.append([moment])
-    return [group for group in groups if len(group) > 1]
+    first = {group[0] for group in groups}
+    seen = {name: {m: each[m] for m in each if m in first} for name, each in large.items()}
+    for name, each in seen.items():
+        copies = len(large[name]) - len(each)
+        others = f"; {copies} more show the same: move and tilt the board between views"
+        if len(each) < MIN_VIEWS:
+            raise CalibrationError(
+                f"{name}: {MIN_VIEWS} different views with at least {MIN_NODES} corners are "
+                f"needed, better 10, not {len(each)}{others if copies else ''}"
+            )
+    return seen, [group for group in groups if len(group) > 1]
 
 
 def _same(one: Grid, other: Grid) -> bool:
@@ -276,17 +298,6 @@ def _same(one: Grid, other: Grid) -> bool:
             if both.sum() >= MIN_NODES and square[both].mean() < limit**2:
                 return True
     return False
-
-
-def _check_count(name: str, count: int, copies: int) -> None:
-    """Raise CalibrationError if a camera has too few different views; copies: views left out."""
-    if count >= MIN_VIEWS:
-        return
-    others = f"; {copies} more show the same: move and tilt the board between views"
-    raise CalibrationError(
-        f"{name}: {MIN_VIEWS} different views with at least {MIN_NODES} corners are needed, better "
-        f"10, not {count}{others if copies else ''}"
-    )
 
 
 def _numbered_alike(seen: Mapping[str, Mapping[int, Grid]]) -> dict[str, dict[int, Grid]]:
@@ -366,46 +377,3 @@ def _mean_side(state: State, looks: Sequence[Look], shape: tuple[int, ...]) -> f
     state.board[np.setdiff1d(np.arange(len(state.board)), shown)] = np.nan
     lengths = np.concatenate([each.ravel() for each in sides(state.board.reshape(shape))])
     return float(np.nanmean(lengths))
-
-
-def _scaled(
-    state: State, cov: Array | None, free: NDArray[np.bool_], scale: float
-) -> tuple[State, Array | None]:
-    """Return the cameras, poses and nodes, and the covariance, with all lengths scaled."""
-    factor = np.ones(free.shape)
-    factor[:, -3:] = scale
-    poses = state.poses * np.r_[1, 1, 1, scale, scale, scale]
-    both = np.outer(factor[free], factor[free])
-    return State(
-        state.cameras * factor, poses, state.board * scale
-    ), None if cov is None else cov * both
-
-
-def _by_view(
-    views: Mapping[str, Sequence[Grid | None]],
-    seen: Mapping[str, Mapping[int, Grid]],
-    offs: Sequence[Array],
-) -> tuple[dict[str, Array], dict[str, list[Grid | None]], dict[str, list[Array | None]]]:
-    """Return, by camera, the errors of its views, their grids, and their residuals.
-
-    offs: the residuals of the views in `seen`, in their order.
-    """
-    following = iter(offs)
-    errors, grids, missed = {}, {}, {}
-    for name, each in seen.items():
-        off = {moment: next(following) for moment in each}
-        every = range(len(views[name]))
-        errors[name] = np.array([root_mean_square([off[m]]) if m in off else np.nan for m in every])
-        grids[name] = [each.get(m) for m in every]
-        missed[name] = [spread(each[m].valid, off[m]) if m in off else None for m in every]
-    return errors, grids, missed
-
-
-def _focal_sigma(
-    names: Iterable[str], free: NDArray[np.bool_], cov: Array | None
-) -> dict[str, float]:
-    """Return the larger standard deviation of the focal lengths of each camera, px."""
-    deviations = np.full(free.shape, np.nan)
-    if cov is not None:
-        deviations[free] = np.sqrt(np.diag(cov))
-    return {name: float(row[:2].max()) for name, row in zip(names, deviations, strict=True)}

@@ -20,14 +20,13 @@ class Places(NamedTuple):
     """Where cameras and boards are.
 
     cameras: by name, (4, 4), from the first camera's frame to that one's. boards: by moment,
-    (4, 4), from the board to the first camera's frame. quarters: by name and moment, the quarter
-    turns that give a grid the numbers of the first camera that sees it. odd: moments that fit the
-    others badly.
+    (4, 4), from the board to the first camera's frame. grids: by name and moment, turned to the
+    numbers of the first camera that sees the board. odd: moments that fit the others badly.
     """
 
     cameras: dict[str, Array]
     boards: dict[int, Array]
-    quarters: dict[str, dict[int, int]]
+    grids: dict[str, dict[int, Grid]]
     odd: list[int]
 
 
@@ -43,8 +42,8 @@ def place(alone: Mapping[str, Alone], grids: Mapping[str, Mapping[int, Grid]]) -
     first, *waiting = alone
     cameras = {first: np.eye(4)}
     boards = {moment: pose_of(pose) for moment, pose in alone[first].poses.items()}
-    numbered = {moment: grids[first][moment] for moment in boards}
-    quarters = {first: dict.fromkeys(boards, 0)}
+    numbered = dict(grids[first])
+    turned = {first: numbered.copy()}
     odd: set[int] = set()
     while waiting:
         name = max(waiting, key=lambda each: len(boards.keys() & alone[each].poses.keys()))
@@ -68,11 +67,11 @@ def place(alone: Mapping[str, Alone], grids: Mapping[str, Mapping[int, Grid]]) -
             )
         cameras[name], chosen, bad = _agreed(options)
         odd.update(bad)
-        quarters[name] = dict.fromkeys(poses, 0) | chosen
+        turned[name] = {m: grid.turned(chosen.get(m, 0)) for m, grid in grids[name].items()}
         for moment in poses.keys() - boards.keys():
             boards[moment] = np.linalg.inv(cameras[name]) @ poses[moment]
             numbered[moment] = grids[name][moment]
-    return Places(cameras, boards, quarters, sorted(odd))
+    return Places(cameras, boards, {name: turned[name] for name in alone}, sorted(odd))
 
 
 def _turns(one: Grid, other: Grid) -> list[tuple[int, Array]]:
