@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from cmp_cl.files import check_path, suffix_of, write_text
 from cmp_cl.grid.grid import Grid
 from cmp_cl.space.calibration import Camera
 from cmp_cl.space.lens import Lens
-from cmp_cl.space.storage import new_storage, write_window, yaml_text
+from cmp_cl.space.storage import save_storage, window_entries
 from cmp_cl.space.window import Window
 
 Array = NDArray[np.float64]
@@ -95,27 +96,22 @@ def _save_opencv(
     covariance: Array | None,
     window: Window | None,
 ) -> None:
-    storage = new_storage()
+    entries: dict[str, Any] = {}
     for number, (name, camera) in enumerate(cameras.items(), 1):
-        storage.write(f"name{number}", name)
-        storage.write(f"lens{number}", camera.lens.value)
-        storage.write(f"size{number}", np.array([camera.size], np.int32))
-        storage.write(f"K{number}", camera.matrix.copy())
-        storage.write(f"D{number}", camera.distortion[None].copy())
-        if number > 1:
-            storage.write(f"R{number}", camera.R.copy())
-            storage.write(f"T{number}", camera.T[:, None].copy())
-    lenses = {camera.lens for camera in cameras.values()}
-    if len(cameras) == 2 and Lens.FISHEYE not in lenses:
-        last = list(cameras.values())[1]
-        storage.write("R", last.R.copy())
-        storage.write("T", last.T[:, None].copy())
+        pose = {f"R{number}": camera.R, f"T{number}": camera.T[:, None]}
+        entries |= {
+            f"name{number}": name,
+            f"lens{number}": camera.lens.value,
+            f"size{number}": np.array([camera.size], np.int32),
+            f"K{number}": camera.matrix,
+            f"D{number}": camera.distortion[None],
+        } | (pose if number > 1 else {})
+    *_, last = cameras.values()
+    if len(cameras) == 2 and Lens.FISHEYE not in {camera.lens for camera in cameras.values()}:
+        entries |= {"R": last.R, "T": last.T[:, None]}
     if covariance is not None:
-        storage.write("covariance", covariance.copy())
-    if window is not None:
-        write_window(storage, window)
-    storage.write("unit", next(iter(cameras.values())).unit)
-    write_text(path, yaml_text(storage))
+        entries["covariance"] = covariance
+    save_storage(path, entries | window_entries(window) | {"unit": last.unit})
 
 
 def _save_ros(path: Path, camera: Camera, name: str) -> None:
@@ -148,14 +144,8 @@ def _ros_matrix(name: str, matrix: Array) -> list[str]:
 
 
 def _numbers(values: Sequence[float] | Array) -> str:
-    return "[" + ", ".join(_number(float(value)) for value in values) + "]"
-
-
-def _number(value: float) -> str:
-    """Return a float in the form of YAML 1.1: with a point, also before an exponent."""
-    text = repr(value)
-    mantissa, mark, exponent = text.partition("e")
-    return f"{mantissa}.0e{exponent}" if mark and "." not in mantissa else text
+    """Return numbers without exponents: YAML 1.1 takes 1e-05 for a word."""
+    return f"[{', '.join(np.format_float_positional(value, trim='0') for value in values)}]"
 
 
 def _save_kalibr(path: Path, cameras: Mapping[str, Camera]) -> None:

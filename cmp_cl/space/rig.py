@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError, FieldError, as_numbers, check_kind
-from cmp_cl.files import write_text
 from cmp_cl.filter import bend_shift
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.points import Points3D, PointStatus
@@ -28,12 +27,11 @@ from cmp_cl.space.lens import (
     projected,
 )
 from cmp_cl.space.storage import (
-    new_storage,
     open_storage,
     read_matrix,
     read_window,
-    write_window,
-    yaml_text,
+    save_storage,
+    window_entries,
 )
 from cmp_cl.space.triangulation import (
     between,
@@ -194,15 +192,10 @@ class StereoRig:
 
         Raises OSError if the file cannot be written.
         """
-        storage = new_storage()
-        for name in _ALIASES:
-            storage.write(name, np.atleast_2d(getattr(self, name)).copy())
+        entries = {name: np.atleast_2d(getattr(self, name)) for name in _ALIASES}
         if self.covariance is not None:
-            storage.write(_COVARIANCE, self.covariance.copy())
-        if self.window is not None:
-            write_window(storage, self.window)
-        storage.write("unit", self.unit)
-        write_text(path, yaml_text(storage))
+            entries[_COVARIANCE] = self.covariance
+        save_storage(path, entries | window_entries(self.window) | {"unit": self.unit})
 
     def triangulate(
         self, left: Grid, right: Grid, *, sigma: float = math.nan, max_error: float = 3.0

@@ -1,16 +1,17 @@
-"""Files of OpenCV's FileStorage: read with a limit on their size, written to memory."""
+"""Files of OpenCV's FileStorage: read with a limit on their size, written whole."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError
-from cmp_cl.files import check_path
+from cmp_cl.files import check_path, write_text
 from cmp_cl.space.window import Window
 
 _MAX_FILE = 1 << 20  # bytes
@@ -50,14 +51,14 @@ def open_storage(path: str | PathLike[str], keys: Iterable[str] = ()) -> cv2.Fil
         raise CalibrationError(f"{path}: neither YAML, XML nor JSON as OpenCV writes it") from error
 
 
-def new_storage() -> cv2.FileStorage:
-    """Return an empty storage in memory, in YAML."""
-    return cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
-
-
-def yaml_text(storage: cv2.FileStorage) -> str:
-    """Return what was written to a storage, under the head that OpenCV 4 and OpenCV 5 read."""
-    return "%YAML:1.0\n" + storage.releaseAndGetString().split("\n", 1)[1]
+def save_storage(
+    path: str | PathLike[str], entries: Mapping[str, str | float | NDArray[Any]]
+) -> None:
+    """Write a file in YAML, whole or not at all, under the head that OpenCV 4 and 5 read."""
+    storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    for key, value in entries.items():
+        storage.write(key, value.copy() if isinstance(value, np.ndarray) else value)
+    write_text(path, "%YAML:1.0\n" + storage.releaseAndGetString().split("\n", 1)[1])
 
 
 def read_matrix(
@@ -88,13 +89,17 @@ def read_matrix(
     return np.array([entry.real() for entry in entries]).reshape(rows, cols)
 
 
-def write_window(storage: cv2.FileStorage, window: Window) -> None:
-    """Write a window, lengths in the unit of the rig."""
-    storage.write("window_normal", window.normal[:, None].copy())
-    storage.write("window_distance", window.distance)
-    if window.layers:
-        storage.write("window_layers", np.array(window.layers))
-    storage.write("window_index", window.index)
+def window_entries(window: Window | None) -> dict[str, float | NDArray[Any]]:
+    """Return the entries of a window, lengths in the unit of the rig."""
+    if window is None:
+        return {}
+    layers = {"window_layers": np.array(window.layers)} if window.layers else {}
+    return {
+        "window_normal": window.normal[:, None],
+        "window_distance": window.distance,
+        **layers,
+        "window_index": window.index,
+    }
 
 
 def read_window(storage: cv2.FileStorage, path: str | PathLike[str]) -> Window | None:
