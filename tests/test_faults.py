@@ -186,8 +186,9 @@ def test_kernels_of_another_user_are_refused(device, cache, monkeypatch):
 
 
 def detected(device, **environment):
-    """Run a detector in a process of its own; return its status and what it says."""
-    code = f"import cmp_cl; cmp_cl.Detector(shape=(40, 40), device={device.index!r}).close()"
+    """Detect in a process of its own; return its status and what it says."""
+    image = "np.zeros((40, 40), np.uint8)"
+    code = f"import cmp_cl, numpy as np; cmp_cl.detect({image}, device={device.index!r})"
     done = subprocess.run(
         [sys.executable, "-c", code],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), **environment},
@@ -211,16 +212,21 @@ def test_pocl_runs_no_kernels_of_a_folder_that_everybody_may_write_to(device, tm
     assert not list(shared.rglob("*.so"))
 
 
-def test_a_damaged_cache_of_pocl_is_told(device, tmp_path):
+@pytest.mark.parametrize("files", ["program.bc", "*.so"])
+def test_a_damaged_cache_of_pocl_is_told(device, tmp_path, files):
     if not device_module.is_pocl(device.handle):
-        pytest.skip("only PoCL keeps programs as bit code")
+        pytest.skip("only PoCL keeps programs so")
     assert detected(device, POCL_CACHE_DIR=str(tmp_path))[0] == 0
-    for program_file in tmp_path.rglob("program.bc"):
-        program_file.write_bytes(program_file.read_bytes()[:99])
-    status, said = detected(device, POCL_CACHE_DIR=str(tmp_path))
-    assert status
-    assert "DeviceError: a compiled program has no kernels" in said
-    assert f"remove it, for PoCL the folder {str(tmp_path)!r}" in said
+    kept = list(tmp_path.rglob(files))
+    whole = [each.read_bytes() for each in kept]
+    assert kept
+    for left in (0, 99, len(whole[0]) // 2):
+        for each, data in zip(kept, whole, strict=True):
+            each.write_bytes(data[:left])
+        status, said = detected(device, POCL_CACHE_DIR=str(tmp_path))
+        assert status
+        assert "DeviceError: a compiled" in said
+        assert str(tmp_path) in said
 
 
 def test_without_a_linker_pocl_does_not_end_the_process(device, tmp_path):

@@ -18,6 +18,7 @@ import hashlib
 import os
 import re
 import threading
+import time
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -125,10 +126,14 @@ class Programs:
         """Return the kernels of the stages.
 
         Raises KernelBuildError with the compiler's log; DeviceError in a forked child, and if PoCL
-        cannot compile or a cache is someone else's.
+        cannot compile or a cache is damaged or someone else's.
         """
         check_process()
-        return Kernels([self._program(stage, defines, macros or {}) for stage in stages])
+        known, began = len(self._compiled), time.time() - 1  # clocks of files are coarse
+        programs = [self._program(stage, defines, macros or {}) for stage in stages]
+        if len(self._compiled) > known and any(map(is_pocl, self.context.devices)):
+            caches.check_linked(began)
+        return Kernels(programs)
 
     def _program(
         self, stage: str, defines: Mapping[str, str | int], macros: Mapping[str, str]
