@@ -17,7 +17,7 @@ from stereo_data import (
     upright,
 )
 
-from cmp_cl.errors import CalibrationError, FieldError, ImageError
+from cmp_cl.errors import CalibrationError, ConfigError, FieldError, ImageError
 from cmp_cl.grid import NodeStatus
 from cmp_cl.points import largest_deviation
 from cmp_cl.space import (
@@ -220,16 +220,18 @@ def test_a_frame_is_split_into_views_of_itself():
     left, right = BinocularSplit.halves(10, 6)(frame)
     assert np.shares_memory(left, frame)
     np.testing.assert_array_equal(np.hstack([left, right]), frame)
-    split = BinocularSplit((0, 1, 4, 5), (5, 0, 3, 6), mirror_right=True)
+    split = BinocularSplit((0, 1, 3, 5), (5, 0, 3, 5), mirror_right=True)
     left, right = split(frame)
-    np.testing.assert_array_equal(left, frame[1:6, 0:4])
-    np.testing.assert_array_equal(right, frame[0:6, 7:4:-1])
+    np.testing.assert_array_equal(left, frame[1:6, 0:3])
+    np.testing.assert_array_equal(right, frame[0:5, 7:4:-1])
     assert right.flags.c_contiguous
 
 
 def test_a_split_that_leaves_the_frame_is_refused():
     with pytest.raises(ImageError, match="extends past the frame of 9 x 6"):
         BinocularSplit.halves(10, 6)(np.zeros((6, 9), np.uint8))
+    with pytest.raises(ConfigError, match="one size, not 4 x 5 and 3 x 5 px"):
+        BinocularSplit((0, 1, 4, 5), (5, 0, 3, 5))
 
 
 def test_the_bumblebee_pairs_show_squares_of_30_mm():

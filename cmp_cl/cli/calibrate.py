@@ -117,7 +117,7 @@ def add_parser(commands: Any) -> None:
     add_split(
         rare,
         help_="where the views are in a frame that shows both: halves (the default), or "
-        "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, px",
+        "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, of one size, px",
     )
     add_region(
         rare,

@@ -95,7 +95,7 @@ def add_parser(commands: Any) -> None:
     add_split(
         group,
         help_="where the two views are in the frame: halves (the default), or "
-        "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, px",
+        "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, of one size, px",
     )
     group.add_argument("--config", metavar="TOML", help="settings of the detector")
     add_full_scale(group)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,46 +12,51 @@ from cmp_cl.corners import Corners
 from cmp_cl.field import DisplacementField
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
+from cmp_cl.motion.nodes import positions_of
+from cmp_cl.motion.plan import FieldPlan
 from cmp_cl.space import Bias, Points3D, StereoRig
+from cmp_cl.stages.refine import Found
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Measured:
     """A frame, measured against the frame at rest.
 
-    field: the displacement of the nodes, in the image, in the plane of a flat pattern, or in space.
-    ambiguous: whether the numbering of a grid is ambiguous, see `Grid.ambiguous`.
     views: the one view, or the left and the right one.
-    find: returns their corners, see `corners`.
-    number: returns their grids, see `grids`. seen: returns the positions of their nodes, (R, C, 2)
-        float32, px.
-    rig: the cameras of two views; None from one view.
-    bias: of the rig, where it has a window and a covariance.
     tracked: whether its nodes have their numbers from the frame before.
+    ambiguous: whether the numbering of a grid is ambiguous, see `Grid.ambiguous`.
     differing: the nodes for which tracking had another corner than the numbers that were found
         anew, which hold; 0 where none were looked for.
+    rig: the cameras of two views; None from one view.
+    bias: of the rig, where it has a window and a covariance.
     """
 
-    field: DisplacementField
-    ambiguous: bool
     views: tuple[GreyImage, ...]
-    find: Callable[[], tuple[Corners, ...]]
-    number: Callable[[], tuple[Grid, ...]]
-    seen: Callable[[], tuple[NDArray[np.float32], ...]]
+    tracked: bool = False
+    ambiguous: bool = False
+    differing: int = 0
     rig: StereoRig | None = None
     bias: Bias | None = None
-    tracked: bool = False
-    differing: int = 0
+    _plan: FieldPlan
+    _found: Found
+    _arrays: dict[str, NDArray[Any]]  # what the kernels have found
+    _numbered: Sequence[Callable[[], Grid]]  # return the grids
+
+    @functools.cached_property
+    def field(self) -> DisplacementField:
+        """Return the displacement of the nodes, in the image, in the plane of a flat pattern, or
+        in space."""
+        return self._plan.field(self._arrays)
 
     @functools.cached_property
     def corners(self) -> tuple[Corners, ...]:
         """Return the corners of the one view, or of the left and of the right one."""
-        return self.find()
+        return tuple(self._found.corners)
 
     @functools.cached_property
     def grids(self) -> tuple[Grid, ...]:
         """Return the grid of the one view, or those of the left and of the right one."""
-        return self.number()
+        return tuple(grid() for grid in self._numbered)
 
     @functools.cached_property
     def points(self) -> Points3D | None:
@@ -98,7 +103,8 @@ class Measured:
         if self.bias is not None:
             arrays["bias_sigma"] = self.bias.sigma(field.displacement)
         names = ("xy",) if self.rig is None else ("left", "right")
-        return arrays | dict(zip(names, self.seen(), strict=True))
+        seen = {name: positions_of(self._arrays, view) for view, name in enumerate(names)}
+        return arrays | seen
 
 
 @dataclasses.dataclass

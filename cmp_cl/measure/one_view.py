@@ -1,18 +1,14 @@
 """Displacements in the image of one camera, or in the plane of a flat pattern."""
 
-from collections.abc import Sequence
-
 from cmp_cl.config import DetectorConfig
-from cmp_cl.field import DisplacementField
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
-from cmp_cl.measure.measurement import Measurement, constants_of
+from cmp_cl.measure.measurement import Measurement
 from cmp_cl.measure.patterns import Region
-from cmp_cl.measure.views import Search, Views
-from cmp_cl.motion import PlaneScale, displacement
+from cmp_cl.motion import PlaneScale
 from cmp_cl.motion.geometry import InPlane
 from cmp_cl.motion.moments import Moment
-from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.opencl.device import Device
 
 
 class OneView(Measurement):
@@ -57,38 +53,35 @@ class OneView(Measurement):
         strain: bool = False,
         profile: bool = False,
     ) -> None:
-        super().__init__(device=select_device(device), strain=strain, profile=profile)
-        search = Search(
-            device=self._device,
+        self._cell, self._cell_unit = cell, unit
+        super().__init__(
+            [rest],
+            [region],
             shape=shape,
             config=config,
             full_scale=full_scale,
+            device=device,
             track=track,
+            strain=strain,
             profile=profile,
         )
-        with self._closed_on_error():
-            self._views = self._stack.enter_context(Views([rest], search, [region]))
-            at_rest = self.rest_grid
-            self._scale = (
-                PlaneScale.pixels() if cell is None else PlaneScale.of_cells(at_rest, cell, unit)
-            )
-            moment = Moment.in_plane(at_rest, self._scale)
-            geometry = InPlane(self._scale, at_rest.edge_radius)
-            self._plan_for(search.device, rest, moment, geometry)
-        self.unit = self._scale.unit
-        self.nodes = at_rest.status.size
-        still = displacement(at_rest, at_rest, scale=self._scale, device=self._device)
-        self.constants = constants_of(still) | {"xy_rest": at_rest.xy}
+        self.constants["xy_rest"] = self.rest_grid.xy
         if cell is not None:
             self.constants["homography"] = self._scale.matrix
 
     @property
     def rest_grid(self) -> Grid:
         """Return the grid of the frame at rest."""
-        return self._views.views[0].rest
+        return self._views[0].rest
+
+    def _at_rest(self) -> tuple[Moment, InPlane]:
+        grid, cell = self.rest_grid, self._cell
+        self._scale = (
+            PlaneScale.pixels()
+            if cell is None
+            else PlaneScale.of_cells(grid, cell, self._cell_unit)
+        )
+        return Moment.in_plane(grid, self._scale), InPlane(self._scale, grid.edge_radius)
 
     def _views_of(self, frame: GreyImage) -> tuple[GreyImage, ...]:
         return (frame,)
-
-    def _between(self, grids: Sequence[Grid]) -> DisplacementField:
-        return displacement(self.rest_grid, grids[0], scale=self._scale, device=self._device)

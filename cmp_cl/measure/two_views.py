@@ -2,24 +2,20 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import ConfigError, GridError, ImageError, check_kind
-from cmp_cl.field import DisplacementField
 from cmp_cl.grid import Grid
 from cmp_cl.grid.grid import NO_SIDES
 from cmp_cl.image import GreyImage
-from cmp_cl.measure.measurement import Measurement, constants_of
+from cmp_cl.measure.measurement import Measurement
 from cmp_cl.measure.patterns import Region, align_views, check_two
-from cmp_cl.measure.views import Search, Views
-from cmp_cl.motion import displacement
 from cmp_cl.motion.geometry import InSpace
 from cmp_cl.motion.moments import Moment
-from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.opencl.device import Device
 from cmp_cl.space import Bias, BinocularSplit, Points3D, PointStatus, StereoRig
 
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
@@ -64,41 +60,42 @@ class TwoViews(Measurement):
     ) -> None:
         check_kind("rig", rig, StereoRig, ConfigError)
         check_kind("split", split, BinocularSplit, ConfigError)
-        super().__init__(device=select_device(device), strain=strain, profile=profile)
-        self._rig: StereoRig = rig
-        self._split = split
         check_two("regions", regions)
-        search = Search(
-            device=self._device,
+        views = split(rest)
+        self._rig: StereoRig = rig
+        self._split, self._size = split, rest.shape
+        super().__init__(
+            views,
+            regions,
             shape=shape,
             config=config,
             full_scale=full_scale,
+            device=device,
             track=track,
+            strain=strain,
             profile=profile,
         )
-        with self._closed_on_error():
-            self._views = self._stack.enter_context(Views(split(rest), search, regions))
-            self._size = rest.shape
-            left, right = self._views.views
-            right.rest = align_views(left.rest, right.rest, rig.R)
-            self.rest = self._placed(left.rest, right.rest)
-            geometry = InSpace(rig, [view.rest.edge_radius for view in self._views.views])
-            self._plan_for(search.device, rest, Moment.in_space(self.rest), geometry)
         if rig.window is not None and rig.covariance is not None:
             self._bias = Bias(rig, self.rest.xyz)
-        self.unit = rig.unit
-        self.nodes = self.rest.status.size
-        still = displacement(self.rest, self.rest, device=self._device)
-        positions = {"left_rest": left.rest.xy, "right_rest": right.rest.xy}
-        self.constants = constants_of(still) | positions
+        left, right = self.rest_grids
+        self.constants |= {"left_rest": left.xy, "right_rest": right.xy}
 
     @property
     def rest_grids(self) -> tuple[Grid, Grid]:
         """Return the grids of the frame at rest, left and right."""
-        left, right = self._views.views
+        left, right = self._views
         return left.rest, right.rest
 
+    def _at_rest(self) -> tuple[Moment, InSpace]:
+        left, right = self._views
+        right.rest = align_views(left.rest, right.rest, self._rig.R)
+        self.rest = self._placed(left.rest, right.rest)
+        return Moment.in_space(self.rest), InSpace(
+            self._rig, [v.rest.edge_radius for v in self._views]
+        )
+
     def _placed(self, left: Grid, right: Grid) -> Points3D:
+        """Return the nodes at rest in space; raises GridError if the rig does not fit them."""
         points = self._rig.triangulate(left, right)
         both = np.count_nonzero(left.valid & right.valid)
         fitting = _fit(points)
@@ -176,9 +173,6 @@ class TwoViews(Measurement):
                 "of another size against its own frame at rest"
             )
         return views
-
-    def _between(self, grids: Sequence[Grid]) -> DisplacementField:
-        return displacement(self.rest, self._rig.triangulate(*grids), device=self._device)
 
 
 def _fit(points: Points3D) -> int:

@@ -1,37 +1,22 @@
-"""The views of a recording: the pattern at rest in each, and its numbers in other frames."""
+"""The pattern at rest in each view of a recording, and its numbers in other frames."""
 
 import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 
-from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, GridError, check_kind
 from cmp_cl.grid import Grid, build_grid
 from cmp_cl.grid.grid import empty_grid
-from cmp_cl.image import GreyImage, check_image
+from cmp_cl.image import GreyImage
 from cmp_cl.measure.patterns import Region, check_size, find_pattern
 from cmp_cl.opencl.device import Device
-from cmp_cl.stages.plan import Plan
-from cmp_cl.stages.refine import Found
 
 # Frames without a grid over which numbers are continued. After more of them, a motion of half a
 # cell per frame could reach the next position that looks the same.
 BRIDGED = 1
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Search:
-    """The settings of a search for a pattern, see `OneView`."""
-
-    device: Device
-    shape: tuple[int, int] | None
-    config: DetectorConfig | None
-    full_scale: int | None
-    track: bool
-    profile: bool
 
 
 class View:
@@ -109,109 +94,49 @@ class View:
         return self.rest if self._previous is None else self._previous()
 
 
-class Views(Closing):
-    """The views of a recording, and the detectors that find their corners.
-
-    at_rest: the views of the frame at rest. regions: one for each, see `OneView`.
-
-    Raises GridError if a view shows no pattern.
-    """
-
-    def __init__(
-        self, at_rest: Sequence[GreyImage], search: Search, regions: Sequence[Region | None]
-    ) -> None:
-        at_rest = [check_image(view) for view in at_rest]
-        names = [None] if len(at_rest) == 1 else ["left", "right"]
-        shape = search.shape
-        with _named(names[0]):
-            config = _config_for(at_rest[0], search, regions[0])
-        alike = len({view.shape for view in at_rest}) == 1
-        parts = [slice(None)] if alike else [slice(n, n + 1) for n in range(len(at_rest))]
-        found: list[View] = []
-        with contextlib.ExitStack() as stack:
-            # One detector for views of one size, so that their kernels run together.
-            self._detectors = [
-                (stack.enter_context(_detector(at_rest[part][0], config, search)), part)
-                for part in parts
-            ]
-            for number, (view, name) in enumerate(zip(at_rest, names, strict=True)):
-                detector = self._detectors[0 if alike else number][0]
-                with _named(name):
-                    found.append(View(detector, view, shape, regions[number], track=search.track))
-                shape = found[-1].rest.shape
-            self._stack = stack.pop_all()
-        self.views = tuple(found)
-
-    def close(self) -> None:
-        """Release the device's memory."""
-        self._stack.close()
-
-    @property
-    def detector(self) -> Detector | None:
-        """Return the detector of all views; None if each has its own."""
-        return self._detectors[0][0] if len(self._detectors) == 1 else None
-
-    @property
-    def launches(self) -> int:
-        """Return the number of launches that find the corners of a frame."""
-        return sum(len(detector.layout.launches) for detector, _ in self._detectors)
-
-    def begin(self, views: Sequence[GreyImage]) -> list[Plan]:
-        """Enqueue the kernels that find the corners of a frame, see `Detector.begin`."""
-        return [detector.begin(views[part]) for detector, part in self._detectors]
-
-    def finish(self, plans: Sequence[Plan]) -> tuple["Seen", bool]:
-        """Return the corners of each view, and whether `Detector.finish` says that they are those
-        on the device."""
-        done = [each.finish(plan) for (each, _), plan in zip(self._detectors, plans, strict=True)]
-        return Seen([found for found, _ in done]), all(same for _, same in done)
+def config_for(
+    images: Sequence[GreyImage],
+    config: DetectorConfig | None,
+    shape: tuple[int, int] | None,
+    region: Region | None,
+    full_scale: int | None,
+    device: Device,
+) -> DetectorConfig:
+    """Return the configuration of the detector of some views, by default that for the cells in the
+    first one, see `OneView`. Raises GridError if that shows no pattern."""
+    if config is None:
+        with _named(0, images):
+            cell, _ = find_pattern(
+                images[0], shape=shape, region=region, full_scale=full_scale, device=device
+            )
+        return DetectorConfig.for_cell(cell).replace(full_scale=full_scale)
+    check_kind("config", config, DetectorConfig, ConfigError)
+    return config if full_scale is None else config.replace(full_scale=full_scale)
 
 
-class Seen:
-    """The corners of each view, made when they are asked for. counts: their numbers."""
-
-    def __init__(self, found: Sequence[Found]) -> None:
-        self._found = found
-        self.counts = [count for each in found for count in each.counts]
-
-    @property
-    def corners(self) -> tuple[Corners, ...]:
-        """Return the corners of each view."""
-        return tuple(corners for each in self._found for corners in each.corners)
+def views_at_rest(
+    detector: Detector,
+    images: Sequence[GreyImage],
+    shape: tuple[int, int] | None,
+    regions: Sequence[Region | None],
+    *,
+    track: bool,
+) -> list[View]:
+    """Return the pattern at rest in each view; raises GridError if one shows none."""
+    found: list[View] = []
+    for number, (image, region) in enumerate(zip(images, regions, strict=True)):
+        with _named(number, images):
+            found.append(View(detector, image, shape, region, track=track))
+        shape = found[0].rest.shape
+    return found
 
 
 @contextlib.contextmanager
-def _named(side: str | None) -> Iterator[None]:
-    """Say in a GridError which view it is about."""
+def _named(number: int, views: Sequence[GreyImage]) -> Iterator[None]:
+    """Say in a GridError which of two views it is about."""
     try:
         yield
     except GridError as error:
-        if side is None:
+        if len(views) == 1:
             raise
-        raise GridError(f"the {side} view: {error}") from error
-
-
-def _config_for(view: GreyImage, search: Search, region: Region | None) -> DetectorConfig:
-    """Return the configuration of the detector, by default that for the cells in a view."""
-    config = search.config
-    if config is None:
-        cell, _ = find_pattern(
-            view,
-            shape=search.shape,
-            region=region,
-            full_scale=search.full_scale,
-            device=search.device,
-        )
-        return DetectorConfig.for_cell(cell).replace(full_scale=search.full_scale)
-    check_kind("config", config, DetectorConfig, ConfigError)
-    return config if search.full_scale is None else config.replace(full_scale=search.full_scale)
-
-
-def _detector(view: GreyImage, config: DetectorConfig, search: Search) -> Detector:
-    return Detector(
-        shape=view.shape,
-        dtype=view.dtype,
-        config=config,
-        device=search.device,
-        profile=search.profile,
-    )
+        raise GridError(f"the {('left', 'right')[number]} view: {error}") from error

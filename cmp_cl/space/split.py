@@ -12,7 +12,7 @@ from cmp_cl.image import GreyImage, check_image
 class BinocularSplit:
     """The rectangles of the two views in a frame that shows both.
 
-    left, right: rectangles (x, y, width, height), px.
+    left, right: rectangles (x, y, width, height) of one size, px.
     mirror_left, mirror_right: flip that view left to right. A view is reversed if the camera sees
         it through an odd number of mirrors.
 
@@ -37,6 +37,10 @@ class BinocularSplit:
                     f"BinocularSplit.{side} must be whole numbers (x, y, width, height) with "
                     f"x, y >= 0 and width, height >= 1, not {box!r}"
                 )
+
+        if self.left[2:] != self.right[2:]:
+            sizes = " and ".join(f"{box[2]} x {box[3]}" for box in (self.left, self.right))
+            raise ConfigError(f"left and right must have one size, not {sizes} px: cut the larger")
 
     @classmethod
     def halves(cls, width: int, height: int) -> Self:

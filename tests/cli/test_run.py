@@ -372,7 +372,7 @@ def test_a_calibration_that_does_not_fit_or_is_missing_is_noticed_at_rest(run, r
     [
         (["none", *STEREO], ["none"]),
         (["frames", *STEREO, "--rest-frame", "9"], ["no --rest-frame 9", "3 frames"]),
-        (["frames", *STEREO, "--split", "0,0,9999,9:0,0,9,9"], ["extends past the frame"]),
+        (["frames", *STEREO, "--split", "0,0,9999,9:0,0,9999,9"], ["extends past the frame"]),
         (["frames", *STEREO, "--out", "press.mat"], ["press.mat", ".npz"]),
         (["frames", *STEREO, "--out", "no/press.npz"], ["there is no folder", "no'"]),
         (["frames", "--out", "a.npz", "--split", "halves"], ["--stereo"]),
