@@ -29,6 +29,7 @@
 #define NONE_NEAR 1e-6f /* a smaller sum of Gaussian weights is no mean */
 
 #define KNOWN_OR_1(s) ((s) == (s) ? (s) : (float8)1)
+#define HAS_VOTE(row, c) (EIGHT_AT(vote + (row) * LINE + (c)) > 0 ? (float8)1 : (float8)0)
 
 __constant float DIAGONAL[7] = {5 / 231.0f,  -30 / 231.0f, 75 / 231.0f, 131 / 231.0f,
                                 75 / 231.0f, -30 / 231.0f, 5 / 231.0f};
@@ -37,20 +38,29 @@ __constant float DIAGONAL[7] = {5 / 231.0f,  -30 / 231.0f, 75 / 231.0f, 131 / 23
 #define MISSING_NOW \
   (counts[HOLES] + counts[REJECTED] + counts[REJECTED + 1] + counts[REJECTED + 2])
 
+/* Whether the pilot's window around a node holds enough votes. */
+int is_supported(const int row, const int column, __global const uchar *votes) {
+  const int top = WINDOW_START(row, PILOT_DOWN, ROWS);
+  const int first = WINDOW_START(column, PILOT_ALONG, COLUMNS);
+  int count = 0;
+  for (int r = 0; r <= 2 * PILOT_DOWN; ++r)
+    for (int t = 0; t <= 2 * PILOT_ALONG; ++t) count += votes[(top + r) * COLUMNS + first + t];
+  return LEAST_SUPPORTED(count, (2 * PILOT_DOWN + 1) * (2 * PILOT_ALONG + 1));
+}
+
 /* The value of node i, or what fills its hole: the quadratic surface through the votes around, with
  * weights that fall with the distance and a ridge towards a constant; 0 if there are fewer than 8
- * votes. `voted`: a plane, 1 where a node has a vote and 0 elsewhere, since where bytes became floats
- * in the loops below, NVIDIA's compiler (580.159) made others of them for 33 to 40 columns. */
+ * votes. Its vote: 0, 1, or 2 if the pilot's window holds enough of them. It is a number, since
+ * NVIDIA's compiler (580.159) made others of bytes in the loops over a row of 33 to 40 nodes. */
 void fill_node(const int i, __global const float *moved, __global const uchar *votes,
-               __global float *data, __global float *voted) {
+               __global const int *counts, __global float *data, __global float *vote) {
   const int row = i / COLUMNS, column = i % COLUMNS, at = IN_LINE(i);
+  for (int k = 0; k < K; ++k) data[k * PLANE + at] = votes[i] ? moved[k * NODES + i] : 0.0f;
   if (votes[i]) {
-    voted[at] = 1;
-    for (int k = 0; k < K; ++k) data[k * PLANE + at] = moved[k * NODES + i];
+    vote[at] = MISSING_NOW == 0 || is_supported(row, column, votes) ? 2.0f : 1.0f;
     return;
   }
-  voted[at] = 0;
-  for (int k = 0; k < K; ++k) data[k * PLANE + at] = 0;
+  vote[at] = 0;
   for (int reach = 3; reach <= 6; reach += 3) {
     float normal[6][6 + K], origin[K];
     int found = 0;
@@ -86,9 +96,9 @@ void fill_node(const int i, __global const float *moved, __global const uchar *v
 
 /* Fill the holes. One work-item a node. */
 __kernel void fill(__global const float *moved, __global const uchar *votes,
-                   __global float *data, __global float *voted) {
+                   __global const int *counts, __global float *data, __global float *vote) {
   const int i = get_global_id(0);
-  if (i < NODES) fill_node(i, moved, votes, data, voted);
+  if (i < NODES) fill_node(i, moved, votes, counts, data, vote);
 }
 
 /* Apply a filter along the columns for eight nodes of a row. */
@@ -148,118 +158,107 @@ float8 eight_nodes(__global const float *plane, const int row, const int column)
   return LOAD_EIGHT(found);
 }
 
-/* The residuals of the pilot along both axes, along each axis and along each diagonal; their sizes,
- * the masks of the nodes that count and the products of the coordinates of the first, averaged
- * along the row into `near`; and sums over the row, from which the degrees of freedom of each
- * estimate and the floor of the noise come. */
-void pilot_of_row(const int row, __global const float *data, __global const uchar *votes,
-                  __global const float *voted, __global const int *counts,
-                  __global const float *pilot_down, __global const float *pilot_along,
-                  __global const float *own_down, __global const float *own_along,
-                  __global const float *rows_noise, __global float *size, __global float *near,
-                  __global float *sums) {
-  float left[ESTIMATES][K][LINE], here[K][LINE], down[K][LINE];
-  for (int k = 0; k < K; ++k) {
-    __global const float *plane = data + k * PLANE;
-    EACH_EIGHT {
-      STORE_EIGHT(here[k] + c, EIGHT_AT(plane + row * LINE + c));
-      STORE_EIGHT(down[k] + c, filter_down(plane, row, c, PILOT_DOWN, pilot_down));
-    }
-    EACH_EIGHT {
-      const float8 value = LOAD_EIGHT(here[k] + c);
-      STORE_EIGHT(left[0][k] + c, value - filter_along(down[k], c, PILOT_ALONG, pilot_along));
-      STORE_EIGHT(left[1][k] + c, value - LOAD_EIGHT(down[k] + c));
-      STORE_EIGHT(left[2][k] + c, value - filter_along(here[k], c, PILOT_ALONG, pilot_along));
-    }
-    for (int sense = 0; sense < 2; ++sense) {
-      float *across = left[3 + sense][k];
-      for (int c = 0; c < LINE; ++c) across[c] = 0;
-#if ROWS >= 7 && COLUMNS >= 7
-      if (row < 3 || row >= ROWS - 3) continue;
-      for (int c = 3; c < COLUMNS - 3; ++c) across[c] = here[k][c];
-      for (int t = -3; t <= 3; ++t) {
-        const float weight = DIAGONAL[t + 3];
-        __global const float *line = plane + (row + t) * LINE + (sense ? -t : t);
-        for (int c = 3; c < COLUMNS - 3; ++c) across[c] -= weight * line[c];
-      }
-#endif
-    }
-  }
-  float supported[LINE];
-  __global const float *vote = voted + row * LINE;
-  const int top = WINDOW_START(row, PILOT_DOWN, ROWS), missing = MISSING_NOW;
-  for (int c = 0; c < LINE; ++c) {
-    supported[c] = 1;
-    if (missing == 0 || c >= COLUMNS) continue;
-    const int first = WINDOW_START(c, PILOT_ALONG, COLUMNS);
-    int count = 0;
-    for (int r = 0; r <= 2 * PILOT_DOWN; ++r)
-      for (int t = 0; t <= 2 * PILOT_ALONG; ++t) count += votes[(top + r) * COLUMNS + first + t];
-    supported[c] = LEAST_SUPPORTED(count, (2 * PILOT_DOWN + 1) * (2 * PILOT_ALONG + 1));
-  }
-  float line[LINE + 2 * NOISE_REACH], mask[LINE + 2 * NOISE_REACH];
-  const float8 own_of_row = own_down[row], none = 0, own_inside = DIAGONAL[3];
+/* The sum of eight. */
+float sum_of(const float8 v) {
+  const float4 half_sum = v.lo + v.hi;
+  return half_sum.x + half_sum.y + half_sum.z + half_sum.w;
+}
+
+/* What an estimate of the noise is made of: the residuals of the pilot along both axes (0), along
+ * one of them (1, 2) or along a diagonal (3, 4). Their lengths and the mask of the nodes that count
+ * are averaged along the row into `near`, as are the products of the coordinates of the first; the
+ * degrees of freedom of the estimate, and the floor of the noise, come from `sums` over the row. */
+void pilot_of_row(const int row, const int estimate, __global const float *data,
+                  __global const float *vote, __global const float *pilot_down,
+                  __global const float *pilot_along, __global const float *own_down,
+                  __global const float *own_along, __global const float *rows_noise,
+                  __global float *size, __global float *near, __global float *sums) {
+  float left[K][LINE], line[LINE + 2 * NOISE_REACH], mask[LINE + 2 * NOISE_REACH];
   const int inside = row >= 3 && row < ROWS - 3;
-  for (int e = 0; e < ESTIMATES; ++e) {
-    float8 sum[PRODUCTS];
-    for (int p = 0; p < PRODUCTS; ++p) sum[p] = 0;
-    EACH_EIGHT {
-      const int8 column = c + (int8)(0, 1, 2, 3, 4, 5, 6, 7);
-      const int8 has_diagonals = inside && column >= 3 && column < COLUMNS - 3;
-      const float8 along = EIGHT_AT(own_along + c), across = has_diagonals ? own_inside : 1 + none;
-      const float8 own = e == 0 ? own_of_row * along : e == 1 ? own_of_row : e == 2 ? along : across;
-      const float8 left_over = 1 - own, least = e == 0 ? 1e-3f : 0.05f;
-      const float8 counts_if = e == 0 ? LOAD_EIGHT(supported + c) : 1 + none;
-      float8 square = 0;
-      for (int k = 0; k < K; ++k) square += LOAD_EIGHT(left[e][k] + c) * LOAD_EIGHT(left[e][k] + c);
-      const int8 usable = EIGHT_AT(vote + c) > 0 && counts_if > 0 && left_over > 0.05f;
-      const float8 root = sqrt(square / (K * (left_over > least ? left_over : least)));
-      STORE_EIGHT(line + NOISE_REACH + c, usable ? root : none);
-      STORE_EIGHT(mask + NOISE_REACH + c, usable ? 1 + none : none);
-      const int8 nonzero = usable && root > 0;
-      int p = 0;
-      for (int j = 0; j < K; ++j)
-        for (int k = j; k < K; ++k, ++p)
-          sum[p] += nonzero ? LOAD_EIGHT(left[e][j] + c) * LOAD_EIGHT(left[e][k] + c) / root : none;
-    }
-    average_along(line, NOISE_REACH, rows_noise, near + (e * ROWS + row) * LINE, LANES);
-    if (e < 4)
-      average_along(mask, NOISE_REACH, rows_noise, near + (MASK_PLANE(e) * ROWS + row) * LINE,
-                    LANES);
-    for (int p = 0; p < PRODUCTS; ++p) {
-      const float4 half_sum = sum[p].lo + sum[p].hi;
-      sums[row * SUMS + e * PRODUCTS + p] =
-          half_sum.x + half_sum.y + half_sum.z + half_sum.w;
+  for (int k = 0; k < K; ++k) {
+    __global const float *plane = data + k * PLANE, *here = plane + row * LINE;
+    if (estimate < 3) {
+      float *down = line;
+      EACH_EIGHT STORE_EIGHT(down + c, estimate == 2 ? EIGHT_AT(here + c)
+                                                     : filter_down(plane, row, c, PILOT_DOWN,
+                                                                   pilot_down));
+      EACH_EIGHT STORE_EIGHT(left[k] + c,
+                             EIGHT_AT(here + c) -
+                                 (estimate == 1 ? LOAD_EIGHT(down + c)
+                                                : filter_along(down, c, PILOT_ALONG, pilot_along)));
+    } else {
+      for (int c = 0; c < LINE; ++c) left[k][c] = 0;
+      for (int c = 3; inside && c < COLUMNS - 3; ++c) left[k][c] = here[c];
+      for (int t = -3; inside && t <= 3; ++t) {
+        const float weight = DIAGONAL[t + 3];
+        __global const float *across = here + t * LINE + (estimate == 3 ? t : -t);
+        for (int c = 3; c < COLUMNS - 3; ++c) left[k][c] -= weight * across[c];
+      }
     }
   }
+  const float8 own_of_row = own_down[row], own_inside = DIAGONAL[3], none = 0, one = 1;
+  const float8 least_vote = estimate == 0 ? 2 : 1, least = estimate == 0 ? 1e-3f : 0.05f;
+  float8 sum[PRODUCTS];
+  for (int p = 0; p < PRODUCTS; ++p) sum[p] = 0;
+  EACH_EIGHT {
+    const int8 column = c + (int8)(0, 1, 2, 3, 4, 5, 6, 7);
+    const int8 has_diagonals = inside && column >= 3 && column < COLUMNS - 3;
+    const float8 along = EIGHT_AT(own_along + c), across = has_diagonals ? own_inside : one;
+    const float8 own = estimate == 0   ? own_of_row * along
+                       : estimate == 1 ? own_of_row
+                       : estimate == 2 ? along
+                                       : across;
+    const float8 left_over = 1 - own;
+    float8 square = 0;
+    for (int k = 0; k < K; ++k) square += LOAD_EIGHT(left[k] + c) * LOAD_EIGHT(left[k] + c);
+    const int8 usable = EIGHT_AT(vote + row * LINE + c) >= least_vote && left_over > 0.05f;
+    const float8 root = sqrt(square / (K * (left_over > least ? left_over : least)));
+    STORE_EIGHT(line + NOISE_REACH + c, usable ? root : none);
+    STORE_EIGHT(mask + NOISE_REACH + c, usable ? one : none);
+    const int8 nonzero = usable && root > 0;
+    int p = 0;
+    for (int j = 0; j < K; ++j)
+      for (int k = j; k < K; ++k, ++p)
+        sum[p] += nonzero ? LOAD_EIGHT(left[j] + c) * LOAD_EIGHT(left[k] + c) / root : none;
+  }
+  average_along(line, NOISE_REACH, rows_noise, near + (estimate * ROWS + row) * LINE, LANES);
+  if (estimate < 4) /* both diagonals have the same mask */
+    average_along(mask, NOISE_REACH, rows_noise, near + (MASK_PLANE(estimate) * ROWS + row) * LINE,
+                  LANES);
+  for (int p = 0; p < PRODUCTS; ++p) sums[row * SUMS + estimate * PRODUCTS + p] = sum_of(sum[p]);
+  if (estimate != 0) return;
+  float8 total = 0;
+  EACH_EIGHT {
+    const float8 has_vote = HAS_VOTE(row, c);
+    float8 square = 0;
+    for (int k = 0; k < K; ++k) {
+      const float8 here = EIGHT_AT(data + k * PLANE + row * LINE + c);
+      total += here * here;
+      square += LOAD_EIGHT(left[k] + c) * LOAD_EIGHT(left[k] + c);
+    }
+    EIGHT_AT(size + row * LINE + c) = has_vote * square / K;
+    STORE_EIGHT(mask + NOISE_REACH + c, has_vote);
+  }
+  sums[row * SUMS + SUMS - 1] = sum_of(total);
   int p = PRODUCT_PLANE;
   for (int j = 0; j < K; ++j)
     for (int k = j; k < K; ++k) {
       EACH_EIGHT STORE_EIGHT(line + NOISE_REACH + c,
-                             EIGHT_AT(vote + c) * LOAD_EIGHT(left[0][j] + c) *
-                                 LOAD_EIGHT(left[0][k] + c));
+                             LOAD_EIGHT(mask + NOISE_REACH + c) * LOAD_EIGHT(left[j] + c) *
+                                 LOAD_EIGHT(left[k] + c));
       average_along(line, NOISE_REACH, rows_noise, near + (p++ * ROWS + row) * LINE, LANES);
     }
-  EACH_EIGHT {
-    float8 square = 0;
-    for (int k = 0; k < K; ++k) square += LOAD_EIGHT(left[0][k] + c) * LOAD_EIGHT(left[0][k] + c);
-    EIGHT_AT(size + row * LINE + c) = EIGHT_AT(vote + c) * square / K;
-  }
-  float total = 0;
-  for (int k = 0; k < K; ++k) EACH_COLUMN total += here[k][c] * here[k][c];
-  sums[row * SUMS + SUMS - 1] = total;
 }
 
-/* The pilot. One work-item a row. */
-__kernel void pilot(__global const float *data, __global const uchar *votes,
-                    __global const float *voted, __global const int *counts,
+/* The pilot. One work-item a row and an estimate. */
+__kernel void pilot(__global const float *data, __global const float *vote,
                     __global const float *pilot_down, __global const float *pilot_along,
                     __global const float *own_down, __global const float *own_along,
                     __global const float *rows_noise, __global float *size, __global float *near,
                     __global float *sums) {
-  const int row = get_global_id(0);
+  const int row = get_global_id(0), estimate = get_global_id(1);
   if (row < ROWS)
-    pilot_of_row(row, data, votes, voted, counts, pilot_down, pilot_along, own_down, own_along,
+    pilot_of_row(row, estimate, data, vote, pilot_down, pilot_along, own_down, own_along,
                  rows_noise, size, near, sums);
 }
 
@@ -277,76 +276,77 @@ float expected_length(const float *products) {
   return sqrt(2 / freedom) * exp(lgamma(freedom / 2 + 0.5f) - lgamma(freedom / 2));
 }
 
-/* The variance of the noise, NaN where unknown; that with which filters are chosen, the least of it
- * and of an upper bound and, if the values may bend sharply, of five estimates; the covariance of
- * the coordinates over its mean diagonal; and the nodes whose residual is too large lose their vote.
- * bound: the upper bound is the sum of that at rest and of the variance of the points now. round:
- * of the search for outliers; the last one rejects none. */
-void noise_of_row(const int row, __global const float *near, __global const float *sums,
-                  __global const float *size, __global const float *own_down,
-                  __global const float *own_along, __global const float *rows_noise,
-                  __global const float *bound_rest, __global const float *variance_now,
-                  const int bends, const int round, __global int *counts, __global uchar *votes,
-                  __global float *variance, __global float *chosen, __global float *common) {
-  float length[ESTIMATES], all[SUMS], both[LINE];
+/* The expected length of the residuals of each estimate, and the least variance of the noise. */
+void lengths_and_floor(__global const float *sums, float *length, float *least_of_all) {
+  float all[SUMS];
   for (int p = 0; p < SUMS; ++p) all[p] = 0;
   for (int r = 0; r < ROWS; ++r)
     for (int p = 0; p < SUMS; ++p) all[p] += sums[r * SUMS + p];
   for (int e = 0; e < ESTIMATES; ++e) length[e] = expected_length(all + e * PRODUCTS);
-  const float least_of_all = fmax(FLOOR * all[SUMS - 1] / (K * NODES), LEAST_VARIANCE);
+  *least_of_all = fmax(FLOOR * all[SUMS - 1] / (K * NODES), LEAST_VARIANCE);
+}
+
+/* For eight nodes of a row: the variance of the noise, NaN where unknown; that with which filters are
+ * chosen, the least of it and of an upper bound and, if the values may bend sharply, of five
+ * estimates; the covariance of the coordinates over its mean diagonal; and a node whose residual is
+ * too large loses its vote. The upper bound is the sum of that at rest and of the variance of the
+ * points now. round: of the search for outliers; the last one rejects none. */
+void noise_of_eight(const int row, const int c, const float *length, const float least_of_all,
+                    __global const float *near, __global const float *size,
+                    __global const float *own_down, __global const float *own_along,
+                    __global const float *rows_noise, __global const float *bound_rest,
+                    __global const float *variance_now, const int bends, const int round,
+                    __global int *counts, __global uchar *votes, __global float *variance,
+                    __global float *chosen, __global float *common) {
   const float8 none_near = NONE_NEAR, unknown = NAN, smallest = LEAST_VARIANCE;
-  EACH_EIGHT {
-    const int at = row * LINE + c;
-    float8 near_here[NOISE_PLANES], first = 0, least = 0;
-    for (int n = 0; n < NOISE_PLANES; ++n) near_here[n] = 0;
-    EACH_ROW_WITHIN(NOISE_REACH) {
-      const float weight = rows_noise[r - row + NOISE_REACH];
+  const int at = row * LINE + c;
+  float8 near_here[NOISE_PLANES], first = 0, least = 0;
+  for (int n = 0; n < NOISE_PLANES; ++n) near_here[n] = 0;
+  EACH_ROW_WITHIN(NOISE_REACH) {
+    const float weight = rows_noise[r - row + NOISE_REACH];
 #pragma unroll
-      for (int n = 0; n < NOISE_PLANES; ++n)
-        near_here[n] += weight * EIGHT_AT(near + n * PLANE + r * LINE + c);
-    }
-    for (int e = 0; e < ESTIMATES; ++e) {
-      const float8 mean = near_here[e], mask = near_here[MASK_PLANE(e)];
-      const float8 root = mean / ((mask > none_near ? mask : none_near) * length[e]);
-      const float8 estimate = mask > none_near ? root * root : unknown;
-      if (e == 0) first = least = estimate + least_of_all;
-      else least = estimate < least || least != least ? estimate : least;
-    }
-    const float8 bound = EIGHT_AT(bound_rest + at) + eight_nodes(variance_now, row, c);
-    const float8 lower = LEAST_OF_FIVE * least, lowest = lower < first ? lower : first;
-    const float8 unbounded = bends ? lowest : first;
-    const float8 bounded = bound < unbounded ? bound : unbounded;
-    STORE_EIGHT(both + c, first);
-    EIGHT_AT(variance + at) = first;
-    EIGHT_AT(chosen + at) = first != first ? first : bounded > smallest ? bounded : smallest;
-    float8 product[PRODUCTS], trace = 0;
-    int p = 0;
-    for (int j = 0; j < K; ++j)
-      for (int k = j; k < K; ++k, ++p) {
-        product[p] = near_here[PRODUCT_PLANE + p];
-        if (j == k) trace += product[p];
-      }
-    p = 0;
-    for (int j = 0; j < K; ++j)
-      for (int k = j; k < K; ++k, ++p)
-        EIGHT_AT(common + p * PLANE + at) = trace > 0 ? product[p] * K / trace : (float8)(j == k);
+    for (int n = 0; n < NOISE_PLANES; ++n)
+      near_here[n] += weight * EIGHT_AT(near + n * PLANE + r * LINE + c);
   }
+  for (int e = 0; e < ESTIMATES; ++e) {
+    const float8 mean = near_here[e], mask = near_here[MASK_PLANE(e)];
+    const float8 root = mean / ((mask > none_near ? mask : none_near) * length[e]);
+    const float8 estimate = mask > none_near ? root * root : unknown;
+    if (e == 0) first = least = estimate + least_of_all;
+    else least = estimate < least || least != least ? estimate : least;
+  }
+  const float8 bound = EIGHT_AT(bound_rest + at) + eight_nodes(variance_now, row, c);
+  const float8 lower = LEAST_OF_FIVE * least, lowest = lower < first ? lower : first;
+  const float8 unbounded = bends ? lowest : first;
+  const float8 bounded = bound < unbounded ? bound : unbounded;
+  EIGHT_AT(variance + at) = first;
+  EIGHT_AT(chosen + at) = first != first ? first : bounded > smallest ? bounded : smallest;
+  float8 trace = 0;
+  int p = 0;
+  for (int j = 0; j < K; ++j)
+    for (int k = j; k < K; ++k, ++p)
+      if (j == k) trace += near_here[PRODUCT_PLANE + p];
+  p = 0;
+  for (int j = 0; j < K; ++j)
+    for (int k = j; k < K; ++k, ++p)
+      EIGHT_AT(common + p * PLANE + at) =
+          trace > 0 ? near_here[PRODUCT_PLANE + p] * K / trace : (float8)(j == k);
   if (round == ROUNDS) return;
-  EACH_COLUMN {
-    const int at = row * LINE + c;
-    const float left = 1 - own_down[row] * own_along[c];
-    if (!(size[at] > REJECTED_AT * both[c] * left)) continue;
+  for (int column = c; column < min(c + LANES, COLUMNS); ++column) {
+    const float here = size[row * LINE + column], left = 1 - own_down[row] * own_along[column];
+    if (!(here > REJECTED_AT * variance[row * LINE + column] * left)) continue;
     float largest = 0;
     for (int r = max(row - 1, 0); r <= min(row + 1, ROWS - 1); ++r)
-      for (int t = max(c - 1, 0); t <= min(c + 1, COLUMNS - 1); ++t)
+      for (int t = max(column - 1, 0); t <= min(column + 1, COLUMNS - 1); ++t)
         largest = fmax(largest, size[r * LINE + t]);
-    if (size[at] < largest) continue;
-    votes[row * COLUMNS + c] = 0;
+    if (here < largest) continue;
+    votes[row * COLUMNS + column] = 0;
     atomic_inc(counts + REJECTED + round);
   }
 }
 
-/* The noise, and the first round of the search for outliers. One work-item a row. */
+/* The noise, and the first round of the search for outliers. The work-items of a row share its
+ * nodes, eight at a time. */
 __kernel void noise(__global const float *near, __global const float *sums,
                     __global const float *size, __global const float *own_down,
                     __global const float *own_along, __global const float *rows_noise,
@@ -354,9 +354,12 @@ __kernel void noise(__global const float *near, __global const float *sums,
                     const int bends, __global int *counts, __global uchar *votes,
                     __global float *variance, __global float *chosen, __global float *common) {
   const int row = get_global_id(0);
-  if (row < ROWS)
-    noise_of_row(row, near, sums, size, own_down, own_along, rows_noise, bound_rest, variance_now,
-                 bends, 0, counts, votes, variance, chosen, common);
+  if (row >= ROWS) return;
+  float length[ESTIMATES], least_of_all;
+  lengths_and_floor(sums, length, &least_of_all);
+  for (int c = LANES * get_global_id(1); c < LINE; c += LANES * get_global_size(1))
+    noise_of_eight(row, c, length, least_of_all, near, size, own_down, own_along, rows_noise,
+                   bound_rest, variance_now, bends, 0, counts, votes, variance, chosen, common);
 }
 
 /* The other rounds, each of them if the one before has rejected nodes, which is rare. One work-group:
@@ -366,28 +369,32 @@ __kernel void settle(__global const float *moved, __global const float *pilot_do
                      __global const float *own_along, __global const float *rows_noise,
                      __global const float *bound_rest, __global const float *variance_now,
                      const int bends, __global int *counts, __global uchar *votes,
-                     __global float *data, __global float *voted, __global float *size,
+                     __global float *data, __global float *vote, __global float *size,
                      __global float *near, __global float *sums, __global float *variance,
                      __global float *chosen, __global float *common) {
   const int first = get_local_id(0), items = get_local_size(0);
   for (int round = 1; round <= ROUNDS && counts[REJECTED + round - 1] > 0; ++round) {
-    for (int i = first; i < NODES; i += items) fill_node(i, moved, votes, data, voted);
+    for (int i = first; i < NODES; i += items) fill_node(i, moved, votes, counts, data, vote);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (int row = first; row < ROWS; row += items)
-      pilot_of_row(row, data, votes, voted, counts, pilot_down, pilot_along, own_down, own_along,
+    for (int i = first; i < ESTIMATES * ROWS; i += items)
+      pilot_of_row(i % ROWS, i / ROWS, data, vote, pilot_down, pilot_along, own_down, own_along,
                    rows_noise, size, near, sums);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    for (int row = first; row < ROWS; row += items)
-      noise_of_row(row, near, sums, size, own_down, own_along, rows_noise, bound_rest, variance_now,
-                   bends, round, counts, votes, variance, chosen, common);
+    float length[ESTIMATES], least_of_all;
+    lengths_and_floor(sums, length, &least_of_all);
+    for (int i = LANES * first; i < PLANE; i += LANES * items)
+      noise_of_eight(i / LINE, i % LINE, length, least_of_all, near, size, own_down, own_along,
+                     rows_noise, bound_rest, variance_now, bends, round, counts, votes, variance,
+                     chosen, common);
     barrier(CLK_GLOBAL_MEM_FENCE);
   }
 }
 
 /* Every pair of filters: its estimate, and its loss, averaged along the row. A pair whose window
- * holds too few votes is marked. One work-item a row and a filter along the columns. */
+ * holds too few votes is marked. The work-items of a row and a filter along the columns share the
+ * filters along the row. */
 __kernel void smooth(__global const float *data, __global const uchar *votes,
-                     __global const float *voted, __global const int *counts,
+                     __global const float *vote, __global const int *counts,
                      __global const float *chosen, __global const int *sides_down,
                      __global const int *sides_along, __global const float *filters_down,
                      __global const float *filters_along, __global const float *own_down,
@@ -399,7 +406,6 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
   const int side = sides_down[a], first = WINDOW_START(row, side, ROWS);
   float down[K][LINE], here[K][LINE], twice[LINE], line[LINE + 2 * RISK_REACH];
   int before[COLUMNS + 1]; /* votes of the window's rows in the columns before */
-  __global const float *vote = voted + row * LINE;
   EACH_EIGHT {
     for (int k = 0; k < K; ++k) {
       __global const float *plane = data + k * PLANE;
@@ -418,7 +424,7 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
       before[c + 1] = before[c] + count;
     }
   }
-  for (int b = 0; b < FILTERS_ALONG; ++b) {
+  for (int b = get_global_id(2); b < FILTERS_ALONG; b += get_global_size(2)) {
     const int pair = a * FILTERS_ALONG + b, reach = sides_along[b];
     __global const float *matrix = filters_along + b * COLUMNS * LINE;
     EACH_EIGHT {
@@ -442,7 +448,7 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
         square += apart * apart;
         EIGHT_AT(estimate + (k * PAIRS + pair) * PLANE + IN_PIECES(row, c)) = found[k];
       }
-      STORE_EIGHT(line + RISK_REACH + c, square * EIGHT_AT(vote + c));
+      STORE_EIGHT(line + RISK_REACH + c, square * HAS_VOTE(row, c));
     }
     average_along(line, RISK_REACH, rows_risk, loss + pair * PLANE + IN_PIECES(row, 0),
                   IN_PIECES(0, LANES));
@@ -453,8 +459,8 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
             !LEAST_SUPPORTED(count, size * (2 * side + 1));
       }
   }
-  if (a == 0) {
-    EACH_EIGHT STORE_EIGHT(line + RISK_REACH + c, EIGHT_AT(vote + c));
+  if (a == 0 && get_global_id(2) == 0) {
+    EACH_EIGHT STORE_EIGHT(line + RISK_REACH + c, HAS_VOTE(row, c));
     average_along(line, RISK_REACH, rows_risk, near_votes + IN_PIECES(row, 0), IN_PIECES(0, LANES));
   }
 }

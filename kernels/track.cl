@@ -127,33 +127,35 @@ __kernel void quantiles(__global const float *result, const uint stride, const u
   const int first = get_local_id(0), items = get_local_size(0);
   RESULT_OF_VIEW(result, stride, room)
   __local uint bins[3][256], prefix[3], rank[3], all;
-  if (first == 0) all = 0;
   for (int shift = 24; shift >= 0; shift -= 8) {
-    for (int b = first; b < 256; b += items) bins[0][b] = bins[1][b] = bins[2][b] = 0;
+    const int apart = shift == 24 ? 1 : 3; /* the first byte is counted for all three */
+    for (int q = 0; q < apart; ++q)
+      for (int b = first; b < 256; b += items) bins[q][b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int n = first; n < count; n += items) {
       if (methods[n] != BY_EDGE_STEP || OCTAVE_OF(n) != octave) continue;
       const uint key = ordered(correlations[n]);
-      for (int q = 0; q < 3; ++q) {
+      for (int q = 0; q < apart; ++q) {
         if (shift != 24 && key >> (shift + 8) != prefix[q]) continue;
         if (items == 1) ++bins[q][key >> shift & 255];
         else atomic_inc(bins[q] + (key >> shift & 255));
       }
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (first == 0)
-      for (int q = 0; q < 3; ++q) {
-        if (shift == 24) {
-          if (q == 0)
-            for (int b = 0; b < 256; ++b) all += bins[0][b];
-          const uint above = q == 0 ? 19 * all / 20 : q == 1 ? 3 * all / 5 : all / 2;
-          rank[q] = all ? all - 1 - above : 0;
-          prefix[q] = 0;
-        }
-        uint b = 0;
-        for (; b < 255 && bins[q][b] <= rank[q]; ++b) rank[q] -= bins[q][b];
-        prefix[q] = prefix[q] << 8 | b;
+    for (int q = first; q < 3; q += items) {
+      __local const uint *counted = bins[min(q, apart - 1)];
+      if (shift == 24) {
+        uint sum = 0;
+        for (int b = 0; b < 256; ++b) sum += counted[b];
+        const uint above = q == 0 ? 19 * sum / 20 : q == 1 ? 3 * sum / 5 : sum / 2;
+        rank[q] = sum ? sum - 1 - above : 0;
+        prefix[q] = 0;
+        if (q == 0) all = sum;
       }
+      uint b = 0;
+      for (; b < 255 && counted[b] <= rank[q]; ++b) rank[q] -= counted[b];
+      prefix[q] = prefix[q] << 8 | b;
+    }
     barrier(CLK_LOCAL_MEM_FENCE);
   }
 #define NUMBER_OF(key) as_float((key) & 0x80000000u ? (key) & 0x7fffffffu : ~(key))

@@ -242,7 +242,8 @@ class LatticeFilter:
         bends: bool,
         slopes: bool,
     ) -> None:
-        self._shape, self._axes, self._device, self._slopes = shape, axes, device, slopes
+        self._shape, self._axes, self._slopes = shape, axes, slopes
+        self._is_cpu = device.kind is DeviceKind.CPU
         self._down, self._along = (axis_tables(n) for n in shape)
         self.inputs = Memory(queue, self._inputs())
         self._tables = Memory.of(queue, **self._table_arrays())
@@ -252,8 +253,7 @@ class LatticeFilter:
         for memory in (self.inputs, self._tables, self._work, results):
             self.parts |= memory.parts
         files = ["filter", *(["strain"] if slopes else [])]
-        is_cpu = int(device.kind is DeviceKind.CPU)
-        defines = {**defines_of(shape, axes), "STRAINED": int(slopes), "IS_CPU": is_cpu}
+        defines = {**defines_of(shape, axes), "STRAINED": int(slopes), "IS_CPU": int(self._is_cpu)}
         self._kernels = programs.kernels(files, defines)
         self.launches = self._listed(bends=np.int32(bends))
         if slopes:
@@ -333,7 +333,7 @@ class LatticeFilter:
         products = axes * (axes + 1) // 2
         in_line = {
             "data": axes,
-            "voted": 1,
+            "vote": 1,
             "size": 1,
             "near": _ESTIMATES + _MASKS + products,
             "chosen": 1,
@@ -361,12 +361,23 @@ class LatticeFilter:
         bounds = "bound_rest", "own", bends, "counts", "votes"
         found, noise = ("size", "near", "sums"), ("variance", "chosen", "common")
         planes = "pilot_down", "pilot_along"
-        group = 1 if self._device.kind is DeviceKind.CPU else GROUP
-        settle = "moved", *planes, *pilots, *bounds, "data", "voted", *found, *noise
+        eights = multiple(self._shape[1], LANES) // LANES  # of a row
+        along = len(self._along.sides)
+        group = 1 if self._is_cpu else GROUP
+        settle = "moved", *planes, *pilots, *bounds, "data", "vote", *found, *noise
         listed = [
-            self._of_nodes("fill", "moved", "votes", "data", "voted"),
-            self._of_rows("pilot", 1, "data", "votes", "voted", "counts", *planes, *pilots, *found),
-            self._of_rows("noise", 1, "near", "sums", "size", *pilots, *bounds, *noise),
+            self._of_nodes("fill", "moved", "votes", "counts", "data", "vote"),
+            self._of_rows("pilot", (_ESTIMATES,), "data", "vote", *planes, *pilots, *found),
+            self._of_rows(
+                "noise",
+                (1 if self._is_cpu else eights,),
+                "near",
+                "sums",
+                "size",
+                *pilots,
+                *bounds,
+                *noise,
+            ),
             _bound(self._kernels, self.parts, "settle", (group,), (group,), settle),
         ]
         owns = ("own_down", "own_along")
@@ -377,14 +388,14 @@ class LatticeFilter:
             *listed,
             self._of_rows(
                 "smooth",
-                len(self._down.sides),
-                *("data", "votes", "voted", "counts", "chosen", "sides_down", "sides_along"),
+                (len(self._down.sides), 1 if self._is_cpu else along),
+                *("data", "votes", "vote", "counts", "chosen", "sides_down", "sides_along"),
                 *("filters_down", "filters_along", *owns, "rows_risk"),
                 *("estimate", "loss", "near_votes", "unsupported"),
             ),
             self._of_rows(
                 "blend",
-                multiple(self._shape[1], LANES) // LANES,
+                (eights,),
                 *("estimate", "loss", "near_votes", "unsupported", "counts"),
                 *("variance", "chosen", *owns, "gain_down", "gain_along", "rows_risk"),
                 *("weights", "values", "mixed_variance", "left_share"),
@@ -399,10 +410,10 @@ class LatticeFilter:
 
     def _of_slopes(self) -> list[Launch]:
         return [
-            self._of_rows("roughness", 1, "data", "votes", "variance", "rough"),
+            self._of_rows("roughness", (), "data", "votes", "variance", "rough"),
             self._of_rows(
                 "slopes",
-                1,
+                (),
                 *("weights", "mixed_variance", "left_share", "votes", "rough"),
                 *("gram_mean_down", "gram_slope_down"),
                 *("gram_mean_along", "gram_slope_along", "slopes"),
@@ -412,10 +423,11 @@ class LatticeFilter:
     def _of_nodes(self, name: str, *arguments: Any) -> Launch:
         return of_nodes(self._kernels, self._shape, self.parts, name, arguments)
 
-    def _of_rows(self, name: str, others: int, *arguments: Any) -> Launch:
+    def _of_rows(self, name: str, others: tuple[int, ...], *arguments: Any) -> Launch:
         """Bind a kernel with one work-item per row, times `others`."""
-        group = (1, 1) if self._device.kind is DeviceKind.CPU else None
-        return _bound(self._kernels, self.parts, name, (self._shape[0], others), group, arguments)
+        items = (self._shape[0], *others)
+        group = (1,) * len(items) if self._is_cpu else None
+        return _bound(self._kernels, self.parts, name, items, group, arguments)
 
 
 def defines_of(shape: tuple[int, int], axes: int) -> dict[str, str | int]:

@@ -36,13 +36,12 @@ class Memory:
             self._buffer = cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, size)
             self._memory = np.empty(size, np.uint8)
         self._memory[:] = 0
-        self.arrays: dict[str, NDArray[Any]] = {}
-        self.parts: dict[str, cl.Buffer] = {}
-        for name, (shape, dtype) in layout.items():
-            own = int(np.prod(shape)) * np.dtype(dtype).itemsize
-            here = self._memory[starts[name] : starts[name] + own]
-            self.arrays[name] = here.view(dtype).reshape(shape)
-            self.parts[name] = self._buffer.get_sub_region(starts[name], max(own, 1))
+        self._layout, self._starts = layout, starts
+        self.arrays = self._arrays_in(self._memory)
+        self.parts: dict[str, cl.Buffer] = {
+            name: self._buffer.get_sub_region(starts[name], max(values.nbytes, 1))
+            for name, values in self.arrays.items()
+        }
 
     @classmethod
     def of(cls, queue: cl.CommandQueue, **constants: NDArray[Any]) -> "Memory":
@@ -62,6 +61,16 @@ class Memory:
         """Enqueue the copy of all arrays from the device."""
         if not self._shared:
             cl.enqueue_copy(self._queue, self._memory, self._buffer, is_blocking=False)
+
+    def copies(self) -> dict[str, NDArray[Any]]:
+        """Return copies of the arrays of the host, by name."""
+        return self._arrays_in(self._memory.copy())
+
+    def _arrays_in(self, memory: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
+        return {
+            name: np.ndarray(shape, dtype, memory, self._starts[name])
+            for name, (shape, dtype) in self._layout.items()
+        }
 
     def release(self) -> None:
         """Release the device's memory."""

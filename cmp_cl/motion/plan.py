@@ -177,7 +177,7 @@ class FieldPlan:
         """Wait for the launches. Return copies of the arrays of the frame by name; results are
         planes (N, R, C) float32, status and source (R, C) uint8."""
         self._queue.finish()
-        return {name: values.copy() for name, values in self.frame.arrays.items()}
+        return self.frame.copies()
 
     def field(self, results: dict[str, NDArray[Any]]) -> DisplacementField:
         """Return the field that the results of `read` describe."""
