@@ -22,8 +22,7 @@ FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PAGES = sorted(DOCS.rglob("*.md"))
 API = [path for path in PAGES if path.parent.name == "api"]
 EXECUTED = {"tutorials", "notebooks"}  # by the site, which fails if one of their cells does
-EXTRAS = {"dask": "distributed", "hdf5": "h5py", "mcap": "mcap_ros2"}
-EXTRAS |= {"plot": "matplotlib", "view": "rerun"}
+EXTRAS = {"dask": "distributed", "hdf5": "h5py", "mcap": "mcap_ros2", "plot": "matplotlib"}
 FOUND = re.compile(r"\.\. auto\w+:: (?:cmp_cl\.)([\w.]+)")
 
 

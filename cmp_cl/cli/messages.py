@@ -55,6 +55,11 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
+def tell(line: str) -> None:
+    """Print a line of this program on stderr."""
+    print(f"cmp-cl: {line}", file=sys.stderr, flush=True)
+
+
 class Progress(Closing):
     """A progress bar if tqdm is installed and stderr is a terminal, else nothing.
 

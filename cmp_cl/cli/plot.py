@@ -5,10 +5,10 @@ from typing import Any
 
 from cmp_cl.cli.arguments import check_files, check_suffix
 from cmp_cl.cli.messages import Progress, counted, shown
-from cmp_cl.errors import ConfigError
+from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.series import read_series
 from cmp_cl.viz import Quantity, map_figure, save_figure, sheet_figure
-from cmp_cl.viz.moments import NEEDED, Recorded
+from cmp_cl.viz.moments import NEEDED, Summary, moments_of
 from cmp_cl.viz.plots import animate
 
 
@@ -18,7 +18,7 @@ def add_parser(commands: Any) -> None:
         "plot",
         help="draw what a series shows: displacement, strain, height, sigma",
         description="Draws a series of cmp-cl run: by default one sheet with the maps of the "
-        "frame of the largest displacement, and curves over time; a name that ends in .gif is an "
+        "frame of the largest displacement, and curves over time; a name that ends in .mp4 is an "
         "animation of one map. With one view, lengths are in px or in the unit of --cell, and "
         "strain is in the plane; with two views, lengths are in the rig's unit, and strain is in "
         "the surface.",
@@ -29,7 +29,7 @@ def add_parser(commands: Any) -> None:
         help="the series, .npz or .h5, or its .part while it is written or after a kill",
     )
     parser.add_argument(
-        "--out", metavar="FILE", required=True, help="a picture, .png, or an animation, .gif"
+        "--out", metavar="FILE", required=True, help="a picture, .png, or an animation, .mp4"
     )
     parser.add_argument(
         "--what",
@@ -48,24 +48,28 @@ def add_parser(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
-    check_suffix("--out", arguments.out, ".png", ".gif")
+    check_suffix("--out", arguments.out, ".png", ".mp4")
     check_files([arguments.series], [arguments.out])
-    moving = arguments.out.lower().endswith(".gif")
+    moving = arguments.out.lower().endswith(".mp4")
     if moving and arguments.frame is not None:
         raise ConfigError("an animation shows all frames: leave out --frame, or name a .png")
-    recorded = Recorded.of(read_series(arguments.series, NEEDED))
-    frames = counted(len(recorded.index), "frame")
+    moments = moments_of(read_series(arguments.series, NEEDED))
+    frames = counted(len(moments), "frame")
     if moving:
         with Progress(None, "frames") as progress:
             quantity = Quantity(arguments.what or Quantity.DISPLACEMENT.value)
-            count = animate(arguments.out, recorded, quantity, step=progress.step)
+            count = animate(arguments.out, moments, quantity, step=progress.step)
         print(f"wrote {shown(arguments.out)}: {count} of {frames}")
         return 0
-    summary = recorded.summary()
-    assert summary.moment is not None  # a `Recorded` has a frame
+    summary = Summary(moments)
     moment = summary.moment
     if arguments.frame is not None:
-        moment = recorded.moment(recorded.frame_of(arguments.frame))
+        moment = next((each for each in moments if each.index == arguments.frame), None)
+    if moment is None:
+        first, last = moments[0].index, moments[-1].index
+        raise FieldError(
+            f"there is no frame {arguments.frame}: those from {first} to {last} are recorded"
+        )
     figure = (
         sheet_figure(moment, summary)
         if arguments.what is None

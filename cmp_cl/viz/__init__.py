@@ -3,14 +3,12 @@
 from cmp_cl.viz.moments import Moment, Quantity
 from cmp_cl.viz.overlays import METHOD_COLOURS, STATUS_COLOURS, corner_overlay, grid_overlay
 from cmp_cl.viz.plots import map_figure, save_figure, sheet_figure
-from cmp_cl.viz.viewer import Viewer
 
 __all__ = [
     "METHOD_COLOURS",
     "STATUS_COLOURS",
     "Moment",
     "Quantity",
-    "Viewer",
     "corner_overlay",
     "grid_overlay",
     "map_figure",

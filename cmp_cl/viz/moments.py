@@ -2,7 +2,9 @@
 
 import dataclasses
 import enum
-from collections.abc import Mapping
+import functools
+import math
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -52,7 +54,7 @@ class Moment:
     """What is drawn of one frame.
 
     rest: (R, C, 2) or (R, C, 3) in `unit`. shift: the displacement, of the same shape. sigma:
-    (R, C), NaN where unknown. index: the number of the frame.
+    (R, C), NaN where unknown. index, time_ms: the number and the time of the frame.
     """
 
     rest: Array
@@ -60,9 +62,10 @@ class Moment:
     sigma: NDArray[Any]
     unit: str
     index: int
+    time_ms: float
 
     @classmethod
-    def of(cls, field: DisplacementField, index: int = 0) -> "Moment":
+    def of(cls, field: DisplacementField, index: int = 0, time_ms: float = math.nan) -> "Moment":
         """Return what is drawn of a field; raises FieldError if it is of another type."""
         check_kind("field", field, DisplacementField, FieldError)
         return cls(
@@ -71,7 +74,13 @@ class Moment:
             sigma=field.sigma,
             unit=field.unit,
             index=index,
+            time_ms=time_ms,
         )
+
+    @functools.cached_property
+    def moved(self) -> Array:
+        """Return how far each node has moved, (R, C)."""
+        return np.asarray(np.linalg.norm(self.shift, axis=2))
 
     @property
     def in_space(self) -> bool:
@@ -97,7 +106,7 @@ class Moment:
     def maps(self, quantity: Quantity) -> list[Map]:
         """Return the maps of a quantity; raises FieldError for the height of one view."""
         if quantity is Quantity.DISPLACEMENT:
-            return [Map("displacement", np.linalg.norm(self.shift, axis=2), self.unit)]
+            return [Map("displacement", self.moved, self.unit)]
         if quantity is Quantity.SIGMA:
             return [Map("standard deviation", self.sigma, self.unit)]
         if quantity is Quantity.STRAIN:
@@ -120,103 +129,55 @@ class Moment:
 class Summary:
     """What the sheet of a series shows: its frame of the largest displacement, and two curves.
 
-    rest: (R, C, 2 or 3) in `unit`. moment: that frame, None before the first one. index, time_ms,
-    largest, median: of each frame, its number, its time, and the displacement of its nodes.
+    moment: that frame, None before the first one. index, time_ms, largest, median: of each frame,
+    its number, its time, and the displacement of its nodes.
     """
 
-    def __init__(self, rest: Array, unit: str) -> None:
-        self._rest, self._unit = rest, unit
+    def __init__(self, moments: Iterable[Moment] = ()) -> None:
         self.moment: Moment | None = None
-        self._most = 0.0
+        self.top = 0.0
         self.index: list[int] = []
         self.time_ms: list[float] = []
         self.largest: list[float] = []
         self.median: list[float] = []
+        for moment in moments:
+            self.add(moment)
 
-    def add(self, index: int, time_ms: float, shift: NDArray[Any], sigma: NDArray[Any]) -> None:
-        """Add a frame: its number, its time, the displacement (R, C, 2 or 3), sigma (R, C)."""
-        length = np.linalg.norm(shift, axis=2)
-        known = length[~np.isnan(length)]
-        largest = float(known.max()) if len(known) else np.nan
-        if self.moment is None or largest > self._most:
-            self._most = max(self._most, np.nan_to_num(largest))
-            self.moment = Moment(
-                rest=self._rest,
-                shift=shift.copy(),
-                sigma=sigma.copy(),
-                unit=self._unit,
-                index=index,
-            )
-        self.index.append(index)
-        self.time_ms.append(time_ms)
+    def add(self, moment: Moment) -> None:
+        """Add a frame."""
+        known = moment.moved[~np.isnan(moment.moved)]
+        largest = float(known.max()) if len(known) else math.nan
+        if self.moment is None or largest > self.top:
+            self.top = max(self.top, float(np.nan_to_num(largest)))
+            self.moment = moment
+        self.index.append(moment.index)
+        self.time_ms.append(moment.time_ms)
         self.largest.append(largest)
-        self.median.append(float(np.median(known)) if len(known) else np.nan)
+        self.median.append(float(np.median(known)) if len(known) else math.nan)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Recorded:
-    """A series of nodes, from the arrays that `cmp_cl.series.read_series` reads.
+def moments_of(series: Mapping[str, NDArray[Any]]) -> list[Moment]:
+    """Return the frames of a series, from its arrays as `cmp_cl.series.read_series` checks them.
 
-    rest: (R, C, 2) or (R, C, 3) in `unit`. shift: (F, R, C, 2 or 3). sigma: (F, R, C), NaN
-    where the series has none. index, time_ms: (F,).
+    Raises FieldError without frames, rest or positions.
     """
-
-    rest: Array
-    shift: NDArray[Any]
-    sigma: NDArray[Any]
-    index: NDArray[np.int64]
-    time_ms: Array
-    unit: str
-
-    @classmethod
-    def of(cls, series: Mapping[str, NDArray[Any]]) -> "Recorded":
-        """Take the arrays of a series, as `read_series` has checked them.
-
-        Raises FieldError without frames, rest or positions.
-        """
-        missing = [name for name in ("index", "time_ms", "rest") if name not in series]
-        if missing or not ("displacement" in series or "xy" in series):
-            what = missing or ["displacement or xy"]
-            raise FieldError(f"the series has no {' and no '.join(what)}")
-        if not len(series["index"]):
-            raise FieldError("the series has no frame")
-        rest = np.asarray(series["rest"], np.float64)
-        moved = series["displacement"] if "displacement" in series else series["xy"]
-        return cls(
-            rest=rest,
-            shift=moved if "displacement" in series else moved - rest,
-            sigma=series.get("sigma", np.broadcast_to(np.nan, moved.shape[:3])),
-            index=np.asarray(series["index"], np.int64),
-            time_ms=np.asarray(series["time_ms"], np.float64),
-            unit=str(series.get("unit", "px")),
+    missing = [name for name in ("index", "time_ms", "rest") if name not in series]
+    if missing or not ("displacement" in series or "xy" in series):
+        what = missing or ["displacement or xy"]
+        raise FieldError(f"the series has no {' and no '.join(what)}")
+    if not len(series["index"]):
+        raise FieldError("the series has no frame")
+    rest = np.asarray(series["rest"], np.float64)
+    shift = series["displacement"] if "displacement" in series else series["xy"] - rest
+    sigma = series.get("sigma", np.broadcast_to(np.nan, shift.shape[:3]))
+    unit = str(series.get("unit", "px"))
+    return [
+        Moment(
+            rest=rest, shift=shift[n], sigma=sigma[n], unit=unit, index=int(index),
+            time_ms=float(series["time_ms"][n]),
         )
-
-    def summary(self) -> Summary:
-        """Return the summary of all frames."""
-        found = Summary(self.rest, self.unit)
-        for each in zip(self.index, self.time_ms, self.shift, self.sigma, strict=True):
-            found.add(*each)
-        return found
-
-    def moment(self, frame: int) -> Moment:
-        """Return the frame at that place in the series."""
-        return Moment(
-            rest=self.rest,
-            shift=self.shift[frame],
-            sigma=self.sigma[frame],
-            unit=self.unit,
-            index=int(self.index[frame]),
-        )
-
-    def frame_of(self, index: int) -> int:
-        """Return the place in the series of the frame of that number; raises FieldError."""
-        found = np.flatnonzero(self.index == index)
-        if not len(found):
-            raise FieldError(
-                f"there is no frame {index}: those from {self.index.min()} to {self.index.max()} "
-                "are recorded"
-            )
-        return int(found[0])
+        for n, index in enumerate(series["index"])
+    ]  # fmt: skip
 
 
 def plane_of(rest: Array) -> tuple[Array, Array]:

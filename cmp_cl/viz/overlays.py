@@ -1,7 +1,7 @@
-"""Images with corners, or the nodes of a grid, drawn on them."""
+"""Images with corners, or with the nodes of a grid, drawn on them."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import cv2
@@ -31,13 +31,18 @@ STATUS_COLOURS = {
     NodeStatus.INTERPOLATED: (255, 80, 255),
     NodeStatus.VIRTUAL: (255, 255, 255),
 }
-PLASMA: NDArray[np.uint8] = np.asarray(  # (256, 3), RGB, from dark blue to yellow
-    cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_PLASMA)[:, 0, ::-1],
-    np.uint8,
-)
-_UNKNOWN = 128  # grey of a node without a value
-_OFF_GRID = (150, 150, 190)  # of corners off the grid
+_UNKNOWN = (128, 128, 128)  # a node without a value
+_OFF_GRID = (150, 150, 190)  # corners off the grid
+_LINE, _FIRST_ROW, _FIRST_COLUMN = (220, 160, 60), (60, 60, 255), (255, 80, 40)
+_WHITE = (255, 255, 255)
+# (256, 3), BGR, from dark blue to yellow
+_PLASMA = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_PLASMA)[
+    :, 0
+]  # BGR
+_STRIP = 36  # px below the image for the legend
+_NARROWEST, _WIDEST = 480, 1920  # px, the width of `moved_overlay`
 _FRACTION_BITS = 4
+_UNIT = 1 << _FRACTION_BITS
 
 
 def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
@@ -52,92 +57,14 @@ def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
     image = check_image(image)
     check_kind("corners", corners, Corners, FieldError)
     cell = _spacing(corners.xy)
-    canvas, factor = _enlarged(image, cell)
+    factor = _enlarging(image, cell)
+    canvas = _Canvas(image, factor)
     radius = min(max(3.0, 0.3 * cell * factor), 24.0)
-    for xy, method in zip(corners.xy, corners.method, strict=True):
-        centre = (np.asarray(xy, np.float64) + 0.5) * factor - 0.5
-        colour = METHOD_COLOURS[Method(method)]
-        _circle(canvas, centre, radius, colour, thickness=1)
-        _circle(canvas, centre, max(1.0, radius / 8), colour, thickness=cv2.FILLED)
-    head = (f"{len(corners)} corners", (255, 255, 255))
-    return _with_strip(canvas, [head, *_counted(corners.method, METHOD_COLOURS)])
-
-
-def _spacing(xy: NDArray[np.float32]) -> float:
-    """Return the median distance to the nearest other corner, px; 16 with fewer than two."""
-    if len(xy) < 2:
-        return 16.0
-    some = xy[:: max(1, len(xy) // 256)].astype(np.float64)
-    distance = np.hypot(*(some[:, None] - xy[None]).transpose(2, 0, 1))
-    distance[distance == 0] = np.inf
-    nearest = distance.min(axis=1)
-    nearest = nearest[np.isfinite(nearest)]
-    return float(np.median(nearest)) if len(nearest) else 16.0
-
-
-def _enlarged(image: GreyImage, cell: float) -> tuple[NDArray[np.uint8], int]:
-    """Return the image in BGR, enlarged as `corner_overlay` says, and the factor."""
-    longest = max(*image.shape, 1)
-    factor = max(1, min(max(round(32 / cell), math.ceil(1000 / longest)), 2400 // longest))
-    blocks = eight_bits(image).repeat(factor, axis=0).repeat(factor, axis=1)
-    return np.repeat(blocks[:, :, None], 3, axis=2), factor
-
-
-def coloured(values: NDArray[np.floating[Any]], top: float) -> NDArray[np.uint8]:
-    """Return the colours (N, 3), RGB, of values (N,) from 0 to the top; grey where one is NaN."""
-    levels = np.rint(255 * np.nan_to_num(values) / (top or 1)).astype(np.uint8)
-    return np.where(np.isnan(values)[:, None], np.uint8(_UNKNOWN), PLASMA[levels])
-
-
-def eight_bits(image: GreyImage) -> NDArray[np.uint8]:
-    """Return an image as uint8; 16 bits are stretched to the brightest pixel."""
-    if image.dtype == np.uint8:
-        return image.astype(np.uint8, copy=False)
-    white = max(int(image.max(initial=0)), 1)
-    return np.asarray(np.rint(image * np.float32(255 / white)), np.uint8)
-
-
-def _circle(
-    canvas: NDArray[np.uint8],
-    centre: NDArray[np.float64],
-    radius: float,
-    colour: Colour,
-    *,
-    thickness: int,
-) -> None:
-    unit = 1 << _FRACTION_BITS
-    cv2.circle(
-        canvas,
-        (round(centre[0] * unit), round(centre[1] * unit)),
-        round(radius * unit),
-        colour,
-        thickness,
-        cv2.LINE_AA,
-        _FRACTION_BITS,
-    )
-
-
-def _counted(
-    kinds: NDArray[np.uint8], colours: Mapping[Method, Colour] | Mapping[NodeStatus, Colour]
-) -> list[tuple[str, Colour]]:
-    """Return a word for each kind that occurs, with its count and its colour."""
-    count = np.bincount(kinds.ravel(), minlength=len(colours))
-    return [(f"{kind.name} {count[kind]}", bgr) for kind, bgr in colours.items() if count[kind]]
-
-
-def _with_strip(canvas: NDArray[np.uint8], entries: list[tuple[str, Colour]]) -> NDArray[np.uint8]:
-    """Add a strip with coloured words below the picture."""
-    font, size, gap = cv2.FONT_HERSHEY_SIMPLEX, 0.6, 24
-    widths = [cv2.getTextSize(text, font, size, 1)[0][0] for text, _ in entries]
-    width = max(canvas.shape[1], sum(widths) + gap * (len(entries) + 1))
-    picture = np.zeros((canvas.shape[0] + 36, width, 3), np.uint8)
-    picture[: canvas.shape[0], : canvas.shape[1]] = canvas
-    x = gap
-    for (text, colour), advance in zip(entries, widths, strict=True):
-        origin = (x, canvas.shape[0] + 24)
-        cv2.putText(picture, text, origin, font, size, colour, 1, cv2.LINE_8)
-        x += advance + gap
-    return picture
+    colours = [METHOD_COLOURS[Method(method)] for method in corners.method]
+    canvas.marks(corners.xy, colours, radius, thickness=1)
+    canvas.marks(corners.xy, colours, max(1.0, radius / 8))
+    legend = [(f"{len(corners)} corners", _WHITE), *_counted(corners.method, METHOD_COLOURS)]
+    return canvas.above(_strip(legend))
 
 
 def grid_overlay(
@@ -156,47 +83,149 @@ def grid_overlay(
         check_kind("corners", corners, Corners, FieldError)
     if corners is not None and len(corners) != len(grid.index):
         raise FieldError(f"the grid was built from {len(grid.index)} corners, not {len(corners)}")
-    xy = grid.xy[grid.valid]
-    cell = _spacing(xy)
-    canvas, factor = _enlarged(image, cell)
-    nodes = (grid.xy.astype(np.float64) + 0.5) * factor - 0.5
-    for along_row, lines in ((True, nodes), (False, nodes.transpose(1, 0, 2))):
-        for number, line in enumerate(lines):
-            colour = (220, 160, 60)
-            if number == 0:
-                colour = (60, 60, 255) if along_row else (255, 80, 40)
-            _polyline(canvas, line, colour)
+    cell = _spacing(grid.xy[grid.valid])
+    factor = _enlarging(image, cell)
+    canvas = _Canvas(image, factor)
+    canvas.lattice(grid.xy)
+    canvas.lines(grid.xy[:1], _FIRST_ROW)
+    canvas.lines(grid.xy.swapaxes(0, 1)[:1], _FIRST_COLUMN)
     radius = min(max(2.0, 0.1 * cell * factor), 8.0)
     off = np.empty((0, 2)) if corners is None else corners.xy[grid.index[:, 0] < 0]
-    for centre in (off.astype(np.float64) + 0.5) * factor - 0.5:
-        _circle(canvas, centre, 1.5 * radius, _OFF_GRID, thickness=1)
-    for centre, status in zip(nodes[grid.valid], grid.status[grid.valid], strict=True):
-        _circle(canvas, centre, radius, STATUS_COLOURS[NodeStatus(status)], thickness=cv2.FILLED)
-    entries = [(f"{grid.shape[0]} x {grid.shape[1]} nodes", (255, 255, 255))]
-    entries += _counted(grid.status, STATUS_COLOURS)
-    if len(off):
-        entries.append((f"off the grid {len(off)}", _OFF_GRID))
-    return _with_strip(canvas, entries)
+    canvas.marks(off, [_OFF_GRID] * len(off), 1.5 * radius, thickness=1)
+    colours = [STATUS_COLOURS[NodeStatus(status)] for status in grid.status[grid.valid]]
+    canvas.marks(grid.xy[grid.valid], colours, radius)
+    legend = [(f"{grid.shape[0]} x {grid.shape[1]} nodes", _WHITE)]
+    legend += _counted(grid.status, STATUS_COLOURS)
+    legend += [(f"off the grid {len(off)}", _OFF_GRID)] if len(off) else []
+    return canvas.above(_strip(legend))
 
 
-def _polyline(canvas: NDArray[np.uint8], line: NDArray[np.float64], colour: Colour) -> None:
-    """Draw the segments between successive points, (N, 2) px; none at a NaN."""
-    unit = 1 << _FRACTION_BITS
-    segments = np.stack([line[:-1], line[1:]], axis=1)
-    segments = segments[~np.isnan(segments).any(axis=(1, 2))]
-    fixed = np.rint(segments * unit).astype(np.int32)
-    cv2.polylines(canvas, list(fixed), False, colour, 1, cv2.LINE_AA, _FRACTION_BITS)
+def moved_overlay(
+    image: GreyImage,
+    grid: Grid,
+    moved: NDArray[np.floating[Any]],
+    *,
+    top: float,
+    unit: str,
+    text: str = "",
+) -> NDArray[np.uint8]:
+    """Draw the lines of the grid, a dot on every node by its displacement, and a colour bar.
 
-
-def strips(xy: NDArray[Any], valid: NDArray[np.bool_]) -> list[NDArray[Any]]:
-    """Return the lines through neighbouring valid nodes along rows and columns, (n, 2) each.
-
-    xy: (R, C, 2). valid: (R, C).
+    image: (H, W) uint8 or uint16. moved: how far each node has moved, (R, C); one without a
+    displacement is grey. top: the end of the scale, in the unit. text: beside the bar. Returns
+    (H', W', 3) uint8 BGR of 480 to 1920 px across. Raises FieldError if `moved` does not fit the
+    grid.
     """
-    found = []
-    for lines, known in ((xy, valid), (xy.swapaxes(0, 1), valid.T)):
-        for line, seen in zip(lines, known, strict=True):
-            ends = np.flatnonzero(np.diff(seen)) + 1
-            parts = zip(np.split(line, ends), np.split(seen, ends), strict=True)
-            found += [part for part, there in parts if len(part) > 1 and there[0]]
-    return found
+    if moved.shape != grid.shape:
+        raise FieldError(f"moved is {moved.shape}, the grid has {grid.shape} nodes")
+    wide = max(image.shape[1], 1)
+    factor = 1 / -(-wide // _WIDEST) if wide > _WIDEST else -(-_NARROWEST // wide)
+    canvas = _Canvas(image, factor)
+    canvas.lattice(grid.xy)
+    values = moved[grid.valid]
+    levels = np.rint(255 * np.nan_to_num(values) / (top or 1)).clip(0, 255).astype(int)
+    colours = np.where(np.isnan(values)[:, None], _UNKNOWN, _PLASMA[levels])
+    radius = min(max(2.5, 0.2 * _spacing(grid.xy[grid.valid]) * factor), 8.0)
+    canvas.marks(grid.xy[grid.valid], colours.tolist(), radius)
+    bar = [("", bgr) for bgr in _PLASMA[::2].tolist()]
+    ends = ("0", _WHITE), (f" {top:.3g} {unit}", _WHITE)
+    return canvas.above(_strip([(text or " ", _WHITE), ends[0], *bar, ends[1]]))
+
+
+class _Canvas:
+    """An image in BGR, enlarged or reduced by a factor, to draw on at positions in the image."""
+
+    def __init__(self, image: GreyImage, factor: float) -> None:
+        rows, columns = (round(side * factor) for side in image.shape)
+        how = cv2.INTER_NEAREST if factor >= 1 else cv2.INTER_AREA
+        grey = _eight_bits(image)
+        if grey.size:
+            grey = np.asarray(cv2.resize(grey, (columns, rows), interpolation=how), np.uint8)
+        self._picture = np.repeat(grey[:, :, None], 3, axis=2)
+        self._factor = factor
+
+    def _places(self, xy: NDArray[Any]) -> NDArray[np.int32]:
+        """Return positions as OpenCV draws them, in fractions of a pixel."""
+        places = (xy.astype(np.float64) + 0.5) * self._factor - 0.5
+        return np.rint(_UNIT * places).astype(np.int32)
+
+    def marks(
+        self,
+        xy: NDArray[Any],
+        colours: Iterable[Any],
+        radius: float,
+        *,
+        thickness: int = cv2.FILLED,
+    ) -> None:
+        """Draw a circle of that radius, px of the picture, around each of the positions (N, 2)."""
+        size = round(radius * _UNIT)
+        for place, bgr in zip(self._places(xy).tolist(), colours, strict=True):
+            cv2.circle(self._picture, place, size, bgr, thickness, cv2.LINE_AA, _FRACTION_BITS)
+
+    def lines(self, xy: NDArray[Any], bgr: Colour) -> None:
+        """Draw the segments between successive points of each line, (L, N, 2); none at a NaN."""
+        ends = np.stack([xy[:, :-1], xy[:, 1:]], axis=2).reshape(-1, 2, 2)
+        drawn = self._places(ends[~np.isnan(ends).any(axis=(1, 2))])
+        cv2.polylines(self._picture, list(drawn), False, bgr, 1, cv2.LINE_AA, _FRACTION_BITS)
+
+    def lattice(self, xy: NDArray[Any]) -> None:
+        """Draw the lines between neighbouring nodes (R, C, 2)."""
+        self.lines(xy, _LINE)
+        self.lines(xy.swapaxes(0, 1), _LINE)
+
+    def above(self, strip: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return the picture with a strip below it."""
+        rows, columns = self._picture.shape[:2]
+        whole = np.zeros((rows + len(strip), max(columns, strip.shape[1]), 3), np.uint8)
+        whole[:rows, :columns] = self._picture
+        whole[rows:, : strip.shape[1]] = strip
+        return whole
+
+
+def _strip(words: list[tuple[str, Any]]) -> NDArray[np.uint8]:
+    """Return coloured words side by side; an empty one is a column of a colour bar."""
+    font, size, gap = cv2.FONT_HERSHEY_SIMPLEX, 0.5, 14
+    widths = [cv2.getTextSize(text, font, size, 1)[0][0] + gap if text else 1 for text, _ in words]
+    strip = np.zeros((_STRIP, sum(widths) + gap, 3), np.uint8)
+    x = gap
+    for (text, bgr), width in zip(words, widths, strict=True):
+        if not text:
+            strip[12:26, x] = bgr
+        else:
+            cv2.putText(strip, text, (x, 24), font, size, bgr, 1, cv2.LINE_AA)
+        x += width
+    return strip
+
+
+def _counted(
+    kinds: NDArray[np.uint8], colours: Mapping[Method, Colour] | Mapping[NodeStatus, Colour]
+) -> list[tuple[str, Colour]]:
+    """Return a word for each kind that occurs, with its count and its colour."""
+    count = np.bincount(kinds.ravel(), minlength=len(colours))
+    return [(f"{kind.name} {count[kind]}", bgr) for kind, bgr in colours.items() if count[kind]]
+
+
+def _spacing(xy: NDArray[np.float32]) -> float:
+    """Return the median distance to the nearest other corner, px; 16 with fewer than two."""
+    if len(xy) < 2:
+        return 16.0
+    some = xy[:: max(1, len(xy) // 64)].astype(np.float64)
+    distance = np.hypot(*(some[:, None] - xy[None]).transpose(2, 0, 1))
+    distance[distance == 0] = np.inf
+    nearest = distance.min(axis=1)
+    nearest = nearest[np.isfinite(nearest)]
+    return float(np.median(nearest)) if len(nearest) else 16.0
+
+
+def _enlarging(image: GreyImage, cell: float) -> int:
+    """Return the factor by which `corner_overlay` enlarges an image."""
+    longest = max(*image.shape, 1)
+    return int(max(1, min(max(round(32 / cell), math.ceil(1000 / longest)), 2400 // longest)))
+
+
+def _eight_bits(image: GreyImage) -> NDArray[np.uint8]:
+    """Return an image as uint8; 16 bits are stretched to the brightest pixel."""
+    if image.dtype == np.uint8:
+        return image.astype(np.uint8, copy=False)
+    white = max(int(image.max(initial=0)), 1)
+    return np.asarray(np.rint(image * np.float32(255 / white)), np.uint8)

@@ -1,6 +1,6 @@
 """Figures of a series: maps of a frame, one sheet of everything, and an animation."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -14,11 +14,11 @@ from cmp_cl.viz.moments import (
     Map,
     Moment,
     Quantity,
-    Recorded,
     Summary,
     corners_of_cells,
     plane_of,
 )
+from cmp_cl.viz.video import VideoFile
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -169,7 +169,7 @@ def _draw_surface(axes: Any, moment: Moment) -> None:
     now = (moment.rest + moment.shift - origin) @ directions.T
     cells = np.stack(corners_of_cells(now), axis=2)
     whole = ~np.isnan(cells).any(axis=(2, 3))
-    length = np.linalg.norm(moment.shift, axis=2)
+    length = moment.moved
     drawn = Poly3DCollection(
         cells[whole],
         array=np.mean(corners_of_cells(length), axis=0)[whole],
@@ -227,37 +227,24 @@ def _top_of(values: Array) -> float:
 
 def animate(
     path: str | PathLike[str],
-    recorded: Recorded,
+    moments: Sequence[Moment],
     quantity: Quantity,
     *,
     step: Callable[[], object] = lambda: None,
 ) -> int:
-    """Write the map of a quantity over all frames, on one scale, as GIF.
+    """Write the map of a quantity over all frames, on one scale, as a video, .mp4.
 
     Of more than 300 frames it shows every second one, and so on. step: called after each. Returns
-    the number of frames shown. Raises FieldError, ConfigError without matplotlib, OSError.
+    the number of frames shown. Raises FieldError, ConfigError without matplotlib or PyAV, OSError.
     """
-    places = range(0, len(recorded.index), -(-len(recorded.index) // _MOST_ANIMATED))
-    pictures = _pictures(recorded, quantity, places, step)
-    first = next(pictures).quantize(256)  # the colour bar has all colours
-    others = (picture.quantize(palette=first) for picture in pictures)
-    period = round(1000 / _RATE)
-    with whole_file(path) as file:
-        first.save(file, format="GIF", save_all=True, append_images=others, duration=period, loop=0)
-    return len(places)
-
-
-def _pictures(
-    recorded: Recorded, quantity: Quantity, places: Sequence[int], step: Callable[[], object]
-) -> Iterator[Any]:
-    """Yield an image of PIL of each of the frames at these places."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
 
-    cells = (each.cells for n in places for each in recorded.moment(n).maps(quantity))
-    top = _top_of(np.array([np.nan_to_num(np.abs(each)).max(initial=0) for each in cells]))
-    for place in places:
-        canvas: Any = FigureCanvasAgg(map_figure(recorded.moment(place), quantity, top=top))
-        canvas.draw()
-        yield Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
-        step()
+    some = moments[:: -(-len(moments) // _MOST_ANIMATED)]
+    top = max(_top_of(each.cells) for moment in some for each in moment.maps(quantity))
+    with VideoFile(path, fps=_RATE) as video:
+        for moment in some:
+            canvas: Any = FigureCanvasAgg(map_figure(moment, quantity, top=top))
+            canvas.draw()
+            video.add(np.asarray(canvas.buffer_rgba())[..., 2::-1])
+            step()
+    return len(some)

@@ -1,4 +1,4 @@
-"""Stages that work at the same time: one makes ahead what another takes, one uses it behind."""
+"""Stages that work at the same time, and what limits them."""
 
 import collections
 import contextlib
@@ -6,10 +6,8 @@ import os
 import sys
 import time
 from collections.abc import Callable, Generator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
-
-from cmp_cl.closing import Closing
 
 _BUSY = 0.85  # share of the time of all cores from which on they limit
 _WAITING = 4  # the most results that wait between two stages
@@ -32,6 +30,12 @@ class Stage:
             return function(*arguments)
         finally:
             self.busy_s += time.perf_counter() - start
+
+    def each(self, items: Generator[T, None, None]) -> Generator[T, None, None]:
+        """Yield the items, and count the time in which they are made."""
+        with contextlib.closing(items):
+            while (item := self.work(next, items, _END)) is not _END:
+                yield item
 
 
 class Pace:
@@ -58,52 +62,17 @@ class Pace:
         return f"{rate:.3g} frames a second, {self.limit}"
 
 
-def ahead(stage: Stage, items: Generator[T, None, None]) -> Generator[T, None, None]:
+def ahead(items: Generator[T, None, None]) -> Generator[T, None, None]:
     """Yield items that a thread makes ahead, and close them at the end.
 
     What making one raises is raised in its place.
     """
     with contextlib.closing(items), ThreadPoolExecutor(1) as thread:
-        made = collections.deque(
-            thread.submit(stage.work, next, items, _END) for _ in range(_WAITING)
-        )
+        made = collections.deque(thread.submit(next, items, _END) for _ in range(_WAITING))
         try:
             while (item := made.popleft().result()) is not _END:
-                made.append(thread.submit(stage.work, next, items, _END))
+                made.append(thread.submit(next, items, _END))
                 yield item
         finally:
             for each in made:
                 each.cancel()
-
-
-class Behind(Closing):
-    """Calls functions one after the other in a thread, while the caller goes on.
-
-    Closing waits for all of them. After a call that raises, there are no more: calling again or
-    closing raises the same.
-    """
-
-    def __init__(self, stage: Stage) -> None:
-        self._stage = stage
-        self._thread = ThreadPoolExecutor(1)
-        self._waiting: collections.deque[Future[None]] = collections.deque()
-        self._failed = False
-
-    def __call__(self, function: Callable[..., None], *arguments: Any) -> None:
-        """Call a function soon; wait while too many others wait."""
-        while len(self._waiting) >= _WAITING:
-            self._waiting.popleft().result()
-        self._waiting.append(self._thread.submit(self._call, function, *arguments))
-
-    def _call(self, function: Callable[..., None], *arguments: Any) -> None:
-        if self._failed:
-            return
-        self._failed = True
-        self._stage.work(function, *arguments)
-        self._failed = False
-
-    def close(self) -> None:
-        """Wait for the calls; raises what one has raised."""
-        self._thread.shutdown()
-        while self._waiting:
-            self._waiting.popleft().result()
