@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from cmp_cl.image import GreyImage
+from cmp_cl.synthetic.boards import corners_in, samples
 from cmp_cl.synthetic.scoring import match
 
 SHAPE = (480, 640)
@@ -54,28 +55,20 @@ def board(
     cell, blur: px. tilt: by how much cells shrink from the left side to the right. ink: px by which
         black squares grow, or shrink if it is negative.
     """
-    rows, columns = SHAPE
-    x, y = np.meshgrid(*((np.arange(n * SAMPLES) + 0.5) / SAMPLES - 0.5 for n in (columns, rows)))
-    depth = 1 + tilt * (x / columns - 0.5)
-    u, v = (x - columns / 2) * depth, (y - rows / 2) * depth
     cos, sin = math.cos(angle) / cell, math.sin(angle) / cell
-    i, j = cos * u + sin * v + start[0], cos * v - sin * u + start[1]
+
+    def camera(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        depth = 1 + tilt * (x / SHAPE[1] - 0.5)
+        u, v = (x - SHAPE[1] / 2) * depth, (y - SHAPE[0] / 2) * depth
+        return cos * u + sin * v + start[0], cos * v - sin * u + start[1]
+
+    i, j = camera(*samples(SHAPE, SAMPLES))
     white = (np.floor(i) + np.floor(j)) % 2 == 1
     edge = np.minimum(np.abs(i - np.rint(i)), np.abs(j - np.rint(j))) * cell  # px to an edge
     grey = np.where(edge < abs(ink), float(ink < 0), white)
     grey = cv2.GaussianBlur(grey, (0, 0), max(blur, 0.4) * SAMPLES, borderType=cv2.BORDER_REPLICATE)
-    grey = grey.reshape(rows, SAMPLES, columns, SAMPLES).mean(axis=(1, 3))
-    most = int((rows + columns) / cell * 1.5) + 3
-    a, b = (each.ravel() for each in np.meshgrid(np.arange(-most, most), np.arange(-most, most)))
-    a, b = a - start[0], b - start[1]
-    u, v = (cos * a - sin * b) * cell**2, (sin * a + cos * b) * cell**2
-    scale = 1 - tilt * u / columns  # of u = (x - columns / 2) (1 + tilt (x / columns - .5))
-    with np.errstate(invalid="ignore"):
-        across = u if not tilt else (np.sqrt(1 + 4 * tilt * u / columns) - 1) * columns / (2 * tilt)
-    scale = np.where(u == 0, 1.0, across / np.where(u == 0, 1.0, u))
-    truth = np.stack([across + columns / 2, v * scale + rows / 2], axis=1)
-    inside = ((truth >= 0) & (truth <= np.array([columns, rows]) - 1)).all(axis=1)
-    return grey, truth[inside]
+    grey = grey.reshape(SHAPE[0], SAMPLES, SHAPE[1], SAMPLES).mean(axis=(1, 3))
+    return grey, corners_in(camera, SHAPE)[:, :2]
 
 
 def photographed(

@@ -7,8 +7,9 @@ import json
 import os
 import platform
 import subprocess
+import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import cv2
 import cmp_cl
 
 RESULTS = Path(__file__).with_name("results")
+QUICK = Path(tempfile.gettempdir()) / "cmp_cl-bench"
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"  # photographs, not in the repository
 _PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution", "chess_corners", "libCBDetect")
 
@@ -52,6 +54,27 @@ def parser_of(doc: str, *, quick: str | None = None) -> argparse.ArgumentParser:
         parser.add_argument("--quick", action="store_true", help=quick)
     parser.add_argument("--out", type=Path, help="the JSON to write")
     return parser
+
+
+def run(
+    doc: str,
+    name: str,
+    rows: Callable[[bool], Iterable[Mapping[str, Any]]],
+    *,
+    quick: str | None = None,
+    argv: Sequence[str] | None = None,
+) -> int:
+    """Print the rows of a part as they come, and write them as NAME.csv: into results/, or into the
+    folder for temporary files if it is quick. quick: the help of that option, None if a part has
+    no short form."""
+    arguments = parser_of(doc, quick=quick).parse_args(argv)
+    table = []
+    short = quick is not None and arguments.quick
+    for row in rows(short):
+        table.append(row)
+        print(", ".join(f"{key} {_short(value)}" for key, value in row.items()), flush=True)
+    write_table(name, table, arguments.out or (QUICK if short else None))
+    return 0
 
 
 def write_table(name: str, rows: Sequence[Mapping[str, Any]], out: Path | None) -> None:

@@ -11,6 +11,7 @@ detection of the same frame, which is measured in turns with it.
 """
 
 import dataclasses
+import itertools
 import re
 import subprocess
 import sys
@@ -21,7 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from environment import parser_of, write_table
+from environment import QUICK, parser_of, write_table
 from scenes import TEST_SEED
 
 from cmp_cl import BinocularSplit, Detector, DetectorConfig, StereoRig
@@ -289,10 +290,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = parser_of(__doc__, quick="two minutes")
     parser.add_argument("--endure", metavar="FRAMES", type=int, help="measure so many, alone")
     arguments = parser.parse_args(argv)
-    made = films(1 if arguments.quick or arguments.endure else 4)
+    short = bool(arguments.quick or arguments.endure)
+    made = films(1 if short else 4)
     presses = [film for film in made if len(film) > len(STEPS)]
-    parts = (
-        lambda: times(presses[:3], 1 if arguments.quick else 4),
+    parts: Sequence[Callable[[], list[Row]]] = (
+        lambda: times(presses[:3], 1 if short else 4),
         lambda: [from_a_file(presses[0])],
         lambda: errors(made),
         lambda: anew(made),
@@ -300,13 +302,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.endure:
         parts = (lambda: endure(presses[0], arguments.endure),)
     rows: list[Row] = []
-    for part in parts:
-        for what, case, frames, value, unit, goal in part():
-            print(f"{what:34}{case:40}{frames:6} frames {value:9.3g} {unit:6}{goal}", flush=True)
-            rows.append((what, case, frames, value, unit, goal))
-    if arguments.out or not (arguments.quick or arguments.endure):
-        table = [dict(zip(COLUMNS, row, strict=True)) for row in rows]
-        write_table("field", table, arguments.out)
+    for row in itertools.chain.from_iterable(part() for part in parts):
+        what, case, frames, value, unit, goal = row
+        print(f"{what:34}{case:40}{frames:6} frames {value:9.3g} {unit:6}{goal}", flush=True)
+        rows.append(row)
+    table = [dict(zip(COLUMNS, row, strict=True)) for row in rows]
+    write_table("field", table, arguments.out or (QUICK if short else None))
     return 0
 
 

@@ -2,32 +2,23 @@
 # The tests and the benchmark on an NVIDIA GPU, on a machine without a network.
 #
 #   bench/nvidia.sh pack      with a network: wheels for this python into bench/wheels/
-#   bench/nvidia.sh           on the machine with the GPU; results go to the folder $OUT
-#   bench/nvidia.sh quick     the same commands with small numbers, to check that they work
+#   bench/nvidia.sh quick     what comes first on a card: ten minutes with 16 cores
+#   bench/nvidia.sh           every test, fuzzing, endurance and the benchmark: an hour and more
 #
-# It needs python3 with venv, or a python3 that has the packages already, and the driver's
-# libnvidia-opencl.so.1. It needs no root rights, no OpenCL loader and no .icd file: pyopencl's
-# wheel brings the loader, and this script writes the file. LIBRARY and DEVICE select another
-# implementation:
-# LIBRARY=libpocl.so.2 DEVICE=cpu bench/nvidia.sh quick
+# Results go to the folder $OUT. It needs python3 with venv, or a python3 that has the packages
+# already, and the driver's libnvidia-opencl.so.1; no root rights, no OpenCL loader, no .icd file:
+# pyopencl's wheel brings the loader, and this script writes the file. LIBRARY and DEVICE select
+# another implementation: LIBRARY=libpocl.so.2 DEVICE=cpu bench/nvidia.sh quick
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 python=${PYTHON:-python3}
-library=${LIBRARY:-libnvidia-opencl.so.1}
 device=${DEVICE:-nvidia}
-
 if [ "${1:-}" = pack ]; then
     # PoCL is left out, so that only the GPU is found.
     "$python" -m pip download --only-binary :all: --dest bench/wheels hatchling editables wheel \
         ".[test]"
     exit
-fi
-
-tests=tests images=5000 configs=50 minutes=3 openings=1000 scaling=
-if [ "${1:-}" = quick ]; then
-    tests="tests/test_portability.py"
-    images=100 configs=4 minutes=0.2 openings=20 scaling=--quick
 fi
 
 out=$(mkdir -p "${OUT:-bench/results/nvidia}" && cd "${OUT:-bench/results/nvidia}" && pwd)
@@ -42,8 +33,7 @@ else
     pip install --quiet --no-index --find-links bench/wheels hatchling editables
     pip install --quiet --no-index --find-links bench/wheels --no-build-isolation -e ".[test]"
 fi
-
-echo "$library" > "$work/only.icd"
+echo "${LIBRARY:-libnvidia-opencl.so.1}" > "$work/only.icd"
 export OCL_ICD_VENDORS="$work/only.icd" XDG_CACHE_HOME="$work" CMP_CL_DEVICE=$device
 
 failed=()
@@ -51,21 +41,29 @@ step() {
     local name=$1
     shift
     echo "== $name: $*"
+    local start=$SECONDS
     "$@" 2>&1 | tee "$out/$name.txt" || failed+=("$name")
+    echo "== $name: $((SECONDS - start)) s"
 }
+tests() { step tests "$python" -m pytest -n "$(nproc)" --durations 20 "$@"; }
 
 [ "$device" != nvidia ] || nvidia-smi | tee "$out/nvidia-smi.txt"
 step devices "$python" -m cmp_cl devices
-# shellcheck disable=SC2086
-step tests "$python" -m pytest -n "$(nproc)" --durations 20 $tests
-step fuzz "$python" tests/fuzz.py --images $images --configs $configs
-step endurance "$python" bench/endurance.py --minutes $minutes --openings $openings \
-    --json "$out/endurance.json"
-# Sizes, one VGA frame after another, batches of up to 256 frames, the time of each kernel.
-# shellcheck disable=SC2086
-step scaling "$python" bench/scaling.py --device "$device" $scaling --out "$out"
-step speed "$python" bench/speed.py --quick --out "$out"
-step report "$python" bench/report.py --out "$out"
+if [ "${1:-}" = quick ]; then
+    tests tests/lattice tests/motion tests/kernels tests/grid tests/test_measure.py \
+        tests/test_portability.py
+    for part in numbering_time field scaling; do
+        step $part "$python" bench/$part.py --quick --out "$out"
+    done
+else
+    tests
+    step fuzz "$python" tests/fuzz.py --images 5000 --configs 50
+    step endurance "$python" bench/endurance.py --minutes 3 --openings 1000 \
+        --json "$out/endurance.json"
+    for part in numbering_time field scaling speed report; do
+        step $part "$python" bench/$part.py --out "$out"
+    done
+fi
 if [ ${#failed[@]} -gt 0 ]; then
     echo "FAILED: ${failed[*]}"
     exit 1

@@ -11,7 +11,7 @@ from environment import DATA
 from scenes import read_listed
 
 from cmp_cl.image import GreyImage
-from cmp_cl.synthetic import Indenter, Scene, random_scene, render
+from cmp_cl.synthetic import Indenter, Scene, boards, random_scene
 
 HIGH, WIDE = 420, 560  # px, of boards in clutter
 SHAPE = (480, 640)  # of marked boards
@@ -51,11 +51,8 @@ def everywhere(
 
 
 def gel(scene: Scene) -> View:
-    shot = render(scene)
-    number = np.indices(shot.truth.shape[:2]).transpose(1, 2, 0)
-    truth = np.concatenate([shot.truth, number], axis=-1).reshape(-1, 4)
-    rows, columns = shot.truth.shape[:2]
-    return everywhere(shot.image, truth, shot.cell, (rows, columns))
+    seen = boards.gel(scene)
+    return everywhere(seen.image, seen.corners, seen.cell, seen.shape)
 
 
 def cut(view: View, box: tuple[float, float, float, float]) -> View:
@@ -63,8 +60,8 @@ def cut(view: View, box: tuple[float, float, float, float]) -> View:
     x0, y0, x1, y1 = (round(float(each)) for each in box)
     image = np.ascontiguousarray(view.image[y0:y1, x0:x1])
     moved = view.truth - np.array([x0, y0, 0, 0])
-    inside = ((moved[:, :2] >= 0) & (moved[:, :2] <= np.array(image.shape[::-1]) - 1)).all(axis=1)
-    return view._replace(image=image, truth=moved[inside], region=view.region[y0:y1, x0:x1])
+    seen = moved[boards.inside(moved, image.shape)]
+    return view._replace(image=image, truth=seen, region=view.region[y0:y1, x0:x1])
 
 
 def cuts(view: View, share: float) -> Views:
@@ -210,29 +207,24 @@ def before_ground(seed: int) -> View:
     tilt[2, :2] = draw.normal(0, 0.0009, 2)  # perspective
     shift[:2, 2] = WIDE / 2 + draw.normal(0, 60), HIGH / 2 + draw.normal(0, 45)
     to_view = shift @ tilt @ moved
-    x, y = np.meshgrid(*((np.arange(n * SAMPLES) + 0.5) / SAMPLES - 0.5 for n in (WIDE, HIGH)))
-    across, down, scale = np.tensordot(np.linalg.inv(to_view), [x, y, np.ones_like(x)], 1)
-    across, down = across / scale + (columns + 1) / 2, down / scale + (rows + 1) / 2
-
-    def within(margin: float) -> np.ndarray:
-        inside = (across > -margin) & (across < columns + 1 + margin) & (scale > 0)
-        return inside & (down > -margin) & (down < rows + 1 + margin)
-
-    level = background(GROUNDS[seed % len(GROUNDS)], draw)
-    level[within(float(draw.choice([0, 0.3, 1, 2])))] = paper = draw.uniform(140, 240)
-    black = (np.floor(across) + np.floor(down)) % 2 == draw.integers(2)
-    level[within(0) & black] = draw.uniform(10, 60)
-    level[within(0) & ~black] = paper
-    small = cv2.resize(level, (WIDE, HIGH), interpolation=cv2.INTER_AREA)
-    small = cv2.GaussianBlur(small, (0, 0), draw.uniform(0.5, 1))
-    small = small + draw.uniform(1, 5) * draw.standard_normal(small.shape)
-    row, column = np.indices((rows, columns)).reshape(2, -1)
-    flat = np.stack([column - (columns - 1) / 2, row - (rows - 1) / 2, np.ones(row.size)])
-    x, y, scale = to_view @ flat
-    truth = np.stack([x / scale, y / scale, row, column], axis=1)
-    return everywhere(
-        np.clip(np.rint(small), 0, 255).astype(np.uint8), truth, cell, (rows, columns)
+    ground = background(GROUNDS[seed % len(GROUNDS)], draw)
+    paper, margin = draw.uniform(140, 240), float(draw.choice([0, 0.3, 1, 2]))
+    other = bool(draw.integers(2))  # the colour of the first square
+    to_cells = np.array([[1, 0, -(columns - 1) / 2], [0, 1, -(rows - 1) / 2], [0, 0, 1]])
+    seen = boards.drawn(
+        boards.homography(to_view @ to_cells),
+        (HIGH, WIDE),
+        (rows, columns),
+        levels=(draw.uniform(10, 60), paper),
+        margin=margin,
+        ground=ground,
+        mark=lambda u, *_: np.full(u.shape, other),
+        blur=draw.uniform(0.5, 1),
+        noise=draw.uniform(1, 5),
+        seed=draw,
+        count=SAMPLES,
     )
+    return everywhere(seen.image, seen.corners, cell, seen.shape)
 
 
 # boards with marks in their cells
@@ -265,32 +257,35 @@ def inked(mark: str, texels: int, draw: np.random.Generator) -> np.ndarray:
 def with_marks(mark: str, cell: float, seed: int, texels: int = 48) -> View:
     draw = np.random.default_rng(seed)
     rows, columns = int(0.75 * SHAPE[0] / cell), int(0.75 * SHAPE[1] / cell)
-    white = np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 1
-    texture = np.kron(white, np.ones((texels, texels), np.bool_))
-    for row, column in np.argwhere(draw.random(white.shape) < 0.85):
-        here = np.s_[row * texels :, column * texels :]
-        texture[here][:texels, :texels] ^= inked(mark, texels, draw)
-    sheet = np.pad(np.where(texture, 200, 35).astype(np.uint8), texels, constant_values=200)
+    ink = np.zeros((rows, columns, texels, texels), np.bool_)
+    for row, column in np.argwhere(draw.random((rows, columns)) < 0.85):
+        ink[row, column] = inked(mark, texels, draw)
+
+    def of_square(u: np.ndarray, v: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        place = (np.clip(row + 1, 0, rows - 1), np.clip(column + 1, 0, columns - 1))
+        inside = (np.clip((each + 0.5) * texels, 0, texels - 1) for each in (v, u))
+        return ink[tuple(each.astype(int) for each in (*place, *inside))]
+
     high, wide = rows * cell, columns * cell
     ends = np.array([[0, 0], [wide, 0], [wide, high], [0, high]]) - (wide / 2, high / 2)
     angle = draw.uniform(-0.3, 0.3)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     ends = ends @ turn + draw.uniform(-0.6, 0.6, (4, 2)) * cell + np.array(SHAPE[::-1]) / 2 - 0.5
-    on_sheet = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]]) * texels + texels - 0.5
-    to_fine = cv2.getPerspectiveTransform(
-        on_sheet.astype(np.float32), (SAMPLES * (ends + 0.5) - 0.5).astype(np.float32)
+    squares = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], np.float32) - 1
+    seen = boards.drawn(
+        boards.homography(cv2.getPerspectiveTransform(squares, ends.astype(np.float32))),
+        SHAPE,
+        (rows - 1, columns - 1),
+        levels=(35, 200),
+        ground=200,
+        mark=of_square,
+        blur=0.8,
+        noise=3,
+        seed=draw,
+        count=SAMPLES,
     )
-    size = (SAMPLES * SHAPE[1], SAMPLES * SHAPE[0])
-    image = cv2.warpPerspective(sheet, to_fine, size, borderMode=cv2.BORDER_REPLICATE)
-    image = cv2.resize(image, SHAPE[::-1], interpolation=cv2.INTER_AREA).astype(np.float32)
-    image = cv2.GaussianBlur(image, (0, 0), 0.8) + 3 * draw.standard_normal(SHAPE)
-    row, column = np.mgrid[1:rows, 1:columns].reshape(2, -1)
-    flat = np.stack([column, row], axis=1)[None] * float(texels) + texels - 0.5
-    at = (cv2.perspectiveTransform(flat, to_fine)[0] + 0.5) / SAMPLES - 0.5
-    truth = np.column_stack([at, row - 1, column - 1])
-    inside = ((at > 7) & (at < np.array(SHAPE[::-1]) - 8)).all(axis=1)
-    image = np.rint(image).clip(0, 255).astype(np.uint8)
-    return everywhere(image, truth[inside], cell, (rows - 1, columns - 1))
+    truth = seen.corners[boards.inside(seen.corners, SHAPE, 8)]
+    return everywhere(seen.image, truth, cell, seen.shape)
 
 
 # patterns without an end
@@ -321,7 +316,7 @@ class Open(NamedTuple):
         )
 
 
-SIDE, PERIOD = 400, 256  # px; cells, after which the printing errors repeat
+SIDE = 400  # px
 
 
 def open_patterns(seed: int, count: int) -> Iterator[Open]:
@@ -359,39 +354,35 @@ def place(case: Open, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndar
     return back * across - aside * down + 0.37, aside * across + back * down + 0.21
 
 
+def hidden(case: Open, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return at which pixels the hole is."""
+    if case.hole == "front":
+        return np.hypot(x - 240, y - 160) < 3 * case.cell
+    u, v = place(case, x, y)
+    return (np.hypot(u - 6, v + 4) < 3) & (case.hole == "print")
+
+
 def picture(case: Open, seed: int) -> GreyImage:
     """Return the frame, (SIDE, SIDE) uint8."""
-    fine = (np.arange(SIDE * SAMPLES, dtype=np.float32) + 0.5) / SAMPLES - 0.5
-    x, y = np.meshgrid(fine, fine)
-    u, v = (each.astype(np.float32) for each in place(case, x, y))
-    error = np.random.default_rng(case.sheet).normal(0, case.wear, (PERIOD, PERIOD, 2))
-    error = np.pad(error, ((0, 1), (0, 1), (0, 0)), mode="wrap").astype(np.float32)
-    off = cv2.remap(error, u % PERIOD, v % PERIOD, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-    white = (np.floor(u + off[..., 0]) + np.floor(v + off[..., 1])) % 2 != 0
-    level = np.where(white, np.float32(205), np.float32(45))
-    if case.hole == "print":
-        level[np.square(u - 6) + np.square(v + 4) < 9] = 120
-    elif case.hole == "front":
-        level[np.hypot(x - 240, y - 160) < 3 * case.cell] = 30
-    small = cv2.resize(level, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
-    noise = np.random.default_rng(seed).standard_normal(small.shape, dtype=np.float32)
-    return np.clip(np.rint(small + np.float32(case.noise) * noise), 0, 255).astype(np.uint8)
+    size = SIDE, SIDE
+    hole = hidden(case, *boards.samples(size, SAMPLES))
+    return boards.drawn(
+        lambda x, y: place(case, x, y),
+        size,
+        wear=case.wear,
+        sheet=case.sheet,
+        front=np.where(hole, 30.0 if case.hole == "front" else 120.0, np.nan),
+        blur=0,
+        noise=case.noise,
+        seed=seed,
+        count=SAMPLES,
+    ).image
 
 
 def corners_in(case: Open) -> np.ndarray:
-    """Return the corners of the pattern that a frame shows, (N, 4), as in `View`; to a pixel."""
-    y, x = (each.ravel().astype(np.float32) for each in np.indices((SIDE, SIDE)))
-    u, v = place(case, x, y)
-    column, row = np.rint(u).astype(int), np.rint(v).astype(int)
-    off = np.hypot(u - column, v - row)
-    seen = off * case.cell * case.zoom < 0.75
-    if case.hole == "print":
-        seen &= np.hypot(u - 6, v + 4) >= 3
-    elif case.hole == "front":
-        seen &= np.hypot(x - 240, y - 160) >= 3 * case.cell
-    every = np.stack([x, y, row, column], axis=1)[seen][np.argsort(off[seen], kind="stable")]
-    _, first = np.unique(every[:, 2:], axis=0, return_index=True)
-    return every[first]
+    """Return the corners of the pattern that a frame shows, (N, 4), as in `View`."""
+    every = boards.corners_in(lambda x, y: place(case, x, y), (SIDE, SIDE))
+    return every[~hidden(case, *every.T[:2])]
 
 
 def without_end(seed: int, count: int) -> Views:

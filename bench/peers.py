@@ -66,16 +66,9 @@ def _points(xy: np.ndarray | None) -> np.ndarray:
 def _good_features(settings: Settings, pattern: Pattern) -> Detect:
     # The paper's Table 2: the corners and, where the pattern ends, its junctions.
     count = pattern.views * (pattern.markers + settings["margin"]) ** 2
-
-    def detect(image: np.ndarray) -> np.ndarray:
-        quality, distance = settings["quality"], settings["distance"]
-        block, gradient = settings["block"], settings["gradient"]
-        xy = cv2.goodFeaturesToTrack(
-            image, count, quality, distance, mask=None, blockSize=block, gradientSize=gradient
-        )
-        return _points(xy)
-
-    return detect
+    given = count, settings["quality"], settings["distance"]
+    sizes = {"blockSize": settings["block"], "gradientSize": settings["gradient"]}
+    return lambda image: _points(cv2.goodFeaturesToTrack(image, *given, mask=None, **sizes))
 
 
 def _good_features_refined(settings: Settings, pattern: Pattern) -> Detect:
@@ -97,12 +90,7 @@ def _find_chessboard(settings: Settings, pattern: Pattern) -> Detect:
     size = (pattern.markers, pattern.markers)
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH * settings["adaptive"]
     flags |= cv2.CALIB_CB_NORMALIZE_IMAGE * settings["normalize"]
-
-    def detect(image: np.ndarray) -> np.ndarray:
-        _, xy = cv2.findChessboardCorners(image, size, flags=flags)
-        return _points(xy)
-
-    return detect
+    return lambda image: _points(cv2.findChessboardCorners(image, size, flags=flags)[1])
 
 
 def _find_chessboard_sb(settings: Settings, pattern: Pattern) -> Detect:
@@ -110,12 +98,7 @@ def _find_chessboard_sb(settings: Settings, pattern: Pattern) -> Detect:
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE * settings["normalize"]
     flags |= cv2.CALIB_CB_EXHAUSTIVE * settings["exhaustive"]
     flags |= cv2.CALIB_CB_ACCURACY * settings["accuracy"]
-
-    def detect(image: np.ndarray) -> np.ndarray:
-        _, xy = cv2.findChessboardCornersSB(image, size, flags=flags)
-        return _points(xy)
-
-    return detect
+    return lambda image: _points(cv2.findChessboardCornersSB(image, size, flags=flags)[1])
 
 
 # ChESS and Zhang's spectrum, written from the papers
@@ -137,23 +120,18 @@ def _module(name: str, install: str) -> Any:
         raise Unavailable(f"not installed; {install}") from error
 
 
-def _chess_corners(refiner: str | None) -> Callable[[Settings, Pattern], Detect]:
+def _chess_corners(refiner: str) -> Callable[[Settings, Pattern], Detect]:
     def make(settings: Settings, pattern: Pattern) -> Detect:
         package = _module("chess_corners", "pip install chess_corners")
-        config = package.DetectorConfig()
-        if refiner is not None:
-            config = (
-                config.with_threshold(settings["threshold"])
-                .without_orientation()
-                .with_uncertainty(package.Uncertainty.OFF)
-                .with_chess(refiner=getattr(package.ChessRefiner, refiner)())
-            )
+        config = (
+            package.DetectorConfig()
+            .with_threshold(settings["threshold"])
+            .without_orientation()
+            .with_uncertainty(package.Uncertainty.OFF)
+            .with_chess(refiner=getattr(package.ChessRefiner, refiner)())
+        )
         detector = package.Detector(config)
-
-        def detect(image: np.ndarray) -> np.ndarray:
-            return detector.detect(image).xy
-
-        return detect
+        return lambda image: detector.detect(image).xy
 
     return make
 
@@ -291,7 +269,6 @@ PEERS: dict[str, Peer] = {
     ),
     "chess_opencl": Peer("ChESS, OpenCL", _ring_peer, _CHESS),
     "spectrum_opencl": Peer("Zhang's spectrum, OpenCL", _ring_peer, _SPECTRUM),
-    "chess_corners": Peer("chess-corners, defaults", _chess_corners(None), {}),
     "chess_corners_lean": Peer(
         "chess-corners, lean, centre of mass", _chess_corners("center_of_mass"), _LEAN
     ),

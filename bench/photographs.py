@@ -10,17 +10,18 @@ cell, found on rendered scenes.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import cv2
 import methods
 import numpy as np
-from environment import DATA, parser_of, write_table
+from environment import DATA, run
 from peers import Pattern, available, keep_freed_memory
 from scenes import read_listed
 
 from cmp_cl.image import GreyImage
+from cmp_cl.synthetic import boards
 from cmp_cl.synthetic.scoring import match
 
 PICTURES = ("water/reference_df", "water/ellipse_10", "puzzleboard/example1", "curved/curve_4")
@@ -103,40 +104,32 @@ def before(room: GreyImage, seed: int) -> Photograph:
     cell = float(draw.uniform(7, 14))
     top, left = (int(draw.integers(size - size // ENLARGED + 1)) for size in room.shape)
     part = room[top : top + high // ENLARGED, left : left + wide // ENLARGED]
-    fine = 3 * np.array([wide, high])  # samples: three a pixel, along each axis
-    view = cv2.resize(part, fine, interpolation=cv2.INTER_CUBIC)
-
     turn = cell * np.exp(1j * draw.uniform(-0.4, 0.4))
     to_view = np.array([[turn.real, -turn.imag, 0], [turn.imag, turn.real, 0], [0, 0, 1]])
     to_view[2, :2] = draw.normal(0, 0.004, 2)  # perspective
     to_view[:2] += np.outer(draw.uniform([0.35, 0.35], [0.65, 0.65]) * (wide, high), to_view[2])
-    to_fine = np.array([[3, 0, 1], [0, 3, 1], [0, 0, 1]]) @ to_view
-    x, y = np.indices(view.shape[::-1], np.float32)
-    x, y, scale = np.tensordot(np.linalg.inv(to_fine), [x.T, y.T, np.ones_like(x.T)], 1)
-    across, down = x / scale + (columns + 1) / 2, y / scale + (rows + 1) / 2
-    margin = float(draw.uniform(0.3, 1))
-
-    def within(by: float) -> np.ndarray:
-        """Return the samples in the outer squares and a margin around them, cells."""
-        inside = (scale > 0) & (across > -by) & (across < columns + 1 + by)
-        return inside & (down > -by) & (down < rows + 1 + by)
-
-    view[within(margin)] = draw.uniform(140, 240)
-    view[within(0) & ((np.floor(across) + np.floor(down)) % 2 == 0)] = draw.uniform(10, 60)
-
-    small = cv2.resize(view, (wide, high), interpolation=cv2.INTER_AREA).astype(np.float32)
-    small = cv2.GaussianBlur(small, (0, 0), draw.uniform(0.5, 1))
-    noisy = small + draw.uniform(1, 5) * draw.standard_normal(small.shape)
-    row, column = np.indices((rows, columns)).reshape(2, -1)
-    flat = np.stack([column - (columns - 1) / 2, row - (rows - 1) / 2, np.ones(row.size)])
-    seen = to_view @ flat
-    truth = (seen[:2] / seen[2]).T
+    to_cells = np.array([[1, 0, -(columns - 1) / 2], [0, 1, -(rows - 1) / 2], [0, 0, 1]])
+    camera = boards.homography(to_view @ to_cells)
+    margin, paper, ink = (float(draw.uniform(*ends)) for ends in ((0.3, 1), (140, 240), (10, 60)))
+    seen = boards.drawn(
+        camera,
+        room.shape,
+        (rows, columns),
+        levels=(ink, paper),
+        margin=margin,
+        ground=cv2.resize(part, (3 * wide, 3 * high), interpolation=cv2.INTER_CUBIC),
+        blur=draw.uniform(0.5, 1),
+        noise=draw.uniform(1, 5),
+        seed=draw,
+        count=3,
+    )
+    truth = seen.corners[:, :2]
     return Photograph(
         name=f"{SMALL} {seed}",
-        image=np.clip(np.rint(noisy), 0, 255).astype(np.uint8),
+        image=seen.image,
         truth=truth,
         sure=np.ones(len(truth), np.bool_),
-        region=within(-0.5)[1::3, 1::3],
+        region=boards.covered(*camera(*boards.samples(room.shape)), seen.shape, -0.5),
         cell=cell,
     )
 
@@ -167,7 +160,7 @@ def summary(parts: Sequence[Judged]) -> dict[str, Any]:
     }
 
 
-def rows_of(name: str, photographs: Sequence[Photograph], names: Sequence[str]) -> list[Row]:
+def rows_of(name: str, photographs: Sequence[Photograph], names: Sequence[str]) -> Iterator[Row]:
     """Run every method on some photographs of one size."""
     first = photographs[0]
     cell = float(np.median([each.cell for each in photographs]))
@@ -175,7 +168,6 @@ def rows_of(name: str, photographs: Sequence[Photograph], names: Sequence[str]) 
     used = methods.own(Pattern(nearest, views=2), first.image.shape)  # without a grid
     pattern = Pattern(round(len(first.truth) ** 0.5))
     used += [methods.peer(each, pattern, nearest) for each in names]
-    table = []
     for method in used:
         spent, judged = [], []
         for photograph in photographs:
@@ -185,30 +177,26 @@ def rows_of(name: str, photographs: Sequence[Photograph], names: Sequence[str]) 
                 spent.append(getattr(method.detect, "seconds", time.perf_counter() - start))
             judged.append(photograph.judge(xy))
         row = {"photograph": name, "photographs": len(photographs), "method": method.name}
-        table.append({**row, "ms": 1e3 * float(np.median(spent[1:] or spent)), **summary(judged)})
-    return table
+        yield {**row, "ms": 1e3 * float(np.median(spent[1:] or spent)), **summary(judged)}
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    arguments = parser_of(__doc__).parse_args(argv)
-    if not DATA.is_dir():
-        print(f"there are no photographs: {DATA} is missing")
-        return 2
-    keep_freed_memory()
-    names = [name for name in available()[0] if name not in AT_ONCE]
+def rows(names: Sequence[str]) -> Iterator[Row]:
     groups = {name: [Photograph.read(name)] for name in PICTURES}
     for folder in BOARDS:
         files = sorted((DATA / folder).glob("*.json"))
         groups[folder] = [Photograph.read(f"{folder}/{path.stem}") for path in files]
     groups[SMALL] = small_boards()
-    table = []
     for name, photographs in groups.items():
-        for row in rows_of(name, photographs, names):
-            table.append(row)
-            counts = f"{row['missed']:7} missed{row['false']:6} false{row['outside']:7} outside"
-            print(f"{name[:24]:26}{row['method']:38}{counts}", flush=True)
-    write_table("photographs", table, arguments.out)
-    return 0
+        yield from rows_of(name, photographs, names)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    if not DATA.is_dir():
+        print(f"there are no photographs: {DATA} is missing")
+        return 2
+    keep_freed_memory()
+    names = [name for name in available()[0] if name not in AT_ONCE]
+    return run(__doc__, "photographs", lambda quick: rows(names), argv=argv)
 
 
 if __name__ == "__main__":

@@ -10,10 +10,8 @@ what is changed in the rig, and: what 1 mm reads; the RMS error of the displacem
 over .3 mm, um; the mean error of the position, mm. In `drawn`, where cameras are calibrated on 12
 noisy views of a board, and the window on a noisy view at rest: the error of the deepest node along
 the normal, um, and what the covariance of the bias says there, um; the gel's index is exact, or is
-drawn and said to be uncertain by as much. In `round trip`: the largest distance, px, of a pixel
-from where a point on its ray is seen, over drawn stacks of up to four layers and rays to 60 degrees
-from the normal. In `time`: that of the kernel that triangulates, over its time without a window,
-in turns.
+drawn and said to be uncertain by as much. In `time`: that of the kernel that triangulates, over its
+time without a window, in turns.
 """
 
 import contextlib
@@ -24,7 +22,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from environment import parser_of, write_table
+from environment import run
 
 from cmp_cl import (
     BinocularSplit,
@@ -51,7 +49,6 @@ PRESS = Scene(shape=VIEW, markers=29, side=24.0, severity=0.5, seed=900001)
 PITCH = PRESS.side / (PRESS.markers + 1)
 ACRYLIC = 5.0, 1.49
 NOISE = 0.05  # px
-RAYS, FOCAL = 8, 1000.0  # of each drawn stack; px
 STACKS = {
     "one layer": (ACRYLIC,),
     "three layers": ((2.0, 1.49), (1.0, 1.0), (2.0, 1.52)),
@@ -186,26 +183,6 @@ def drawn(*, quick: bool) -> Iterator[Row]:
         }
 
 
-def round_trip(*, quick: bool) -> Iterator[Row]:
-    rng, count, worst = np.random.default_rng(0), 1000 if quick else 10_000, 0.0
-    for _ in range(count):
-        layers = [(rng.uniform(0, 30), rng.uniform(1, 2.5)) for _ in range(rng.integers(5))]
-        normal = (*rng.uniform(-0.3, 0.3, 2), 1.0)
-        window = Window(normal, rng.uniform(1, 40), layers, rng.uniform(1, 2.5))
-        angle, azimuth = np.radians(rng.uniform(0, 60, RAYS)), rng.uniform(0, 2 * np.pi, RAYS)
-        across = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1) @ window.axes
-        rays = np.cos(angle)[:, None] * window.normal + np.sin(angle)[:, None] * across
-        pixels = rays[rays[:, 2] > 0]
-        pixels = FOCAL * pixels[:, :2] / pixels[:, 2:]
-        centre = rng.uniform(-0.5, 0.5, 3)
-        at, ahead = window.refracted(centre, np.insert(pixels / FOCAL, 2, 1, axis=1))
-        points = at + rng.uniform(1e-3, 50, (len(at), 1)) * ahead
-        seen = window.apparent(centre, points).points - centre
-        off = FOCAL * seen[:, :2] / seen[:, 2:] - pixels
-        worst = max(worst, float(np.linalg.norm(off, axis=1).max()))
-    yield {"part": "round trip", "stacks": count, "off_px": worst}
-
-
 def kernel_times(*, quick: bool) -> Iterator[Row]:
     scene = dataclasses.replace(PRESS, markers=40)
     rigs = {"nothing": AIR} | {name: behind(20.0, layers=each) for name, each in STACKS.items()}
@@ -229,19 +206,10 @@ def kernel_times(*, quick: bool) -> Iterator[Row]:
         yield {"part": "time", "gel_mm": 20.0, "changed": name, "times": float(times)}
 
 
-def main() -> None:
-    arguments = parser_of(__doc__, quick="few gels, ten drawn rigs").parse_args()
-    rows = []
-    for part in (without_the_model, wrong_parameters, images, drawn, round_trip, kernel_times):
-        for row in part(quick=arguments.quick):
-            rows.append(row)
-            print(
-                ", ".join(
-                    f"{k} {v:.4g}" if isinstance(v, float) else str(v) for k, v in row.items()
-                )
-            )
-    write_table("refraction", rows, arguments.out)
+def rows(quick: bool) -> Iterator[Row]:
+    for part in (without_the_model, wrong_parameters, images, drawn, kernel_times):
+        yield from part(quick=quick)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(run(__doc__, "refraction", rows, quick="few gels, ten drawn rigs"))

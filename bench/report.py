@@ -5,8 +5,9 @@ python bench/report.py     writes results/REPORT.md, results/*.png and the table
 """
 
 import argparse
+import contextlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -126,9 +127,7 @@ def speed(folder: Path) -> str:
 def detection(folder: Path) -> str:
     table = read(folder, "detection")
     whole = summed(table).sort_values("ms")
-    whole["frames right, %"] = [
-        percent(*pair) for pair in zip(whole["right"], whole["frames"], strict=True)
-    ]
+    whole["frames right, %"] = whole.apply(lambda row: percent(row["right"], row["frames"]), axis=1)
     whole["missed a frame"] = whole["missed"] / whole["frames"]
     whole["false a frame"] = whole["false"] / whole["frames"]
     error_against_time(whole, folder / "error.png")
@@ -188,18 +187,18 @@ def photographs(folder: Path) -> str:
         "a saddle fitted to the image, which favours methods that fit one; differences under .2 px "
         "mean nothing. The small boards are rendered before enlarged photographs of rooms.\n"
     )
-    keys = ("missed", "false", "outside")
-    table["counts"] = [" / ".join(map(str, row)) for row in table[list(keys)].to_numpy()]
-    wide = table.pivot(index="method", columns="photograph", values="counts")
-    names = {
-        row["photograph"]: f"{row['photograph']} ({row['expected']})" for _, row in table.iterrows()
-    }
-    order = list(dict.fromkeys(table["photograph"]))
-    methods = list(dict.fromkeys(table["method"]))
-    text.append(markdown(wide.loc[methods, order].rename(columns=names).reset_index()))
-    text.append("### Median distance from the truth, px\n")
-    wide = table.pivot(index="method", columns="photograph", values="median")
-    text.append(markdown(wide.loc[methods, order].reset_index()))
+    counts = table[["missed", "false", "outside"]].astype(str).agg(" / ".join, axis=1)
+    expected = dict(zip(table["photograph"], table["expected"], strict=True))
+    names = {name: f"{name} ({count})" for name, count in expected.items()}
+    methods = table["method"].unique()
+    for heading, values, renamed in (
+        ("", counts, names),
+        ("### Median distance from the truth, px\n", table["median"], {}),
+    ):
+        shown = table.assign(shown=values)
+        wide = shown.pivot(index="method", columns="photograph", values="shown")
+        wide = wide.loc[methods, list(names)].rename(columns=renamed)
+        text += [heading] * bool(heading) + [markdown(wide.reset_index())]
     return "\n".join(text)
 
 
@@ -267,11 +266,6 @@ def refraction(folder: Path) -> str:
             "Cameras and window calibrated on noisy views of drawn rigs. Along the normal, a press "
             "of 1 mm errs by:\n",
             *(_of_drawn(str(index), rows) for index, rows in parts["drawn"].groupby("changed")),
-            *(
-                f"From a pixel along its ray to a point and back: at most {row['off_px']:.2g} px "
-                f"over {row['stacks']:.0f} drawn stacks.\n"
-                for _, row in parts["round trip"].iterrows()
-            ),
             "The kernel that triangulates takes, over its time without a window:\n",
             *(
                 f"- {row['changed']}: {row['times']:.2f} times"
@@ -309,70 +303,57 @@ def _refracted(rows: pd.DataFrame) -> str:
         "position_mm": "position off by, mm",
     }
     known = rows.dropna(axis="columns", how="all")
-    return markdown(known[[name for name in names if name in known]].rename(columns=names))
+    return markdown(known.filter(names).rename(columns=names))
 
 
 # plots
 
 
-def plain(axes: plt.Axes) -> None:
+@contextlib.contextmanager
+def plot(path: Path, size: tuple[float, float], **said: Any) -> Iterator[plt.Axes]:
+    """Yield axes, and write what was drawn there."""
+    figure, axes = plt.subplots(figsize=size, layout="constrained")
+    yield axes
+    axes.set(**said)
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
 
 
 def error_against_time(whole: pd.DataFrame, path: Path) -> None:
-    figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
+    logarithmic = {"xscale": "log", "yscale": "log", "xlabel": "ms a frame, 640 x 480"}
+    said = "missed and false per 1000 corners"
     placed: list[np.ndarray] = []
-    for _, row in whole.sort_values("ms").iterrows():
-        at = row["ms"], max(row["wrong"], 0.01)
-        color = "#c1272d" if row["method"] in OURS else "#4d4d4d"
-        axes.plot(*at, "o", color=color)
-        crowd = sum((np.abs(np.log10(at) - other) < (0.6, 0.25)).all() for other in placed)
-        placed.append(np.log10(at))
-        above = (3, -10, 14, -21)[crowd % 4]  # labels of neighbours lie one below the other
-        axes.annotate(row["method"], at, fontsize=7, xytext=(4, above), textcoords="offset points")
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlabel="ms a frame, 640 x 480",
-        ylabel="missed and false per 1000 corners",
-    )
-    plain(axes)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    with plot(path, (8, 5), **logarithmic, ylabel=said) as axes:
+        for _, row in whole.sort_values("ms").iterrows():
+            at = row["ms"], max(row["wrong"], 0.01)
+            axes.plot(*at, "o", color="#c1272d" if row["method"] in OURS else "#4d4d4d")
+            crowd = sum((np.abs(np.log10(at) - other) < (0.6, 0.25)).all() for other in placed)
+            placed.append(np.log10(at))
+            place = 4, (3, -10, 14, -21)[crowd % 4]  # labels of neighbours lie one below the other
+            axes.annotate(row["method"], at, fontsize=7, xytext=place, textcoords="offset points")
 
 
 def right_by_severity(rows: pd.DataFrame, path: Path) -> None:
-    figure, axes = plt.subplots(figsize=(8, 4.5), layout="constrained")
-    for name, group in rows.groupby("method", sort=False):
-        own = name in OURS
-        axes.plot(
-            group["severity"],
-            100 * group["right"] / group["frames"],
-            ".-",
-            lw=2 if own else 0.8,
-            label=name,
-            zorder=3 if own else 2,
-        )
-    axes.set(xlabel="severity of the press", ylabel="frames right, %", ylim=(-2, 102))
-    axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
-    plain(axes)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    said = {"xlabel": "severity of the press", "ylabel": "frames right, %", "ylim": (-2, 102)}
+    with plot(path, (8, 4.5), **said) as axes:
+        for name, group in rows.groupby("method", sort=False):
+            share, own = 100 * group["right"] / group["frames"], name in OURS
+            style = {"lw": 2 if own else 0.8, "zorder": 3 if own else 2, "label": name}
+            axes.plot(group["severity"], share, ".-", **style)
+        axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
 
 
 def coverage(table: pd.DataFrame, path: Path) -> None:
-    figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
-    axes.axhspan(90, 98, color="#dddddd", label="90 to 98 %")
-    kept = table[table["kind"] != "position"]
-    for kind, group in kept.groupby("kind", sort=False):
-        by = group.groupby("severity")["within_2"].mean()
-        axes.plot(by.index, 100 * by, "o-", label=kind)
-    axes.set(xlabel="severity of the press", ylabel="within two sigma, %", ylim=(60, 101))
-    axes.legend(fontsize=8, frameon=False)
-    plain(axes)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    said = {"xlabel": "severity of the press", "ylabel": "within two sigma, %", "ylim": (60, 101)}
+    with plot(path, (7, 4), **said) as axes:
+        axes.axhspan(90, 98, color="#dddddd", label="90 to 98 %")
+        kept = table[table["kind"] != "position"]
+        for kind, group in kept.groupby("kind", sort=False):
+            by = group.groupby("severity")["within_2"].mean()
+            axes.plot(by.index, 100 * by, "o-", label=kind)
+        axes.legend(fontsize=8, frameon=False)
 
 
 # the page

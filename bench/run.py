@@ -4,43 +4,28 @@ python bench/run.py --quick         some minutes; into a folder for temporary fi
 python bench/run.py                 about an hour on two quiet cores; into results/
 """
 
-import argparse
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from environment import RESULTS
+from environment import QUICK, RESULTS, parser_of
 
-HERE = Path(__file__).parent
-QUICK = Path(tempfile.gettempdir()) / "cmp_cl-bench"
 PARTS = (
-    "speed",
-    "scaling",
-    "detection",
-    "photographs",
-    "sigma",
-    "numbering",
-    "field",
-    "refraction",
-    "limits",
+    *("speed", "scaling", "detection", "photographs", "sigma", "numbering", "field"),
+    *("refraction", "limits", "report"),
 )
-WHOLE = ("photographs",)  # has no short form
+WHOLE = ("photographs", "report")  # have no short form
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the short form of each part")
-    parser.add_argument("--out", type=Path, help="folder for the results")
-    arguments = parser.parse_args(argv)
+    arguments = parser_of(__doc__, quick="the short form of each part").parse_args(argv)
     out = arguments.out or (QUICK if arguments.quick else RESULTS)
     failed = []
-    for part in (*PARTS, "report"):
-        command = [sys.executable, str(HERE / f"{part}.py"), "--out", str(out)]
-        if arguments.quick and part not in (*WHOLE, "report"):
-            command.append("--quick")
+    for part in PARTS:
+        command = [sys.executable, Path(__file__).with_name(f"{part}.py"), "--out", out]
+        command += ["--quick"] * (arguments.quick and part not in WHOLE)
         print(f"\n{part}", flush=True)
         start = time.perf_counter()
         if subprocess.run(command).returncode:

@@ -2,7 +2,7 @@
 
     python bench/scaling.py --quick         small sizes, half a minute
     python bench/scaling.py                 160 x 120 to 8192 x 8192, batches of up to 256 frames
-    python bench/scaling.py --device gpu    the same on another device
+    CMP_CL_DEVICE=gpu python bench/scaling.py   on another device
 
 The corners of every frame of a batch are compared with those of the single frame. A row of
 results/scaling.csv is a size, or a way to give many VGA frames.
@@ -10,12 +10,12 @@ results/scaling.csv is a size, or a way to give many VGA frames.
 
 import statistics
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pyopencl as cl
-from environment import parser_of, write_table
+from environment import run
 from scenes import TEST_SEED, rendered, vga
 
 import cmp_cl
@@ -29,12 +29,12 @@ FRAMES = 64  # in a loop and in a stream
 Row = dict[str, Any]
 
 
-def milliseconds(run: Callable[[], object], repeats: int) -> float:
+def milliseconds(call: Callable[[], object], repeats: int) -> float:
     """Return the median of a call, after two warm-up calls."""
     spent = []
     for _ in range(repeats + 2):
         start = time.perf_counter()
-        run()
+        call()
         spent.append(1e3 * (time.perf_counter() - start))
     return statistics.median(spent[2:])
 
@@ -47,11 +47,11 @@ def tiled(shape: tuple[int, int]) -> np.ndarray:
     )
 
 
-def sizes(shapes: Sequence[tuple[int, int]], device: str | None) -> Iterator[Row]:
+def sizes(quick: bool) -> Iterator[Row]:
     """Yield the cost of one frame by its pixels, at a constant density of corners."""
-    for shape in shapes:
+    for shape in SIZES[:4] if quick else SIZES:
         image = tiled(shape)
-        with Detector(shape=shape, device=device) as detector:
+        with Detector(shape=shape) as detector:
             corners = len(detector(image))
             repeats = max(3, min(60, 30_000_000 // image.size))
             spent = milliseconds(lambda d=detector, i=image: d(i), repeats)
@@ -65,24 +65,24 @@ def sizes(shapes: Sequence[tuple[int, int]], device: str | None) -> Iterator[Row
         }
 
 
-def many(batches: Sequence[int], device: str | None) -> Iterator[Row]:
+def many(quick: bool) -> Iterator[Row]:
     """Yield the cost of a VGA frame: in a loop, a stream, and batches from host and device."""
     frames = [vga(TEST_SEED + k).image for k in range(4)]
-    context = cl.Context([cmp_cl.select_device(device).handle])
+    context = cl.Context([cmp_cl.select_device().handle])
     with Detector(shape=frames[0].shape, queue=cl.CommandQueue(context)) as detector:
         single = [detector(frame) for frame in frames]
 
-        def timed(what: str, count: int, run: Callable[[], list[Corners]]) -> Row:
-            for k, corners in enumerate(run()):
+        def timed(what: str, count: int, call: Callable[[], list[Corners]]) -> Row:
+            for k, corners in enumerate(call()):
                 if not np.array_equal(corners.xy, single[k % 4].xy):
                     raise SystemExit(f"{what}: frame {k} differs from the single frame")
-            spent = milliseconds(run, 5) / count
+            spent = milliseconds(call, 5) / count
             return {"what": what, "corners": len(single[0]), "ms_a_frame": spent}
 
-        row = [frames[k % 4] for k in range(FRAMES)]
-        yield timed("VGA, one by one", FRAMES, lambda: [detector(frame) for frame in row])
-        yield timed("VGA, stream", FRAMES, lambda: list(detector.stream(row)))
-        for count in batches:
+        film = [frames[k % 4] for k in range(FRAMES)]
+        yield timed("VGA, one by one", FRAMES, lambda: [detector(frame) for frame in film])
+        yield timed("VGA, stream", FRAMES, lambda: list(detector.stream(film)))
+        for count in BATCHES[:3] if quick else BATCHES:
             stack = np.stack([frames[k % 4] for k in range(count)])
             flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
             there = cl.Buffer(context, flags, hostbuf=stack)
@@ -90,10 +90,10 @@ def many(batches: Sequence[int], device: str | None) -> Iterator[Row]:
             yield timed(f"VGA, {count} on the device", count, lambda b=there: detector.batch(b))
 
 
-def stages(device: str | None) -> Iterator[Row]:
+def stages() -> Iterator[Row]:
     """Yield the time of each kernel of a VGA frame, the median."""
     image = vga(TEST_SEED).image
-    with Detector(shape=image.shape, device=device, profile=True) as detector:
+    with Detector(shape=image.shape, profile=True) as detector:
         spent = []
         for _ in range(40):
             detector(image)
@@ -103,26 +103,11 @@ def stages(device: str | None) -> Iterator[Row]:
         yield {"what": f"kernel {name}", "ms_a_frame": ms}
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    parser = parser_of(__doc__, quick="small sizes, half a minute")
-    parser.add_argument("--device", help="as for cmp-cl: a name, an index, cpu or gpu")
-    arguments = parser.parse_args(argv)
-    device = arguments.device
-    chosen = cmp_cl.select_device(device)
-    print(f"{chosen}, driver {chosen.driver}")
-    table = []
-    quick = arguments.quick
-    for rows in (
-        sizes(SIZES[:4] if quick else SIZES, device),
-        many(BATCHES[:3] if quick else BATCHES, device),
-        stages(device),
-    ):
-        for row in rows:
-            table.append(row)
-            print(f"{row['what']:26}{row['ms_a_frame']:10.3f} ms", flush=True)
-    write_table("scaling", table, arguments.out)
-    return 0
+def rows(quick: bool) -> Iterator[Row]:
+    yield from sizes(quick)
+    yield from many(quick)
+    yield from stages()
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(run(__doc__, "scaling", rows, quick="small sizes, half a minute"))

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from environment import parser_of, write_table
+from environment import run
 from scenes import TEST_SEED, rendered
 from tqdm import tqdm
 
@@ -89,7 +89,7 @@ def measured(scene: Scene, detector: Detector) -> dict[str, Errors] | None:
     return {kind: Errors(error[good], sigma[good]) for kind, (error, sigma) in kinds.items()}
 
 
-def row(kind: str, parts: Sequence[Errors], **group: Any) -> dict[str, Any]:
+def summary(kind: str, parts: Sequence[Errors], **group: Any) -> dict[str, Any]:
     """Return the figures of a kind over some frames."""
     shares = []
     for each in parts:
@@ -105,34 +105,21 @@ def row(kind: str, parts: Sequence[Errors], **group: Any) -> dict[str, Any]:
     }
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    arguments = parser_of(__doc__, quick="20 frames, a minute").parse_args(argv)
+def rows(quick: bool) -> Iterator[dict[str, Any]]:
     detectors: dict[int, Detector] = {}
     groups: dict[tuple[str, float, float, float], list[Errors]] = defaultdict(list)
     lost = 0
-    for scene in tqdm(list(scenes(arguments.quick)), unit=" scenes"):
+    for scene in tqdm(list(scenes(quick)), unit=" scenes"):
         detector = detectors.setdefault(scene.markers, Detector(shape=scene.shape))
         found = measured(scene, detector)
         lost += found is None
         noise = scene.noise if scene.noise in NOISES else math.nan
         for kind, errors in (found or {}).items():
             groups[kind, scene.corrosion, scene.severity, noise].append(errors)
-    names = ("corrosion", "severity", "noise")
-    table = [
-        row(kind, parts, **dict(zip(names, values, strict=True)))
-        for (kind, *values), parts in groups.items()
-    ]
-    for each in table:
-        print(
-            " ".join(
-                f"{name} {value:.4g}" if name != "kind" else f"{value:18}"
-                for name, value in each.items()
-            )
-        )
+    for (kind, corrosion, severity, noise), parts in groups.items():
+        yield summary(kind, parts, corrosion=corrosion, severity=severity, noise=noise)
     print(f"{lost} scenes were not numbered")
-    write_table("sigma", table, arguments.out)
-    return 0
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(run(__doc__, "sigma", rows, quick="20 frames, a minute"))

@@ -23,6 +23,7 @@ from cmp_cl.stages.refine import (
     RESULT_HEAD,
     VARIANCE,
 )
+from cmp_cl.synthetic import boards
 
 SIZE = 420, 460
 CELL = 17.0
@@ -293,12 +294,5 @@ def drawn_at(xy):
     rows, columns = xy.shape[:2]
     places = np.indices((rows, columns)).transpose(1, 2, 0).reshape(-1, 2)
     matrix = cv2.findHomography(xy.reshape(-1, 2), places[:, ::-1].astype(float))[0]
-    y, x = (np.indices((SIZE[0] * 4, SIZE[1] * 4)) + 0.5) / 4 - 0.5
-    column, row, scale = np.einsum("ij,j...->i...", matrix, np.stack([x, y, np.ones_like(x)]))
-    column, row = column / scale, row / scale
-    black = (np.floor(row) + np.floor(column)) % 2 == 0
-    inside = (row > -1) & (row < rows) & (column > -1) & (column < columns)
-    level = np.where(inside, np.where(black, 50.0, 200.0), 120.0)
-    level = level.reshape(SIZE[0], 4, SIZE[1], 4).mean(axis=(1, 3))
-    noise = np.random.default_rng(1).normal(0, 1.5, SIZE)
-    return np.rint(cv2.GaussianBlur(level, (0, 0), 0.8) + noise).astype(np.uint8)
+    camera = boards.homography(np.linalg.inv(matrix))
+    return boards.drawn(camera, SIZE, (rows, columns), blur=0.8, noise=1.5, count=4).image

@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.synthetic import boards
+
 OVERSAMPLING = 8  # samples of a pixel, along each axis
 
 
@@ -34,19 +36,16 @@ def board(
 
     cell, blur: px. angle: rad. samples: of a pixel, along each axis.
     """
-    height, width = rows, columns
-    x, y = ((np.arange(n * samples) + 0.5) / samples - 0.5 for n in (width, height))
     cos, sin = math.cos(angle) / cell, math.sin(angle) / cell
-    u = cos * x[None] + sin * y[:, None] + 0.37
-    v = cos * y[:, None] - sin * x[None] + 0.21
+
+    def camera(x: NDArray, y: NDArray) -> tuple[NDArray, NDArray]:
+        return cos * x + sin * y + 0.37, cos * y - sin * x + 0.21
+
+    u, v = camera(*boards.samples((rows, columns), samples))
     grey = np.where((np.floor(u) + np.floor(v)) % 2 == 0, 40.0, 200.0)
-    most = int((height + width) / cell) + 2
-    i, j = np.meshgrid(np.arange(-most, most), np.arange(-most, most))
-    i, j = i.ravel() - 0.37, j.ravel() - 0.21
-    scale = cell * cell
-    place = np.stack([(cos * i - sin * j) * scale, (sin * i + cos * j) * scale], axis=1)
-    inside = ((place >= 6) & (place <= np.array([width, height]) - 7)).all(axis=1)
-    return _pixels(grey, blur, samples), place[inside]
+    corners = boards.corners_in(camera, (rows, columns))
+    seen = corners[boards.inside(corners, (rows, columns), 6), :2]
+    return _pixels(grey, blur, samples), seen
 
 
 def _pixels(

@@ -1,8 +1,4 @@
-"""Views of patterns with known answers: a table of scenes by name, and the score of a grid.
-
-A pattern has coordinates (u, v) in cells: node (row r, column c) is at (c, r), and the squares of a
-board reach half a cell more than a cell beyond. A camera maps pixels to them and back.
-"""
+"""Views of patterns with known answers: a table of scenes by name, and the score of a grid."""
 
 import dataclasses
 import functools
@@ -11,66 +7,27 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from lattices import keep as reordered  # noqa: F401
 from numpy.typing import NDArray
 
 from cmp_cl import Corners, DetectorConfig, Grid, detect
 from cmp_cl.grid.grid import MEASURED
-from cmp_cl.synthetic import Indenter, Scene, random_scene, render
+from cmp_cl.synthetic import Indenter, random_scene
+from cmp_cl.synthetic.boards import (
+    Camera,
+    View,
+    bars,
+    blocks,
+    cut,
+    drawn,
+    inside,
+    plane,
+    squares,
+)
+from cmp_cl.synthetic.boards import gel as rendered
 
 Array = NDArray[np.float64]
-Map = Callable[[Array, Array], tuple[Array, Array]]
-SAMPLES = 2  # of a pixel along each axis
 EDGE = 6.0  # px: nearer to the image's edge a corner need not be found
-
-
-class View(NamedTuple):
-    """An image, its corners (N, 4): x, y, row, column; and the whole pattern's rows and columns,
-    (0, 0) without an end. cell: px. bits: of the camera."""
-
-    image: NDArray[np.uint8] | NDArray[np.uint16]
-    corners: Array
-    shape: tuple[int, int]
-    cell: float
-    bits: int = 8
-
-
-# cameras
-
-
-class Camera(NamedTuple):
-    """to_pattern: (u, v) seen at pixels. to_view: the pixels of (u, v). cell: px."""
-
-    to_pattern: Map
-    to_view: Map
-    cell: float
-
-
-def plane(
-    *,
-    cell: float,
-    middle: tuple[float, float],
-    about: tuple[float, float] = (0.0, 0.0),
-    turn: float = 0.0,
-    tilt: tuple[float, float] = (0.0, 0.0),
-) -> Camera:
-    """Return a pinhole before a plane. middle: px, where the pattern's point `about` is seen.
-
-    turn: degrees. tilt: the perspective, 1/px.
-    """
-    a, b = cell * np.cos(np.deg2rad(turn)), cell * np.sin(np.deg2rad(turn))
-    moved = np.array([[a, -b, 0], [b, a, 0], [0, 0, 1]])
-    lean, shift, start = np.eye(3), np.eye(3), np.eye(3)
-    lean[2, :2], shift[:2, 2], start[:2, 2] = tilt, middle, (-about[0], -about[1])
-    matrix = shift @ lean @ moved @ start
-    return Camera(_by(np.linalg.inv(matrix)), _by(matrix), cell)
-
-
-def _by(matrix: Array) -> Map:
-    def apply(x: Array, y: Array) -> tuple[Array, Array]:
-        one, other, scale = np.tensordot(matrix, [x, y, np.ones_like(x)], 1)
-        return one / scale, other / scale
-
-    return apply
 
 
 def fisheye(
@@ -81,7 +38,7 @@ def fisheye(
     x0, y0 = (size[1] - 1) / 2, (size[0] - 1) / 2
     normal = matrix[:, 2]
 
-    def to_pattern(x: Array, y: Array) -> tuple[Array, Array]:
+    def to_cells(x: Array, y: Array) -> tuple[Array, Array]:
         x, y = x - x0, y - y0
         far = np.maximum(np.hypot(x, y), 1e-9)
         ray = np.stack([x * np.sin(far / focal) / far, y * np.sin(far / focal) / far])
@@ -92,108 +49,7 @@ def fisheye(
         u, v = np.tensordot(matrix[:, :2].T, offset, 1)
         return u + about[0], v + about[1]
 
-    def to_view(u: Array, v: Array) -> tuple[Array, Array]:
-        flat = np.stack([u - about[0], v - about[1], np.zeros_like(u)])
-        x, y, z = np.tensordot(matrix, flat, 1) + np.reshape(place, (3, *[1] * u.ndim))
-        aside = np.maximum(np.hypot(x, y), 1e-9)
-        scale = focal * np.arctan2(aside, z) / aside
-        return x * scale + x0, y * scale + y0
-
-    return Camera(to_pattern, to_view, focal / float(np.linalg.norm(place)))
-
-
-# pictures
-
-
-def drawn(
-    camera: Camera,
-    size: tuple[int, int],
-    shape: tuple[int, int] = (0, 0),
-    *,
-    margin: float = 1.0,
-    ground: Array | float = 110.0,
-    mark: Callable[[Array, Array, Array], NDArray[np.bool_]] | None = None,
-    wear: float = 0.0,
-    noise: float = 2.0,
-    seed: int = 0,
-    bits: int = 8,
-) -> View:
-    """Return the view of a board of that shape, or of a pattern without an end.
-
-    size: (H, W). margin: white paper around the squares, cells. ground: what is behind, grey
-    levels, (H, W) or one. mark: which points of a square, (u, v) from its middle, have the other
-    colour; its third argument is the number of the square. wear: standard deviation of the printing
-    errors, cells. noise: grey levels of 255.
-    """
-    rows, columns = shape
-    step = [(np.arange(n * SAMPLES) + 0.5) / SAMPLES - 0.5 for n in size[::-1]]
-    u, v = camera.to_pattern(*np.meshgrid(*step))
-    if wear:
-        u, v = _worn(u, v, wear)
-    column, row = np.floor(u), np.floor(v)
-    white = (row + column) % 2 != 0
-    if mark is not None:
-        white ^= mark(u - column - 0.5, v - row - 0.5, 97 * row + column)
-    level = np.where(white, 205.0, 45.0)
-    if rows:
-
-        def within(more: float) -> NDArray[np.bool_]:
-            return (u > -1 - more) & (u < columns + more) & (v > -1 - more) & (v < rows + more)
-
-        behind = np.kron(np.broadcast_to(ground, size), np.ones((SAMPLES, SAMPLES)))
-        level = np.where(within(0), level, np.where(within(margin), 205.0, behind))
-    small = cv2.resize(level.astype(np.float32), size[::-1], interpolation=cv2.INTER_AREA)
-    small = cv2.GaussianBlur(small, (0, 0), 0.7)
-    small = small + noise * np.random.default_rng(seed).standard_normal(size)
-    high = 2**bits - 1
-    image = np.clip(np.rint(small * (high / 255)), 0, high).astype(f"u{(bits + 7) // 8}")
-    reach = 200 if not rows else 0
-    row, column = np.mgrid[-reach : max(rows, reach), -reach : max(columns, reach)].reshape(2, -1)
-    x, y = camera.to_view(column.astype(float), row.astype(float))
-    seen = np.stack([x, y, row, column], axis=1)
-    return View(image, seen[_inside(seen, size)], shape, camera.cell, bits)
-
-
-def _inside(corners: Array, size: tuple[int, int], margin: float = 0) -> NDArray[np.bool_]:
-    """Return which corners lie in an image of that size, so many px from its edge."""
-    xy, last = corners[:, :2], np.array(size[::-1]) - 1
-    return ((xy >= margin) & (xy <= last - margin)).all(axis=1)
-
-
-def _worn(u: Array, v: Array, wear: float, period: int = 64) -> tuple[Array, Array]:
-    """Return the points moved by printing errors, which are linear within cells."""
-    error = np.random.default_rng(77).normal(0, wear, (period, period, 2)).astype(np.float32)
-    error = np.pad(error, ((0, 1), (0, 1), (0, 0)), mode="wrap")
-    place = (np.asarray(each % period, np.float32) for each in (u, v))
-    off = cv2.remap(error, *place, cv2.INTER_LINEAR)
-    return u + off[..., 0], v + off[..., 1]
-
-
-def squares(size: tuple[int, int], seed: int) -> Array:
-    """Return a turned floor of squares, (H, W) grey levels."""
-    draw = np.random.default_rng(seed)
-    y, x = np.indices(size).astype(float)
-    turn, wide = np.exp(1j * draw.uniform(0.2, 0.6)), draw.uniform(14, 26)
-    u, v = x * turn.real + y * turn.imag, y * turn.real - x * turn.imag
-    return np.where((np.floor(u / wide) + np.floor(v / wide)) % 2 == 0, 190.0, 70.0)
-
-
-def bars(size: tuple[int, int], seed: int) -> Array:
-    """Return shelves of books, (H, W) grey levels."""
-    draw, level = np.random.default_rng(seed), np.full(size, 80.0)
-    for top in range(0, size[0], 50):
-        left = 0
-        while left < size[1]:
-            end = left + int(draw.uniform(4, 14))
-            level[top : top + 45, left:end] = draw.uniform(20, 240)
-            left = end
-    return level
-
-
-def blocks(size: tuple[int, int], seed: int) -> Array:
-    """Return random blocks of 6 px, (H, W) grey levels."""
-    rough = np.random.default_rng(seed).uniform(20, 235, (size[0] // 6 + 1, size[1] // 6 + 1))
-    return np.kron(rough, np.ones((6, 6)))[: size[0], : size[1]]
+    return to_cells
 
 
 def gravel(size: tuple[int, int], seed: int, grain: float = 1.8) -> Array:
@@ -202,15 +58,16 @@ def gravel(size: tuple[int, int], seed: int, grain: float = 1.8) -> Array:
     return 120 + 60 * rough / rough.std()
 
 
-def dots(u: Array, v: Array, number: Array) -> NDArray[np.bool_]:
+def dots(u: Array, v: Array, row: Array, column: Array) -> NDArray[np.bool_]:
     """Mark half of the squares with a dot."""
-    return (np.hypot(u, v) < 0.2) & (number * 7 % 5 < 3)
+    return (np.hypot(u, v) < 0.2) & ((97 * row + column) * 7 % 5 < 3)
 
 
-def codes(share: float) -> Callable[[Array, Array, Array], NDArray[np.bool_]]:
+def codes(share: float) -> Callable[[Array, Array, Array, Array], NDArray[np.bool_]]:
     """Return marks as ArUco's: black codes of that share of the side, in the white squares."""
 
-    def mark(u: Array, v: Array, number: Array) -> NDArray[np.bool_]:
+    def mark(u: Array, v: Array, row: Array, column: Array) -> NDArray[np.bool_]:
+        number = 97 * row + column
         column, row = (np.clip((each / share + 0.5) * 6, 0, 5).astype(int) for each in (u, v))
         bit = (row * 13 + column * 29 + number.astype(np.int64) * 31) % 7 < 3
         rim = (row % 5 == 0) | (column % 5 == 0)
@@ -225,24 +82,7 @@ def gel(markers: int = 24, size: tuple[int, int] = (300, 400), **given: object) 
     return rendered(random_scene(markers=markers, shape=size, **given))
 
 
-def rendered(scene: Scene) -> View:
-    """Return the view of a scene."""
-    shot = render(scene)
-    number = np.indices(shot.truth.shape[:2]).transpose(1, 2, 0)
-    corners = np.concatenate([shot.truth, number], axis=2).reshape(-1, 4)
-    return View(shot.image, corners, shot.truth.shape[:2], shot.cell)
-
-
 # changes of a view
-
-
-def cut(view: View, box: tuple[float, float, float, float]) -> View:
-    """Return a part of a view; box: left, top, right, bottom, as shares of the image."""
-    rows, columns = view.image.shape
-    x0, y0, x1, y1 = np.rint(np.multiply(box, (columns, rows, columns, rows))).astype(int).tolist()
-    image = np.ascontiguousarray(view.image[y0:y1, x0:x1])
-    corners = view.corners - np.array([x0, y0, 0, 0])
-    return view._replace(image=image, corners=corners[_inside(corners, image.shape)])
 
 
 def turned(view: View, quarters: int) -> View:
@@ -270,16 +110,6 @@ def corners_of(view: View) -> Corners:
     return detect(view.image, DetectorConfig(full_scale=2**view.bits - 1))
 
 
-def reordered(corners: Corners, order: NDArray[np.int64]) -> Corners:
-    """Return the corners in another order, or some of them."""
-    rows = {
-        field.name: getattr(corners, field.name)[order]
-        for field in dataclasses.fields(corners)
-        if field.name not in ("device", "edge_radius")
-    }
-    return dataclasses.replace(corners, **rows)
-
-
 @dataclasses.dataclass(frozen=True)
 class Score:
     """Measured nodes: at a corner with the right number, with a wrong one, at no corner; and the
@@ -301,7 +131,7 @@ def scored(grid: Grid, view: View, *, known: str = "") -> Score:
     map it onto itself, those of the "truth", or may be those of any motion."""
     row, column = np.nonzero(np.isin(grid.status, MEASURED))
     xy, number = grid.xy[row, column], np.stack([row, column], axis=1) + grid.origin
-    needed = _inside(view.corners, view.image.shape, EDGE)
+    needed = inside(view.corners, view.image.shape, EDGE)
     if not len(xy) or not needed.any():
         return Score(0, 0, len(xy), 0.0)
     away = np.linalg.norm(xy[:, None] - view.corners[None, :, :2], axis=2)
