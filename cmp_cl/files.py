@@ -13,6 +13,7 @@ from io import StringIO
 from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO
+from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -209,9 +210,16 @@ def read_toml(path: str | PathLike[str]) -> dict[str, Any]:
         raise ValueError("nested too deep, no settings") from error
 
 
-def read_npz(path: str | PathLike[str], names: Collection[str] | None) -> dict[str, NDArray[Any]]:
+def read_npz(
+    path: str | PathLike[str],
+    names: Collection[str] | None,
+    check: Callable[[dict[str, NDArray[Any]]], None],
+) -> dict[str, NDArray[Any]]:
     """Return the arrays of those names, as far as they are there, from a file that `numpy.savez`
     wrote; None means all.
+
+    check: raises ValueError for arrays of other shapes or types. It is given arrays like those that
+        the file promises, without their values, before they are read.
 
     Raises OSError if the file cannot be read; ValueError if it is damaged or of another kind, or
     the arrays do not fit into the memory that is free.
@@ -220,11 +228,21 @@ def read_npz(path: str | PathLike[str], names: Collection[str] | None) -> dict[s
         try:
             with np.load(file, allow_pickle=False) as data:
                 found = [name for name in data if names is None or name in names]
-                sizes = {member.filename: member.file_size for member in data.zip.infolist()}
-                check_memory(sum(sizes.get(f"{name}.npy", 0) for name in found))
+                promised = {name: _promised(data.zip, f"{name}.npy") for name in found}
+                check(promised)
+                check_memory(sum(array.nbytes for array in promised.values()))
                 return {name: data[name] for name in found}
         except Exception as why:  # damaged bytes raise any of them, in zipfile and NumPy
             raise ValueError(why) from why
+
+
+def _promised(data: ZipFile, name: str) -> NDArray[Any]:
+    """Return an array that takes no memory, of the shape and type that the header in .npy says."""
+    with data.open(name) as file:
+        old = np.lib.format.read_magic(file) == (1, 0)
+        header = np.lib.format.read_array_header_1_0 if old else np.lib.format.read_array_header_2_0
+        shape, _, dtype = header(file)
+    return np.broadcast_to(np.empty((), dtype), shape)
 
 
 def check_memory(size: int) -> None:

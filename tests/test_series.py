@@ -22,9 +22,10 @@ import numpy as np
 import pytest
 from cases import some
 from children import ENVIRONMENT, python
+from stereo_data import grid_of
 
-from cmp_cl import SeriesWriter
-from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl import Grid, SeriesWriter
+from cmp_cl.errors import ConfigError, FieldError, GridError
 from cmp_cl.series import SERIES_SUFFIXES, Description, complete, read_series
 
 PACKAGES = {".h5": "h5py", ".hdf5": "h5py", ".mcap": "mcap_ros2"}
@@ -413,7 +414,7 @@ def test_what_exceeds_the_memory_is_not_read(tmp_path):
     path = tmp_path / "big.h5"
     h5py = pytest.importorskip("h5py", reason="h5py is not installed")
     with h5py.File(path, "w") as file:
-        for name in ("index", "xy"):
+        for name in ("index", "time_ms"):
             file.create_dataset(name, (10**13,), np.int64, chunks=(10**6,))  # not written
     with pytest.raises(FieldError, match="need 160000000000000 bytes"):
         read_series(path)
@@ -422,6 +423,22 @@ def test_what_exceeds_the_memory_is_not_read(tmp_path):
         os.truncate(tmp_path / "big.npz.part" / "xy.npy", 1 << 42)  # not written
         with pytest.raises(FieldError, match=r"need \d{13} bytes"):
             read_series(tmp_path / "big.npz.part")
+
+
+def test_arrays_that_do_not_fit_are_refused_before_they_are_read(tmp_path):
+    many = np.zeros(1 << 25)
+    series, grid = tmp_path / "press.npz", tmp_path / "rest.npz"
+    np.savez_compressed(series, index=np.arange(3), time_ms=many)
+    grid_of(rest()[..., :2]).save(grid)
+    np.savez_compressed(grid, **{**np.load(grid), "xy": many})
+    tracemalloc.start()
+    with pytest.raises(FieldError, match=r"time_ms must be \(3\) of numbers, not \(33554432,\)"):
+        read_series(series)
+    with pytest.raises(GridError, match=r"xy must be .*, found \(33554432\)"):
+        Grid.load(grid)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < many.nbytes / 10
 
 
 @pytest.mark.parametrize("suffix", READABLE)

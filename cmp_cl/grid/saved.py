@@ -39,11 +39,9 @@ def packed(grid: Any) -> dict[str, Any]:
     }
 
 
-def unpacked(arrays: Arrays) -> dict[str, Any]:
-    """Return the attributes that `packed` packed: arrays, tuples, numbers or None.
-
-    Raises ValueError with the name of an array that is missing or not one of a grid.
-    """
+def check_shapes(arrays: Arrays) -> None:
+    """Raise ValueError with the name of an array that is missing, or of a shape or type that no
+    grid has."""
     sizes: dict[str | int, int] = {}
     for name, (kind, axes) in SAVED.items():
         if name not in arrays:
@@ -59,6 +57,13 @@ def unpacked(arrays: Arrays) -> dict[str, Any]:
                 f"{name} must be {_words(shape)} of {kind}, found {_words(found.shape)} of "
                 f"{found.dtype}"
             )
+
+
+def unpacked(arrays: Arrays) -> dict[str, Any]:
+    """Return the attributes that `packed` packed: arrays, tuples, numbers or None.
+
+    arrays: of their shapes and types. Raises ValueError with the name of one that no grid has.
+    """
     _check_values(arrays)
     return {
         name: array if name in _ARRAYS else _plain(array, none=name in _MAY_BE_NONE)

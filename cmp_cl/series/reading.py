@@ -16,6 +16,7 @@ from cmp_cl.series.formats import h5py_module
 from cmp_cl.series.part import read_part
 
 _LARGEST = np.float64(1e100)  # of a number; the square of a larger one has no float
+_LONGEST = 40  # characters of a unit
 # The axes of the arrays that are drawn and replayed: F frames, R rows, C columns, K = 2 or 3.
 _AXES: dict[str, tuple[str | int, ...]] = {
     "index": ("F",),
@@ -26,7 +27,7 @@ _AXES: dict[str, tuple[str | int, ...]] = {
     "sigma": ("F", "R", "C"),
     "unit": (),
 }
-_KINDS = {"index": ("iu", "whole numbers"), "unit": ("U", "text")}
+_KINDS = {"index": ("iu", "whole numbers"), "unit": ("USO", "text")}
 
 _Found = dict[str, NDArray[Any]]
 
@@ -53,10 +54,15 @@ def read_series(
         missing = "right to read" if os.path.exists(path) else "file"
         raise FieldError(f"there is no {missing} {str(path)!r}")
     wanted = None if names is None else {"index", *names}
-    read = read_part if part else read_npz if suffix == ".npz" else _hdf5
     try:
-        found = read(Path(path), wanted)
-        _check(found)
+        if part:
+            found = read_part(Path(path), wanted)
+            _check_shapes(found)
+        elif suffix == ".npz":
+            found = read_npz(path, wanted, _check_shapes)
+        else:
+            found = _hdf5(Path(path), wanted)
+        _check_values(found)
     except ConfigError:
         raise
     except Exception as error:  # damaged bytes raise any of them, in zipfile, NumPy and h5py
@@ -64,8 +70,8 @@ def read_series(
     return found
 
 
-def _check(found: _Found) -> None:
-    """Raise ValueError if an array that this library writes has another shape or other values."""
+def _check_shapes(found: _Found) -> None:
+    """Raise ValueError if an array that this library writes has another shape or type."""
     if "index" not in found:
         raise ValueError("there is no array `index`")
     sizes: dict[str | int, int] = {2: 2}
@@ -83,17 +89,25 @@ def _check(found: _Found) -> None:
                 f"{name} must be ({expected}) of {kind}, not {array.shape} of {array.dtype}"
             )
         sizes |= zip(axes, array.shape, strict=True)
-        if array.dtype.kind == "f" and (np.abs(array) > _LARGEST).any():
+    if "unit" in found and found["unit"].dtype.itemsize > 4 * _LONGEST:
+        raise ValueError("unit must be a short text")
+
+
+def _check_values(found: _Found) -> None:
+    """Raise ValueError if an array that this library writes has other values."""
+    for name, array in found.items():
+        if name in _AXES and array.dtype.kind == "f" and (np.abs(array) > _LARGEST).any():
             raise ValueError(f"{name} must have numbers up to {_LARGEST:g} or NaN, not larger ones")
     if "rest" in found and np.isnan(found["rest"]).all():
         raise ValueError("rest must have the positions of nodes, and there are none")
-    if len(str(found.get("unit", ""))) > 40:
+    if len(str(found.get("unit", ""))) > _LONGEST:
         raise ValueError("unit must be a short text")
 
 
 def _hdf5(path: Path, wanted: set[str] | None) -> _Found:
     with h5py_module().File(path, "r") as file:
         datasets = {name: file[name] for name in file if wanted is None or name in wanted}
+        _check_shapes(datasets)
         check_memory(sum(dataset.nbytes for dataset in datasets.values()))
         arrays = {name: np.asarray(dataset[()]) for name, dataset in datasets.items()}
     return {
