@@ -2,6 +2,7 @@
 
 import dataclasses
 import enum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,8 +86,8 @@ def largest_deviation(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     return deviation
 
 
-def sides(xyz: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return the distances between neighbouring nodes of a lattice (R, C, 3) along its columns,
-    (R - 1, C), and along its rows, (R, C - 1), NaN where a node is missing.
-    """
-    return [np.linalg.norm(np.diff(xyz, axis=axis), axis=2) for axis in (0, 1)]
+def sides(at: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the known distances between neighbouring nodes of a lattice (R, C, D), (N,)."""
+    ways = [np.linalg.norm(np.diff(at, axis=axis), axis=2).ravel() for axis in (0, 1)]
+    lengths: NDArray[np.float64] = np.concatenate(ways)
+    return lengths[np.isfinite(lengths)]

@@ -72,12 +72,9 @@ def test_the_covariance_is_that_of_the_errors(sigma_left, sigma_right):
     np.testing.assert_allclose(points.sigma.ravel(), np.sqrt(largest))
 
 
-def test_a_known_sigma_stands_in_where_the_corners_have_none():
+def test_points_of_corners_without_a_sigma_have_none():
     rig = toed_in_rig()
     left, right = project(rig, gel())
-    unknown = rig.triangulate(grid_of(left), grid_of(right), sigma=0.1)
-    known = rig.triangulate(grid_of(left, 0.1), grid_of(right, 0.1), sigma=5.0)
-    np.testing.assert_allclose(unknown.sigma, known.sigma, rtol=1e-6)
     assert np.isnan(rig.triangulate(grid_of(left, 0.1), grid_of(right)).sigma).all()
 
 

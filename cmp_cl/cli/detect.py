@@ -25,7 +25,7 @@ from cmp_cl.errors import ConfigError, GridError, ImageError
 from cmp_cl.files import csv_bytes, whole_file
 from cmp_cl.grid import Grid, NodeStatus, build_grid
 from cmp_cl.image import GreyImage
-from cmp_cl.measure.patterns import is_of_few_bits, of_few_bits
+from cmp_cl.measure.patterns import of_few_bits
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.viz import corner_overlay, grid_overlay
 
@@ -99,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
             failed = failed or bool(found.failures)
             for stream, line in found.lines(hint=not told):
                 progress.say(line, stream)
-            told = told or found.is_dark
+            told = told or bool(found.dark)
         if table is not None and failed and not table.rows:  # an error keeps an older table
             raise ImageError(f"nothing was found, so {shown(out)} is not written")
     if table is not None:
@@ -166,9 +166,9 @@ class _Found:
         self.advice = ""  # of the first frame that gives one
 
     @property
-    def is_dark(self) -> bool:
-        """Whether pixels of 16 bits seem to be of fewer, so that corners may be missing."""
-        return self.full_scale is None and is_of_few_bits(np.uint16, self.brightest)
+    def dark(self) -> str:
+        """What to do about pixels of 16 bits that seem to be of fewer, as text; "" if none do."""
+        return of_few_bits(np.uint16, self.brightest) if self.full_scale is None else ""
 
     def lines(self, *, hint: bool) -> Iterator[tuple[TextIO, str]]:
         """Yield the lines about the file, each with its stream; hint: about a dark image too."""
@@ -186,10 +186,10 @@ class _Found:
                 f"cmp-cl: {name}: the brightest pixel is {self.brightest}, above the full scale of "
                 f"{self.full_scale}: such pixels all look alike",
             )
-        if self.advice and not self.is_dark:
+        if self.advice and not self.dark:
             yield sys.stderr, f"cmp-cl: {name}: {self.advice}"
-        if hint and self.is_dark:
-            yield sys.stderr, f"cmp-cl: {name}: {in_shell(of_few_bits(self.brightest))}"
+        if hint and self.dark:
+            yield sys.stderr, f"cmp-cl: {name}: {in_shell(self.dark)}"
 
     def _counts(self) -> str:
         corners, spent = f"{_span(self.corners)} corners", f"{self.milliseconds[0]:.2f} ms"

@@ -10,16 +10,18 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError
+from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl.field.nodes import node_columns, surface
 from cmp_cl.field.strain import principal_of, surface_normals
-from cmp_cl.field.writers import save
+from cmp_cl.files import suffix_of, whole_file, write_bytes, write_csv
 from cmp_cl.points import PointStatus, largest_deviation
 
 Array = NDArray[np.float64]
 
 _MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3}
 _STRAIN = ("strain", "strain_sigma", "principal", "principal_sigma", "direction", "direction_sigma")
-_IN_FILES = ("position", "displacement", "sigma", "position_sigma", *_STRAIN)
+_LENGTHS = "position", "displacement", "sigma", "position_sigma"
+_IN_FILES = *_LENGTHS, *_STRAIN
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -137,12 +139,28 @@ class DisplacementField:
         return dataclasses.replace(self, strain=strain, strain_covariance=covariance)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the field as .npz, .csv or .vtp, by suffix, whole or not at all.
+        """Write the field by suffix, whole or not at all.
 
-        The raw field is written beside a filtered one; the names of its arrays begin with raw_.
-        Raises ConfigError on another suffix, OSError if the file cannot be written.
+        .npz: the arrays under their names, for numpy.load. .csv: a row per node, the unit in the
+        header, nan where missing. .vtp: the valid nodes and the quadrilaterals between them, for
+        ParaView. The raw field is written beside a filtered one; the names of its arrays begin with
+        raw_. Raises ConfigError on another suffix, OSError if the file cannot be written.
         """
-        save(path, arrays_of(self), self.unit)
+        suffix, arrays = suffix_of(path, ConfigError), arrays_of(self)
+        if suffix == ".npz":
+            with whole_file(path) as file:
+                np.savez(file, **arrays, unit=np.array(self.unit))  # type: ignore[arg-type]
+        elif suffix == ".csv":
+            lengths = {f"{begin}{name}": self.unit for begin in ("", "raw_") for name in _LENGTHS}
+            columns = dict(node_columns(arrays, lengths))
+            write_csv(
+                path, columns, zip(*(each.tolist() for each in columns.values()), strict=True)
+            )
+        elif suffix == ".vtp":
+            comment = f"<!-- lengths in {self.unit} -->\n"
+            write_bytes(path, surface(self.position, self.displacement, arrays, comment=comment))
+        else:
+            raise ConfigError(f"{str(path)!r}: the suffix must be one of .npz, .csv, .vtp")
 
     def as_pytac3d(
         self, *, serial: str = "", index: int = 0, time_s: float = math.nan

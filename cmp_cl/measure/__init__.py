@@ -19,11 +19,18 @@ a loop in a thread, with the calls that PyTac3D's users know.
 `find_board` returns the grids from which `cmp_cl.calibrate` makes the rig.
 """
 
-from cmp_cl.measure.boards import MAX_SIGMA, find_board, square_sides, trusted
 from cmp_cl.measure.measured import Measured, Tally
 from cmp_cl.measure.measurement import Measurement
 from cmp_cl.measure.one_view import OneView
-from cmp_cl.measure.patterns import Region, align_views, cell_of, find_pattern
+from cmp_cl.measure.patterns import (
+    MAX_SIGMA,
+    Region,
+    align_views,
+    find_board,
+    find_pattern,
+    square_sides,
+    trusted,
+)
 from cmp_cl.measure.sensor import Sensor, pytac3d
 from cmp_cl.measure.two_views import TwoViews
 
@@ -37,7 +44,6 @@ __all__ = [
     "Tally",
     "TwoViews",
     "align_views",
-    "cell_of",
     "find_board",
     "find_pattern",
     "pytac3d",

@@ -1,5 +1,6 @@
-"""Patterns of unknown cell size in a view, and two views of one pattern."""
+"""Patterns of unknown cell size in a view, boards for calibration, two views of one pattern."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import TypeAlias
 
@@ -12,10 +13,14 @@ from cmp_cl.errors import ConfigError, GridError, check_kind, check_shape
 from cmp_cl.grid import Grid, NodeStatus, align
 from cmp_cl.grid.align import row_direction
 from cmp_cl.image import GreyImage
+from cmp_cl.motion import filter_positions
 from cmp_cl.opencl.device import Device
+from cmp_cl.points import sides
+from cmp_cl.space import Points3D
 
 Region: TypeAlias = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 
+MAX_SIGMA = 0.2  # px; less certain corners of a board are not used
 _MOST_ROTATED = np.pi / 3  # rad between the rows of one pattern in two views
 _FEW_BITS = 2**14  # a grey level that an image of 16 bits reaches, unless it is very dark
 
@@ -43,30 +48,70 @@ def find_pattern(
     with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
         try:
             _, grid = detector.grid(view, shape=shape, region=region)
-            cell = cell_of(grid)
+            lengths = sides(grid.xy)
+            cell = float(np.median(lengths)) if len(lengths) else np.nan
         except GridError as error:
             why, cell = str(error), np.nan
         advice = "" if cell >= 4 else detector(view).advice(view)
     if not cell >= 4:
         size = "" if shape is None else f" of {' x '.join(map(str, shape))} corners"
         brightest = int(view.max(initial=0)) if full_scale is None else 0
-        hint = f"; {of_few_bits(brightest)}" if is_of_few_bits(view.dtype, brightest) else ""
-        hint = hint or (f"; {advice}" if advice else "")
-        raise GridError(f"no pattern{size} is found: {why}{hint}")
+        hint = of_few_bits(view.dtype, brightest) or advice
+        raise GridError(f"no pattern{size} is found: {why}{hint and '; '}{hint}")
     check_size(grid)
     return cell, grid
 
 
-def is_of_few_bits(dtype: DTypeLike, brightest: int) -> bool:
-    """Return whether 16-bit pixels seem to come from a camera of fewer bits.
+def find_board(
+    view: GreyImage,
+    shape: tuple[int, int],
+    *,
+    region: Region | None = None,
+    full_scale: int | None = None,
+    device: Device | str | None = None,
+) -> Grid:
+    """Find a rigid board in a view; return its grid, which `cmp_cl.calibrate` takes.
 
-    brightest: the largest grey level.
+    view: (H, W) uint8 or uint16. shape: (rows, columns) of the board's inner corners. region,
+        full_scale, device: as in `OneView`.
+
+    The corners are those of `DetectorConfig()`, the settings of every caller that gives none.
+
+    Raises GridError if the view does not show corners of all four sides of the board.
     """
-    return dtype == np.uint16 and 0 < brightest < _FEW_BITS
+    check_shape(shape, GridError)
+    _, grid = find_pattern(view, shape=shape, region=region, full_scale=full_scale, device=device)
+    seen = grid.status == NodeStatus.DETECTED
+    if not (seen[[0, -1]].any(axis=1).all() and seen[:, [0, -1]].any(axis=0).all()):
+        raise GridError(
+            f"it shows {seen.sum()} of {seen.size} corners, and not those of every side"
+        )
+    return grid
 
 
-def of_few_bits(brightest: int) -> str:
-    """Return, as text, what to do about pixels of fewer than 16 bits."""
+def trusted(grid: Grid, *, device: Device | str | None = None) -> Grid:
+    """Return the filtered grid of a board with only the nodes that calibration may use.
+
+    It leaves out nodes that were not detected, and nodes whose corner has a sigma above MAX_SIGMA.
+    The sigma of the others is that of their filtered positions. device: as in `OneView`. Raises
+    GridError if grid is of another type.
+    """
+    check_kind("grid", grid, Grid, GridError)
+    good = (grid.status == NodeStatus.DETECTED) & (grid.image_sigma <= MAX_SIGMA)
+    kept = dataclasses.replace(
+        grid,
+        xy=np.where(good[..., None], grid.xy, np.float32(np.nan)),
+        status=np.where(good, grid.status, NodeStatus.MISSING).astype(np.uint8),
+        image_sigma=np.where(good, grid.image_sigma, np.float32(np.nan)),
+    )
+    return filter_positions(kept, device=device)
+
+
+def of_few_bits(dtype: DTypeLike, brightest: int) -> str:
+    """Return, as text, what to do about 16-bit pixels that seem to come from a camera of fewer
+    bits; "" if they do not. brightest: the largest grey level."""
+    if dtype != np.uint16 or not 0 < brightest < _FEW_BITS:
+        return ""
     cameras = [bits for bits in (10, 12, 14, 16) if brightest < 2**bits]
     *levels, last = [f"full_scale={2**bits - 1} for {bits} bits" for bits in cameras[:-1]]
     asked = f"{', '.join(levels)} or {last}" if levels else last
@@ -85,21 +130,13 @@ def check_two(name: str, values: object) -> None:
         raise ConfigError(f"{name} must be those of the left and the right view, not {values!r}")
 
 
-def detected(grid: Grid) -> int:
-    """Count the nodes of a grid that the detector itself has found."""
-    return int(np.count_nonzero(grid.status == NodeStatus.DETECTED))
+def square_sides(points: Points3D) -> NDArray[np.float64]:
+    """Return the distances between neighbouring valid points, (N,), in their unit.
 
-
-def cell_of(grid: Grid) -> float:
-    """Return the median side of a grid's cells, px, NaN if it has none.
-
-    Raises GridError if grid is of another type.
+    Raises GridError if points is of another type.
     """
-    check_kind("grid", grid, Grid, GridError)
-    sides = [np.linalg.norm(np.diff(grid.xy, axis=axis), axis=2).ravel() for axis in (0, 1)]
-    known = np.concatenate(sides)
-    known = known[np.isfinite(known)]
-    return float(np.median(known)) if len(known) else float("nan")
+    check_kind("points", points, Points3D, GridError)
+    return sides(points.xyz)
 
 
 def align_views(left: Grid, right: Grid, rotation: NDArray[np.float64]) -> Grid:

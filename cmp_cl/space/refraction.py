@@ -142,7 +142,7 @@ def calibrate_window(
         what=f"an index of the last layer that is known to {index_sigma:g} does",
         cure="measure it (step), or give a smaller index_sigma",
     )
-    mean = float(np.nanmean(np.concatenate([s.ravel() for s in sides(before.points)])))
+    mean = float(sides(before.points).mean())
     if abs(mean / pitch - 1) > _LARGEST_SCALE:
         raise CalibrationError(
             f"the squares of the pattern measure {mean:.4g} {rig.unit}, not {pitch:g}; check the "

@@ -2,9 +2,7 @@
 
 import dataclasses
 import itertools
-import math
 import warnings
-from numbers import Real
 from os import PathLike
 from typing import Any, Self
 
@@ -43,6 +41,7 @@ from cmp_cl.space.triangulation import (
 from cmp_cl.space.window import WINDOW, Window
 
 MIN_PARALLAX = 1.0  # px; with less parallax, depth is only noise
+MAX_ERROR = 3.0  # px, of the reprojection
 _COVARIANCE = "covariance"
 _ALIASES = {
     "K1": ("K1", "M1", "cameraMatrix1"),
@@ -197,28 +196,20 @@ class StereoRig:
             entries[_COVARIANCE] = self.covariance
         save_storage(path, entries | window_entries(self.window) | {"unit": self.unit})
 
-    def triangulate(
-        self, left: Grid, right: Grid, *, sigma: float = math.nan, max_error: float = 3.0
-    ) -> Points3D:
+    def triangulate(self, left: Grid, right: Grid) -> Points3D:
         """Triangulate the nodes that both grids have, in the frame of the left camera.
 
-        left, right: the grids of the two views.
-
-        Nodes with equal indices are matched.
-        sigma: standard deviation of a position, px, for nodes whose own is unknown.
-        max_error: largest reprojection error, px.
+        left, right: the grids of the two views. Nodes with equal indices are matched.
 
         A node without a position is NaN, and `Points3D.status` says why: the rays must enclose
-        at least MIN_PARALLAX px in air, and the point must lie in front of both cameras and
-        behind the window.
+        at least MIN_PARALLAX px in air, the point must lie in front of both cameras and behind the
+        window, and it must be seen within MAX_ERROR px of its positions in the image.
 
         Raises FieldError if an argument is of another type, or if the grids have different rows or
         columns.
         """
         check_kind("left", left, Grid, FieldError)
         check_kind("right", right, Grid, FieldError)
-        check_kind("sigma", sigma, Real, FieldError)
-        check_kind("max_error", max_error, Real, FieldError)
         if (left.origin, left.shape) != (right.origin, right.shape):
             raise FieldError(
                 f"the left grid has {left.extent}, the right one {right.extent}; cut both to "
@@ -227,7 +218,7 @@ class StereoRig:
         both = left.valid & right.valid
         seen = np.hstack([left.xy[both], right.xy[both]]).astype(np.float64)
         deviation = np.column_stack([grid.image_sigma[both] for grid in (left, right)]).astype("f8")
-        deviation[~(deviation > 0)] = sigma if sigma > 0 else np.nan
+        deviation[~(deviation > 0)] = np.nan
         xyz, status = self._first_order(seen)
         error = np.full(len(seen), np.nan)
         covariance = np.full((len(seen), 3, 3), np.nan)
@@ -245,7 +236,7 @@ class StereoRig:
         xyz[good], error[good], covariance[good], shared[good], moved[good] = self._refined(
             xyz[good], seen[good], deviation[good], bent[good]
         )
-        status[good & ~(error <= max_error)] = PointStatus.INCONSISTENT
+        status[good & ~(error <= MAX_ERROR)] = PointStatus.INCONSISTENT
         bad = status != PointStatus.VALID
         for values in (xyz, covariance, shared, moved):
             values[bad] = np.nan

@@ -375,5 +375,4 @@ def _mean_side(state: State, looks: Sequence[Look], shape: tuple[int, ...]) -> f
     """
     shown = np.unique(np.concatenate([look.nodes for look in looks]))
     state.board[np.setdiff1d(np.arange(len(state.board)), shown)] = np.nan
-    lengths = np.concatenate([each.ravel() for each in sides(state.board.reshape(shape))])
-    return float(np.nanmean(lengths))
+    return float(sides(state.board.reshape(shape)).mean())
