@@ -9,6 +9,7 @@ Run one worker process per device, with one thread. Dask keeps the parts that ar
 are asked for, and gives the parts of a worker that dies to another one.
 """
 
+import functools
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -21,6 +22,7 @@ from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, extra
 from cmp_cl.image import GreyImage, check_image
 
+_ONE_PART = threading.Lock()  # at a time in a worker process
 _LEAST_AHEAD = 8  # parts that are on their way, although no worker may have come yet
 
 
@@ -72,32 +74,15 @@ def _work(
     device: str | None,
 ) -> list[Corners]:
     """Return the corners of a part; on a worker."""
-    from distributed import get_worker
-
     first = check_image(read(numbers[0]))
-    own: _Own = get_worker().__dict__.setdefault("cmp_cl", _Own())
-    with own.lock:
-        detector = own.detector_for(first, config, device)
+    with _ONE_PART:
+        detector = _detector(first.shape, first.dtype, config, device)
         return list(detector.stream(chain([first], map(read, numbers[1:]))))
 
 
-class _Own:
-    """The detector that a worker process keeps; it is replaced for another kind of frame."""
-
-    def __init__(self) -> None:
-        self.lock = threading.Lock()
-        self._key: object = None
-        self._detector: Detector | None = None
-
-    def detector_for(
-        self, image: GreyImage, config: DetectorConfig, device: str | None
-    ) -> Detector:
-        key = (image.shape, image.dtype, config, device)
-        if self._detector is None or key != self._key:
-            if self._detector is not None:
-                self._detector.close()
-            self._detector = Detector(
-                shape=image.shape, dtype=image.dtype, config=config, device=device
-            )
-            self._key = key
-        return self._detector
+@functools.lru_cache(maxsize=1)
+def _detector(
+    shape: tuple[int, int], dtype: Any, config: DetectorConfig, device: str | None
+) -> Detector:
+    """Return the detector that a worker process keeps, as long as frames are alike."""
+    return Detector(shape=shape, dtype=dtype, config=config, device=device)

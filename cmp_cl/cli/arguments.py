@@ -18,7 +18,7 @@ from cmp_cl.image import GreyImage
 from cmp_cl.measure import Region
 from cmp_cl.space import BinocularSplit
 
-_BOX = r"(\d+),(\d+),(\d+),(\d+)"
+_BOX = r"\d+,\d+,\d+,\d+"
 
 Box = tuple[int, int, int, int]  # x, y, width, height, px
 View = tuple[Box, bool]  # its rectangle in the frame, and whether it is mirrored
@@ -135,15 +135,13 @@ def boxes(text: str) -> tuple[Box, ...]:
 
     Raises ArgumentTypeError.
     """
-    match = re.fullmatch(f"{_BOX}(?::{_BOX})?", text)
-    numbers = [] if match is None else [int(number) for number in match.groups() if number]
-    found = [(x, y, w, h) for x, y, w, h in zip(*[iter(numbers)] * 4, strict=True)]
-    if not found or min(min(box[2:]) for box in found) < 1:
+    numbers = [tuple(map(int, re.findall(r"\d+", box))) for box in text.split(":")]
+    if not re.fullmatch(f"{_BOX}(:{_BOX})?", text) or min(min(box[2:]) for box in numbers) < 1:
         raise argparse.ArgumentTypeError(
             f"{text!r} is neither a rectangle X,Y,WIDTH,HEIGHT in px nor two of them with a colon "
             "between"
         )
-    return tuple(found)
+    return tuple((x, y, width, height) for x, y, width, height in numbers)
 
 
 def regions_in(chosen: Sequence[Box] | None, *views: View) -> tuple[Region | None, ...]:
@@ -158,10 +156,22 @@ def regions_in(chosen: Sequence[Box] | None, *views: View) -> tuple[Region | Non
             f"--region needs one rectangle per view, separated by a colon: {len(views)} here, not "
             f"{len(chosen)}"
         )
-    return tuple(
-        region_in(view, box, mirror=mirror)
-        for box, (view, mirror) in zip(chosen, views, strict=True)
-    )
+    return tuple(map(_region_in, views, chosen))
+
+
+def _region_in(seen: View, box: Box) -> Region:
+    """Map a rectangle from the frame to a view that was cut from it."""
+    (x, y, width, height), mirrored = seen
+    x0, y0 = box[0] - x, box[1] - y
+    x1, y1 = x0 + box[2], y0 + box[3]
+    if not (x1 > 0 and y1 > 0 and x0 < width and y0 < height):
+        raise ConfigError(
+            f"--region {','.join(map(str, box))} lies outside the view, which is "
+            f"{x},{y},{width},{height} of the frame (X,Y,WIDTH,HEIGHT)"
+        )
+    if mirrored:
+        x0, x1 = width - x1, width - x0
+    return x0 - 0.5, y0 - 0.5, x1 - 0.5, y1 - 0.5
 
 
 def whole(image: GreyImage) -> View:
@@ -174,39 +184,20 @@ def views_of(split: BinocularSplit) -> tuple[View, View]:
     return (split.left, split.mirror_left), (split.right, split.mirror_right)
 
 
-def region_in(view: Box, box: Box, *, mirror: bool) -> Region:
-    """Map a rectangle from the frame to a view that was cut from it.
-
-    Raises ConfigError if it lies outside.
-    """
-    x, y, width, height = view
-    x0, y0 = box[0] - x, box[1] - y
-    x1, y1 = x0 + box[2], y0 + box[3]
-    if not (x1 > 0 and y1 > 0 and x0 < width and y0 < height):
-        raise ConfigError(
-            f"--region {','.join(map(str, box))} lies outside the view, which is "
-            f"{','.join(map(str, view))} of the frame (X,Y,WIDTH,HEIGHT)"
-        )
-    if mirror:
-        x0, x1 = width - x1, width - x0
-    return x0 - 0.5, y0 - 0.5, x1 - 0.5, y1 - 0.5
-
-
 def split_of(where: str, mirror: str | None, shape: tuple[int, ...]) -> BinocularSplit:
     """Return the split that --split and --mirror describe, for frames of that shape.
 
     Raises ConfigError for a text that is neither halves nor two rectangles.
     """
-    match = re.fullmatch(f"{_BOX}:{_BOX}", where)
+    mirrored = mirror in ("left", "both"), mirror in ("right", "both")
     if where == "halves":
         halves = BinocularSplit.halves(shape[1], shape[0])
-        left, right = halves.left, halves.right
-    elif match is not None:
-        x, y, width, height, *other = map(int, match.groups())
-        left, right = (x, y, width, height), (other[0], other[1], other[2], other[3])
-    else:
+        return BinocularSplit(halves.left, halves.right, *mirrored)
+    try:
+        left, right = boxes(where)
+    except (argparse.ArgumentTypeError, ValueError) as error:
         raise ConfigError(
             f"--split {where!r} is neither halves nor two rectangles X,Y,WIDTH,HEIGHT:"
             "X,Y,WIDTH,HEIGHT in px, left and right"
-        )
-    return BinocularSplit(left, right, mirror in ("left", "both"), mirror in ("right", "both"))
+        ) from error
+    return BinocularSplit(left, right, *mirrored)

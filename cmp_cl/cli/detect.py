@@ -1,15 +1,16 @@
 """`cmp-cl detect`: the corners of images, folders of images and videos."""
 
 import argparse
+import contextlib
+import functools
 import itertools
 import os
 import statistics
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, TextIO
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,6 @@ from numpy.typing import NDArray
 from cmp_cl import media
 from cmp_cl.cli.arguments import add_device, add_full_scale, check_files, grid_shape
 from cmp_cl.cli.messages import Progress, counted, in_shell, one_line, shown
-from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners, Method, Refusal
 from cmp_cl.detector import Detector
@@ -85,65 +85,120 @@ def run(arguments: argparse.Namespace) -> int:
     overlays = _overlay_paths(arguments.overlay, paths)
     out = _csv_path(arguments.out)
     check_files([*paths, arguments.config], [*overlays.values(), out])
+    columns = _CORNER_COLUMNS if arguments.grid is None else _NODE_COLUMNS
     device = select_device(arguments.device)
-    failed = told = False
-    with ExitStack() as stack:
-        table = None
-        if out is not None:
-            columns = _CORNER_COLUMNS if arguments.grid is None else _NODE_COLUMNS
-            table = _Table(stack.enter_context(whole_file(out)), columns)
-        search = stack.enter_context(_Search(arguments, config, device, table))
-        progress = stack.enter_context(Progress(_frames_in(paths), "frames"))
+    failed = hinted = False
+    rows = 0
+    with contextlib.ExitStack() as stack:
+        table = None if out is None else stack.enter_context(whole_file(out))
+        if table is not None:
+            table.write(csv_bytes([("image", "frame", *columns)]))
+        progress = stack.enter_context(Progress(None, "frames"))
         for path in paths:
-            found = search.file(path, overlays.get(path), progress)
-            failed = failed or bool(found.failures)
-            for stream, line in found.lines(hint=not told):
+            found = _Found(path)
+            try:
+                for frame, written in _searched(found, config, device, arguments.grid):
+                    progress.step()
+                    rows += len(written.rows)
+                    if table is not None:
+                        table.write(
+                            csv_bytes([(str(path), frame.index, *row) for row in written.rows])
+                        )
+                    if path in overlays:
+                        name = _of_frame(overlays[path], path, frame.index)
+                        media.write_image(name, written.draw())
+                        found.overlays.append(name)
+            except ImageError as error:
+                found.failures.append(one_line(error))
+            for stream, line in found.lines(hint=not hinted):
                 progress.say(line, stream)
-            told = told or bool(found.dark)
-        if table is not None and failed and not table.rows:  # an error keeps an older table
+            hinted = hinted or bool(found.dark)
+            failed = failed or bool(found.failures)
+        if table is not None and failed and not rows:  # an error keeps an older table
             raise ImageError(f"nothing was found, so {shown(out)} is not written")
-    if table is not None:
-        print(
-            f"wrote {shown(out)}: {table.rows} {'corners' if arguments.grid is None else 'nodes'}"
-        )
+    if out is not None:
+        print(f"wrote {shown(out)}: {rows} {'corners' if arguments.grid is None else 'nodes'}")
     return 2 if failed else 0
 
 
-class _Table:
-    """Writes rows of frames as CSV: a header with units, then a row for each corner or node.
-
-    columns: the names of the columns after those of the image and the frame. rows: how many were
-    written.
-    """
-
-    def __init__(self, file: BinaryIO, columns: Sequence[str]) -> None:
-        self._file = file
-        self.rows = 0
-        file.write(csv_bytes([("image", "frame", *columns)]))
-
-    def write(self, name: str, frame: int, rows: Iterable[Sequence[object]]) -> None:
-        """Append the rows of one frame; name: the file that holds the frame."""
-        full = [(name, frame, *row) for row in rows]
-        self._file.write(csv_bytes(full))
-        self.rows += len(full)
+@functools.lru_cache(maxsize=1)
+def _detector(
+    shape: tuple[int, int], dtype: np.dtype[Any], config: DetectorConfig, device: Device
+) -> Detector:
+    """Return the detector, which is kept as long as images are alike."""
+    return Detector(shape=shape, dtype=dtype, config=config, device=device)
 
 
-def _corner_rows(corners: Corners) -> Iterator[Sequence[object]]:
+class _Written(NamedTuple):
+    """A frame for the table, and for its picture."""
+
+    rows: list[Sequence[object]]
+    draw: Callable[[], NDArray[np.uint8]]
+
+
+def _searched(
+    found: "_Found",
+    config: DetectorConfig,
+    device: Device,
+    shape: tuple[int, int] | None,
+) -> Iterator[tuple[media.Frame, _Written]]:
+    """Search the frames of a file; what there is to say goes to `found`. Raises ImageError."""
+    if config.full_scale is None:
+        config = config.replace(full_scale=media.video_info(found.path).full_scale)
+    for frame in media.read_frames(found.path):
+        image = frame.image
+        if image is None:
+            found.broken[frame.index] = frame.why
+            continue
+        start = time.perf_counter()
+        corners = _detector(image.shape, image.dtype, config, device)(image)
+        found.add(image, corners, config, 1e3 * (time.perf_counter() - start))
+        yield frame, _written(found, frame.index, image, corners, shape)
+    if not found.corners:
+        raise ImageError(f"{str(found.path)!r} has no frame that can be read")
+
+
+def _written(
+    found: "_Found",
+    number: int,
+    image: GreyImage,
+    corners: Corners,
+    shape: tuple[int, int] | None,
+) -> _Written:
+    """Return the corners of a frame, or its nodes if they are numbered."""
+    if shape is None:
+        return _Written(_corner_rows(corners), lambda: corner_overlay(image, corners))
+    try:
+        grid = build_grid(corners, image, shape=shape)
+        if grid.seen_shape is not None or not grid.valid.any():
+            raise GridError(grid.doubts[0])  # which part of a board is wanted, or no board
+    except GridError as error:
+        found.refused[number] = one_line(error)
+        return _Written([], lambda: corner_overlay(image, corners))
+    found.ambiguous += [number] if grid.ambiguous else []
+    found.nodes.append(int(np.count_nonzero(grid.valid)))
+    found.of_nodes = grid.status.size
+    return _Written(_node_rows(grid), lambda: grid_overlay(image, grid, corners=corners))
+
+
+def _corner_rows(corners: Corners) -> list[Sequence[object]]:
     """Return a row of _CORNER_COLUMNS for every corner."""
     arrays = (
         *(corners.xy, corners.pixel, corners.response, corners.method),
         *(corners.sigma, corners.edges, corners.doubtful, corners.refusal),
     )
-    for xy, pixel, response, method, sigma, edges, doubtful, refusal in zip(*arrays, strict=True):
-        how, why = Method(method).name, Refusal(refusal).name
-        yield (*xy, *pixel, response, how, sigma, *edges, int(doubtful), why)
+    return [
+        (*xy, *pixel, r, Method(how).name, sigma, *edges, int(doubtful), Refusal(why).name)
+        for xy, pixel, r, how, sigma, edges, doubtful, why in zip(*arrays, strict=True)
+    ]
 
 
-def _node_rows(grid: Grid) -> Iterator[Sequence[object]]:
+def _node_rows(grid: Grid) -> list[Sequence[object]]:
     """Return a row of _NODE_COLUMNS for every node; missing positions are NaN."""
-    for index in np.ndindex(grid.shape):
-        status = NodeStatus(int(grid.status[index])).name
-        yield (*index, *grid.xy[index], grid.sigma[index], status)
+    return [
+        (*index, *grid.xy[index], grid.sigma[index], NodeStatus(int(status)).name)
+        for index, status in np.ndenumerate(grid.status)
+    ]
 
 
 class _Found:
@@ -165,6 +220,19 @@ class _Found:
         self.device = ""
         self.advice = ""  # of the first frame that gives one
 
+    def add(
+        self, image: GreyImage, corners: Corners, config: DetectorConfig, milliseconds: float
+    ) -> None:
+        """Count the corners of a frame."""
+        if not self.corners or not (len(corners) or self.advice):
+            self.advice = corners.advice(image)
+        self.corners.append(len(corners))
+        self.milliseconds.append(milliseconds)
+        self.device = corners.device
+        if image.dtype == np.uint16:
+            self.brightest = max(self.brightest, int(image.max()))
+            self.full_scale = config.full_scale
+
     @property
     def dark(self) -> str:
         """What to do about pixels of 16 bits that seem to be of fewer, as text; "" if none do."""
@@ -173,6 +241,8 @@ class _Found:
     def lines(self, *, hint: bool) -> Iterator[tuple[TextIO, str]]:
         """Yield the lines about the file, each with its stream; hint: about a dark image too."""
         name = shown(self.path)
+        refused = [f"{name}: {_listed(self.refused, 'not numbered')}"] if self.refused else []
+        self.failures += refused
         for failure in self.failures:
             yield sys.stderr, f"cmp-cl: {failure}"
         if not self.corners:
@@ -227,106 +297,6 @@ def _span(counts: Sequence[int]) -> str:
     return f"{least}" if least == most else f"{least} to {most}"
 
 
-class _Search(Closing):
-    """Finds, writes and draws the corners of files; keeps its detector as long as it fits them."""
-
-    def __init__(
-        self,
-        arguments: argparse.Namespace,
-        config: DetectorConfig,
-        device: Device,
-        table: _Table | None,
-    ) -> None:
-        self._arguments, self._config = arguments, config
-        self._device, self._table = device, table
-        self._key: object = None
-        self._detector: Detector | None = None
-
-    def file(self, path: Path, overlay: Path | None, progress: Progress) -> _Found:
-        """Search a file. overlay: the picture to draw of its first frame, or None."""
-        found = _Found(path)
-        try:
-            config = self._config
-            if config.full_scale is None:
-                config = config.replace(full_scale=media.video_info(path).full_scale)
-            for frame in media.read_frames(path):
-                progress.step()
-                if frame.image is None:
-                    found.broken[frame.index] = frame.why
-                    continue
-                corners = self._corners(found, frame.image, config)
-                drawn = self._write(found, frame.index, frame.image, corners)
-                if overlay is not None:
-                    name = _of_frame(overlay, path, frame.index)
-                    media.write_image(name, drawn())
-                    found.overlays.append(name)
-            if not found.corners:
-                raise ImageError(f"{str(path)!r} has no frame that can be read")
-        except ImageError as error:
-            found.failures.append(one_line(error))
-        if found.refused:
-            why = _listed(found.refused, "not numbered")
-            found.failures.append(f"{shown(path)}: {why}")
-        return found
-
-    def _corners(self, found: _Found, image: GreyImage, config: DetectorConfig) -> Corners:
-        """Return the corners of a frame, and count them."""
-        start = time.perf_counter()
-        key = (image.shape, image.dtype, config)
-        if self._detector is None or key != self._key:
-            self.close()
-            self._detector = Detector(
-                shape=image.shape, dtype=image.dtype, config=config, device=self._device
-            )
-            self._key = key
-        corners = self._detector(image)
-        found.milliseconds.append((time.perf_counter() - start) * 1e3)
-        if not found.corners or not (len(corners) or found.advice):
-            found.advice = corners.advice(image)
-        found.corners.append(len(corners))
-        found.device = corners.device
-        if image.dtype == np.uint16:
-            found.brightest = max(found.brightest, int(image.max()))
-            found.full_scale = config.full_scale
-        return corners
-
-    def _write(
-        self, found: _Found, number: int, image: GreyImage, corners: Corners
-    ) -> Callable[[], NDArray[np.uint8]]:
-        """Write the rows of a frame; return a function that draws it."""
-        rows, drawn = _corner_rows(corners), lambda: corner_overlay(image, corners)
-        if self._arguments.grid is not None:
-            try:
-                grid = build_grid(corners, image, shape=self._arguments.grid)
-                if grid.seen_shape is not None or not grid.valid.any():
-                    raise GridError(grid.doubts[0])  # which part of a board is wanted, or no board
-            except GridError as error:
-                found.refused[number] = one_line(error)
-                return drawn
-            found.ambiguous += [number] if grid.ambiguous else []
-            found.nodes.append(int(np.count_nonzero(grid.valid)))
-            found.of_nodes = grid.status.size
-            rows, drawn = _node_rows(grid), lambda: grid_overlay(image, grid, corners=corners)
-        if self._table is not None:
-            self._table.write(str(found.path), number, rows)
-        return drawn
-
-    def close(self) -> None:
-        if self._detector is not None:
-            self._detector.close()
-
-
-def _frames_in(paths: Sequence[Path]) -> int | None:
-    """Return the number of frames, None if no terminal shows progress."""
-    if not sys.stderr.isatty():
-        return None
-    total = 0
-    for path in paths:
-        with suppress(ImageError, OSError):
-            total += media.video_info(path).frames or 1
-    return total
-
-
 def _csv_path(out: str | None) -> Path | None:
     if out in ("", "-"):
         raise ConfigError("--out needs a file name, for example corners.csv")
@@ -356,10 +326,10 @@ def _overlay_paths(overlay: str | None, paths: Sequence[Path]) -> dict[Path, Pat
     if any(path.resolve().parent == folder.resolve() for path in paths):
         raise ConfigError(f"--overlay {shown(overlay)} contains inputs; choose another folder")
     names: dict[Path, Path] = {}
-    for path in dict.fromkeys(paths):
-        stems = (path.stem, *(f"{path.stem}-{number}" for number in range(2, len(paths) + 1)))
-        free = (folder / f"{stem}-corners.png" for stem in stems)
-        names[path] = next(name for name in free if name not in names.values())
+    for path in paths:
+        number = sum(path.stem == other.stem for other in names)
+        stem = f"{path.stem}-{number + 1}" if number else path.stem
+        names.setdefault(path, folder / f"{stem}-corners.png")
     return names
 
 

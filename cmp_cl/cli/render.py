@@ -11,10 +11,21 @@ from cmp_cl.cli.messages import shown
 from cmp_cl.files import write_csv
 from cmp_cl.synthetic import Indenter, Mode, Scene, render
 
+_OPTIONS = {  # each a field of Scene
+    "markers": "corners along each side",
+    "indenter": "object that presses on the gel",
+    "mode": "motion of this object",
+    "severity": "0 to 2; 1 presses 2 mm, shears 1.2 or twists 20 degrees",
+    "corrosion": "wear of the print, 0 to 3",
+    "noise": "standard deviation of the noise, 1/255 of white",
+    "shape": "rows and columns of the image, px",
+    "bits": "bits of a grey level, 8 or 12",
+    "seed": "seed of noise, tears and light",
+}
+
 
 def add_parser(commands: Any) -> None:
     """Add `render` to the commands of an argparse parser."""
-    usual = Scene()
     parser = commands.add_parser(
         "render",
         help="draw a frame of a pressed gel with known corners",
@@ -23,58 +34,24 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--out", metavar="PNG", required=True, help="the image to write")
     parser.add_argument("--truth", metavar="CSV", help="write the true corners, px")
-    numbers = (
-        ("markers", int, usual.markers, "corners along each side"),
-        (
-            "severity",
-            float,
-            usual.severity,
-            "0 to 2; 1 presses 2 mm, shears 1.2 or twists 20 degrees",
-        ),
-        ("corrosion", float, usual.corrosion, "wear of the print, 0 to 3"),
-        ("noise", float, usual.noise, "standard deviation of the noise, 1/255 of white"),
-        ("seed", int, usual.seed, "seed of noise, tears and light"),
-    )
-    for name, kind, default, what in numbers:
-        parser.add_argument(
-            f"--{name}",
-            metavar="N" if kind is int else "VALUE",
-            type=kind,
-            default=default,
-            help=f"{what}; default: {default:g}",
-        )
-    for name, member, what in (
-        ("indenter", usual.indenter, "object that presses on the gel"),
-        ("mode", usual.mode, "motion of this object"),
-    ):
-        parser.add_argument(
-            f"--{name}",
-            choices=[each.value for each in type(member)],
-            default=member.value,
-            help=f"{what}; default: {member.value}",
-        )
-    parser.add_argument(
-        "--shape",
-        type=int,
-        nargs=2,
-        metavar=("ROWS", "COLUMNS"),
-        default=usual.shape,
-        help="size of the image, px; default: {} {}".format(*usual.shape),
-    )
-    parser.add_argument(
-        "--bits",
-        type=int,
-        choices=(8, 12),
-        default=usual.bits,
-        help=f"bits of a grey level; default: {usual.bits}",
-    )
+    for name, what in _OPTIONS.items():
+        usual = getattr(Scene(), name)
+        how: dict[str, Any] = {"type": type(usual), "metavar": type(usual).__name__.upper()}
+        if isinstance(usual, Indenter | Mode):
+            usual = usual.value
+            how = {"choices": [each.value for each in type(getattr(Scene(), name))]}
+        elif name == "shape":
+            how = {"type": int, "nargs": 2, "metavar": ("ROWS", "COLUMNS")}
+        parser.add_argument(f"--{name}", default=usual, help=f"{what}; default: {usual}", **how)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Render the scene that the arguments describe; return the exit status."""
     check_files([], [arguments.out, arguments.truth])
-    rendered = render(_scene(arguments))
+    options = {name: getattr(arguments, name) for name in _OPTIONS}
+    options |= {"indenter": Indenter(arguments.indenter), "mode": Mode(arguments.mode)}
+    rendered = render(Scene(**options | {"shape": tuple(arguments.shape)}))
     media.write_image(arguments.out, rendered.image)
     rows, columns = rendered.image.shape
     count = rendered.truth.shape[0] * rendered.truth.shape[1]
@@ -90,17 +67,3 @@ def run(arguments: argparse.Namespace) -> int:
         )
         print(f"wrote {shown(arguments.truth)}: {count} corners")
     return 0
-
-
-def _scene(arguments: argparse.Namespace) -> Scene:
-    return Scene(
-        markers=arguments.markers,
-        shape=tuple(arguments.shape),
-        indenter=Indenter(arguments.indenter),
-        mode=Mode(arguments.mode),
-        severity=arguments.severity,
-        corrosion=arguments.corrosion,
-        noise=arguments.noise,
-        bits=arguments.bits,
-        seed=arguments.seed,
-    )
