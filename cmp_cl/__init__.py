@@ -5,7 +5,6 @@ enough for `cmp_cl.media`, `cmp_cl.space` or `cmp_cl.reference`.
 """
 
 import importlib
-import importlib.metadata
 import importlib.util
 import os
 from typing import TYPE_CHECKING, Any
@@ -78,9 +77,10 @@ __all__ = sorted(_HOME)
 def __getattr__(name: str) -> Any:
     found: Any
     if name == "__version__":
+        metadata = importlib.import_module("importlib.metadata")  # takes most of `import cmp_cl`
         try:
-            found = importlib.metadata.version("cmp-cl")
-        except importlib.metadata.PackageNotFoundError:
+            found = metadata.version("cmp-cl")
+        except metadata.PackageNotFoundError:
             found = "unknown"
     elif name in _HOME:
         found = getattr(importlib.import_module(f"cmp_cl.{_HOME[name]}"), name)
