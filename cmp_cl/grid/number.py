@@ -11,9 +11,10 @@ from cmp_cl.grid.build import asked_of, boards_of, grid_of
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.grid.placing import Given
 from cmp_cl.image import GreyImage, check_image
+from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.opencl.device import Device
 
-LEAST = 4  # corners of the smallest lattice, one cell
+LEAST = LatticeConstants.least_board
 NARROW = 6  # px, side of bins; cells are narrow where bins 3 x 3 around a corner hold another
 WIDE_RING, NARROW_RING = (3, 5, 4), (1, 3, 2)  # smoothings; ring, px along the axes and diagonals
 
@@ -39,9 +40,8 @@ def number(
     the node has the position that its neighbours predict (INTERPOLATED). `index` has a row for each
     given corner. `sigma` is unknown.
 
-    Raises GridError if xy is not (N, 2), not finite or outside the image, if there are fewer than
-    four corners, or no board of nine; the errors of `build_grid` for several boards; ImageError;
-    DeviceError.
+    Raises GridError if xy is not (N, 2), not finite or outside the image, or shows no board of nine
+    corners; the errors of `build_grid` for several boards; ImageError; DeviceError.
     """
     frame = check_image(image)
     asked = asked_of(shape, like, None)
@@ -77,8 +77,6 @@ def _checked(xy: ArrayLike, image: GreyImage) -> NDArray[np.float32]:
         raise GridError("xy has positions that are not finite; leave these corners out")
     if not image.size:
         raise ImageError(f"the image has no pixels: {image.shape}")
-    if len(at) < LEAST:
-        raise GridError(f"{len(at)} corners form no lattice, expected {LEAST} or more")
     rows, columns = image.shape
     outside = ((at < -0.5) | (at > [columns - 0.5, rows - 0.5])).any(axis=1)
     if outside.any():
@@ -86,6 +84,8 @@ def _checked(xy: ArrayLike, image: GreyImage) -> NDArray[np.float32]:
             f"{np.count_nonzero(outside)} of {len(at)} corners lie outside the image of "
             f"{columns} x {rows} px; give (x, y), not (row, column), and their own image"
         )
+    if len(at) < LEAST:
+        raise GridError(f"{len(at)} corners form no board: it has {LEAST} or more")
     return at.astype(np.float32)
 
 

@@ -99,7 +99,7 @@ def test_a_missing_corner_is_interpolated(device):
 @pytest.mark.parametrize(
     ("xy", "said"),
     [
-        ([[30, 40]], "1 corners form no lattice"),
+        ([[30, 40]], "1 corners form no board: it has 9"),
         (np.zeros((5, 1, 2)), "reshape"),
         ([[1, 2], [3, 4], [5, np.nan], [7, 8]], "not finite"),
         ([[10, 255], [20, 30], [30, 30], [40, 30]], "outside the image of 260 x 240"),
