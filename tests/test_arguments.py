@@ -22,7 +22,7 @@ from cmp_cl import (
 from cmp_cl.field import surface_normals
 from cmp_cl.grid import align
 from cmp_cl.measure import OneView, TwoViews, trusted
-from cmp_cl.media.cameras import CameraSettings, Source
+from cmp_cl.media.cameras import Source
 from cmp_cl.motion import PlaneScale, contact_of, displacement, filter_positions
 from cmp_cl.space.exports import save_cameras
 from cmp_cl.synthetic import random_scene, render
@@ -117,7 +117,6 @@ def test_what_is_no_array_of_numbers_is_refused_in_one_line(call, name, error, v
         (PlaneScale.of_pixel, "length", FieldError),
         (lambda side: PlaneScale.of_cells(GRID, side), "side", FieldError),
         (GRID.to_opencv, "spacing", ConfigError),
-        (lambda fps: CameraSettings(fps=0 if fps is None else fps), "fps", ConfigError),
         (lambda side: several(spacing=side), "spacing", CalibrationError),
     ],
 )

@@ -11,7 +11,7 @@ from videos import write_video
 
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.media import Frame
-from cmp_cl.media.cameras import CameraSettings, Source, paired
+from cmp_cl.media.cameras import Source, paired
 
 
 def pairs_of(left, right, tolerance=10.0):
@@ -84,7 +84,7 @@ class Capture:
 @pytest.mark.parametrize("name", ["7", "/dev/video3", "rtsp://camera/stream"])
 def test_cameras_and_addresses_are_live_and_lose_no_frame(monkeypatch, name):
     monkeypatch.setattr("cmp_cl.media.cameras.cv2.VideoCapture", Capture)
-    source = Source(name, CameraSettings(size=(6, 4), fps=50, fourcc="MJPG"))
+    source = Source(name, {"width": 6, "height": 4, "fps": 50})
     frames = list(source.frames())
     assert source.live
     assert source.period_ms == 20
@@ -134,10 +134,12 @@ def test_frames_that_come_faster_than_they_are_taken_are_counted(monkeypatch):
 def test_what_a_camera_does_not_do_is_reported(monkeypatch):
     monkeypatch.setattr("cmp_cl.media.cameras.cv2.VideoCapture", Capture)
     with pytest.raises(ImageError, match="exposure"):
-        next(Source("0", CameraSettings(exposure=3)).frames())
-    for wrong in ({"fourcc": "MJ"}, {"size": (0, 3)}, {"fps": -1}):
-        with pytest.raises(ConfigError):
-            CameraSettings(**wrong)
+        next(Source("0", {"exposure": 3}).frames())
+    with pytest.raises(ConfigError, match="not a camera"):
+        Source(__file__, {"fps": 50})
+    for wrong in ({"rate": 50}, {"fps": "50"}):
+        with pytest.raises(ConfigError, match="fps"):
+            Source("0", wrong)
     with pytest.raises(FileNotFoundError):
         Source("gone.mp4")
     packed = np.zeros((4, 6, 2), np.uint8)

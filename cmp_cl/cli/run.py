@@ -29,7 +29,7 @@ from cmp_cl.errors import CmpClError, ConfigError, GridError
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import Measured, OneView, TwoViews
 from cmp_cl.media import Frame
-from cmp_cl.media.cameras import Source
+from cmp_cl.media.cameras import Pairs, Source
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.space import StereoRig
 
@@ -133,7 +133,10 @@ def run(arguments: argparse.Namespace) -> int:
         pictures = found.pictures()
     report = sys.stderr if arguments.out == "-" else sys.stdout
     stopped = f"stopped by {stop.name}; " if stop.name else ""
-    alone = source.alone() if isinstance(source, sources.Pairs) else ""
+    alone = ""
+    if isinstance(source, Pairs) and any(source.alone):
+        left, right = source.alone
+        alone = f"; {left} left and {right} right frames without a partner"
     print(f"{stopped}wrote {shown(arguments.out)}: {found.line()}; {speed}{alone}", file=report)
     for picture in pictures:
         print(f"wrote {shown(picture)}", file=report)
@@ -160,7 +163,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def _measurement(
     arguments: argparse.Namespace,
-    source: Source | sources.Pairs,
+    source: Source | Pairs,
     rest: GreyImage,
     config: DetectorConfig | None,
     rig: StereoRig | None,
@@ -190,7 +193,7 @@ def _measurement(
             return OneView(rest, region=region, **search)
         split = split_of(arguments.split or "halves", arguments.mirror, rest.shape)
         one, two = views_of(split)
-        if isinstance(source, sources.Pairs):  # regions are in the two frames
+        if isinstance(source, Pairs):  # regions are in the two frames
             two = ((0, 0, *two[0][2:]), two[1])
         left, right = regions_in(arguments.region, one, two)
         return TwoViews(rest, rig, split, regions=(left, right), **search)
@@ -201,7 +204,7 @@ def _measurement(
 
 def _flow(
     at_rest: int,
-    source: Source | sources.Pairs,
+    source: Source | Pairs,
     rest: GreyImage,
     frames: Generator[Frame, None, None],
     measure: OneView | TwoViews,

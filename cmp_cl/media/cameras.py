@@ -5,56 +5,43 @@ its arrival: a thread reads a camera, so that frames do not wait in the driver.
 """
 
 import contextlib
-import dataclasses
 import itertools
 import math
 import queue
 import re
 import threading
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Mapping
 from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError, ImageError, as_size, check_kind, check_positive
+from cmp_cl.errors import ConfigError, ImageError, check_kind
 from cmp_cl.image import GreyImage
 from cmp_cl.media.images import find_inputs
 from cmp_cl.media.videos import LONGEST_GAP, Frame, VideoInfo, read_frames, video_info
 
 _WAITING = 64  # the most frames of a camera that wait to be measured
 _LONGEST_WAIT = 10.0  # s, the longest wait for a frame of a camera
+_PAIR_WITHIN = 20.0  # ms, between frames that are paired if their interval is unknown
 _DEVICES = Path("/dev")  # where Linux has its cameras
 
 _Queue = queue.Queue[Frame | ImageError | None]
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class CameraSettings:
-    """The settings requested of a camera; None leaves a setting as it is.
-
-    size: (width, height), px. fps: frames per second. exposure: in the driver's own unit.
-    fourcc: pixel format of four letters, such as GREY, MJPG, YUYV, or Y16 and a space.
-    """
-
-    size: tuple[int, int] | None = None
-    fps: float | None = None
-    exposure: float | None = None
-    fourcc: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.fourcc is not None and not (isinstance(self.fourcc, str) and len(self.fourcc) == 4):
-            raise ConfigError(f"a pixel format has four letters, such as MJPG, not {self.fourcc!r}")
-        if self.size is not None:
-            as_size("size", self.size, ConfigError)
-        if self.fps is not None:
-            check_positive("fps", self.fps, ConfigError)
-        if self.exposure is not None:
-            check_kind("exposure", self.exposure, Real, ConfigError)
+# What can be asked of a camera, each a number.
+SETTINGS = {
+    "pixel format": cv2.CAP_PROP_FOURCC,
+    "width": cv2.CAP_PROP_FRAME_WIDTH,
+    "height": cv2.CAP_PROP_FRAME_HEIGHT,
+    "fps": cv2.CAP_PROP_FPS,
+    "exposure": cv2.CAP_PROP_EXPOSURE,
+}
+_RAW = {cv2.VideoWriter.fourcc(*name) for name in ("Y16 ", "GREY")}  # formats left as they come
 
 
 def is_live(name: str) -> bool:
@@ -73,7 +60,8 @@ class Source:
     name: a file, a folder of images, the number of a camera, a device such as
     /dev/video0, or an address such as rtsp://camera/stream.
 
-    settings: those to request of a camera, or None.
+    settings: numbers to request of a camera, by the names in SETTINGS; the exposure is in the
+        driver's unit.
     live: whether it is a camera or a stream, whose frames arrive whether or not they are read.
     paths: the files, () of a live source. period_ms: time between frames, NaN if unknown.
     full_scale: largest grey level, None if unknown. total: how many frames, or how many files if
@@ -81,25 +69,30 @@ class Source:
     from_start: whether times of a camera count from its first frame; else two of them
         have one clock, and can be paired.
 
-    Raises ConfigError for a name or settings of another type, and FileNotFoundError and ImageError
-    as `cmp_cl.media` does.
+    Raises ConfigError for a name of another type, or settings for a file; FileNotFoundError and
+    ImageError as `cmp_cl.media` does.
     """
 
     def __init__(
         self,
         name: str,
-        settings: CameraSettings | None = None,
+        settings: Mapping[str, float] | None = None,
         *,
         from_start: bool = False,
     ) -> None:
         self.name = name
         self._from_start = from_start
-        self._settings = CameraSettings() if settings is None else settings
-        check_kind("settings", self._settings, CameraSettings, ConfigError)
+        self._settings = dict(settings or {})
         self.live = is_live(name)
+        if self._settings and not self.live:
+            raise ConfigError(f"{name!r} is not a camera, so it takes no camera settings")
+        for what, value in self._settings.items():
+            if what not in SETTINGS:
+                raise ConfigError(f"a camera has {', '.join(SETTINGS)}, and no {what!r}")
+            check_kind(what, value, Real, ConfigError)
         self._opened_as: int | str = int(name) if self.live and name.isdigit() else name
         self.paths = () if self.live else tuple(find_inputs([name]))
-        info = VideoInfo(rate=self._settings.fps) if self.live else VideoInfo()
+        info = VideoInfo(rate=self._settings.get("fps")) if self.live else VideoInfo()
         if len(self.paths) == 1:
             info = video_info(self.paths[0])
         self.full_scale = info.full_scale
@@ -160,19 +153,11 @@ class Source:
             raise ImageError(
                 f"there is no camera {self.name} that OpenCV can open; {_cameras_here()}"
             )
-        asked: list[tuple[int, float | None, str]] = [
-            (cv2.CAP_PROP_FRAME_WIDTH, self._settings.size and self._settings.size[0], "width"),
-            (cv2.CAP_PROP_FRAME_HEIGHT, self._settings.size and self._settings.size[1], "height"),
-            (cv2.CAP_PROP_FPS, self._settings.fps, "fps"),
-            (cv2.CAP_PROP_EXPOSURE, self._settings.exposure, "exposure"),
-        ]
-        if self._settings.fourcc is not None:
-            code = cv2.VideoWriter.fourcc(*self._settings.fourcc)
-            asked.insert(0, (cv2.CAP_PROP_FOURCC, float(code), "pixel format"))
-            if self._settings.fourcc in ("Y16 ", "GREY"):
-                asked.append((cv2.CAP_PROP_CONVERT_RGB, 0.0, "raw pixels"))
+        asked = [(SETTINGS[what], value, what) for what, value in self._settings.items()]
+        if self._settings.get("pixel format") in _RAW:
+            asked.append((cv2.CAP_PROP_CONVERT_RGB, 0.0, "raw pixels"))
         for key, value, what in asked:
-            if value is not None and not capture.set(key, value):
+            if not capture.set(key, value):
                 capture.release()
                 raise ImageError(f"the camera {self.name!r} does not take this {what}: {value:g}")
         return capture
@@ -238,6 +223,70 @@ def paired(
     if not endless:
         yield from ((frame, None) for frame in itertools.chain([one] if one else [], left))
         yield from ((None, frame) for frame in itertools.chain([two] if two else [], right))
+
+
+class Pairs:
+    """Frames of two sources side by side, left and right, paired by their times.
+
+    Frames of a pair are at most half the interval between frames apart. Those of images, which have
+    no times, are paired in order.
+
+    The attributes that it shares with `Source` mean the same for pairs. alone: frames of each side
+    that had no partner so far. Raises ConfigError if the sources do not go together.
+    """
+
+    total: int | None = None
+
+    def __init__(self, left: Source, right: Source) -> None:
+        if left.live != right.live:
+            raise ConfigError("left and right must both be files or both be cameras")
+        counts = len(left.paths), len(right.paths)
+        if max(counts) > 1 and counts[0] != counts[1]:
+            raise ConfigError(
+                f"left has {counts[0]} files and right {counts[1]}: images have no times by "
+                "which they could be paired; leave out those without a partner"
+            )
+        self._sides = left, right
+        self.name = f"{left.name}, {right.name}"
+        self.live, self.full_scale = left.live, left.full_scale
+        self.paths = (*left.paths, *right.paths)
+        periods = [side.period_ms for side in self._sides if math.isfinite(side.period_ms)]
+        self.period_ms = max(periods, default=math.nan)
+        self._within = min(periods) / 2 if periods else _PAIR_WITHIN
+        self.alone = [0, 0]
+
+    def frames(self) -> Generator[Frame, None, None]:
+        """Yield all pairs, from the first; one that cannot be read has no image.
+
+        A frame that a camera missed has no time, and is not paired. Raises ImageError if the frames
+        of a pair differ in size.
+        """
+        self.alone = [0, 0]
+        number, start = 0, None
+        with contextlib.ExitStack() as stack:
+            sides = [stack.enter_context(contextlib.closing(s.frames())) for s in self._sides]
+            left_frames, right_frames = (
+                (each for each in side if each.image is not None or not self.live) for side in sides
+            )
+            for left, right in paired(
+                left_frames, right_frames, tolerance_ms=self._within, endless=self.live
+            ):
+                if left is None or right is None:
+                    self.alone[left is None] += 1
+                    continue
+                start = left.time_ms if start is None else start
+                both = _side_by_side(left.image, right.image)
+                yield Frame(number, both, left.time_ms - start)
+                number += 1
+
+
+def _side_by_side(left: GreyImage | None, right: GreyImage | None) -> GreyImage | None:
+    if left is None or right is None:
+        return None
+    if (left.shape, left.dtype) != (right.shape, right.dtype):
+        sizes = [f"{each.shape[1]} x {each.shape[0]} px of {each.dtype}" for each in (left, right)]
+        raise ImageError(f"the left frame is {sizes[0]}, the right one {sizes[1]}")
+    return cast(GreyImage, np.hstack([left, right]))
 
 
 def _cameras_here() -> str:

@@ -383,6 +383,7 @@ def test_a_calibration_that_does_not_fit_or_is_missing_is_noticed_at_rest(run, r
         (["--left", "frames", "--right", "frames", "--out", "a.npz"], ["--stereo"]),
         (["--left", "frames", "--right", "frames", "--split", "halves", *STEREO], ["--split"]),
         (["frames", "--exposure", "3", *STEREO], ["not a camera"]),
+        (["0", "--pixel-format", "MJ", *STEREO], ["--pixel-format", "four letters, such as MJPG"]),
         (["0", "--camera-fps", "-3", *STEREO], ["--camera-fps: '-3' is not a positive number"]),
         (["frames", "--out", "a.npz", "--cell", "2", "--stereo", "rig.yaml"], ["for one view"]),
     ],

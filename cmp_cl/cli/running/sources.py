@@ -1,4 +1,4 @@
-"""The sources of `cmp-cl run`: their options, two of them side by side, and the frame at rest."""
+"""The source of `cmp-cl run`: its options, and the frame at rest."""
 
 import argparse
 import contextlib
@@ -6,16 +6,14 @@ import re
 from collections.abc import Generator
 from typing import Any
 
-import numpy as np
+import cv2
 
 from cmp_cl.cli.arguments import positive_number
 from cmp_cl.cli.messages import counted, in_shell, shown
-from cmp_cl.errors import ConfigError, ImageError
+from cmp_cl.errors import ConfigError
 from cmp_cl.image import GreyImage
 from cmp_cl.media import Frame
-from cmp_cl.media.cameras import CameraSettings, Source, paired
-
-_PAIR_WITHIN = 20.0  # ms, between frames that are paired if their interval is unknown
+from cmp_cl.media.cameras import Pairs, Source
 
 
 def add_arguments(group: Any) -> None:
@@ -50,7 +48,10 @@ def add_camera_arguments(group: Any) -> None:
         "--exposure", metavar="VALUE", type=float, help="exposure time, in the driver's units"
     )
     group.add_argument(
-        "--pixel-format", metavar="FOUR", help="four letters, such as GREY, MJPG, YUYV"
+        "--pixel-format",
+        metavar="FOUR",
+        type=_pixel_format,
+        help="four letters, such as GREY, MJPG, YUYV",
     )
 
 
@@ -59,6 +60,12 @@ def _camera_size(text: str) -> tuple[int, int]:
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 1280x720")
     return int(match[1]), int(match[2])
+
+
+def _pixel_format(text: str) -> float:
+    if len(text) != 4:
+        raise argparse.ArgumentTypeError(f"{text!r} has not four letters, such as MJPG")
+    return float(cv2.VideoWriter.fourcc(*text))
 
 
 def check(arguments: argparse.Namespace) -> None:
@@ -72,80 +79,19 @@ def check(arguments: argparse.Namespace) -> None:
         raise ConfigError("--split and --mirror are for frames that show both views")
 
 
-class Pairs:
-    """Frames of two sources side by side, left and right, paired by their times.
-
-    Frames of a pair are at most half the interval between frames apart.
-
-    The attributes that it shares with `Source` mean the same for pairs.
-    """
-
-    total: int | None = None
-
-    def __init__(self, arguments: argparse.Namespace, camera: CameraSettings) -> None:
-        self._sides = [Source(name, camera) for name in (arguments.left, arguments.right)]
-        left, right = self._sides
-        if left.live != right.live:
-            raise ConfigError("--left and --right must both be files or both be cameras")
-        counts = len(left.paths), len(right.paths)
-        if max(counts) > 1 and counts[0] != counts[1]:
-            raise ConfigError(
-                f"--left has {counted(counts[0], 'file')} and --right {counts[1]}: images have no "
-                "times by which they could be paired; leave out those without a partner"
-            )
-        self.name = f"{left.name}, {right.name}"
-        self.live, self.full_scale = left.live, left.full_scale
-        self.paths = (*left.paths, *right.paths)
-        periods = [side.period_ms for side in self._sides if np.isfinite(side.period_ms)]
-        self.period_ms = max(periods, default=np.nan)
-        self._within = min(periods) / 2 if periods else _PAIR_WITHIN
-        self._alone = [0, 0]  # frames of each side without a partner
-
-    def frames(self) -> Generator[Frame, None, None]:
-        """Yield all pairs, from the first; one that cannot be read has no image.
-
-        A frame that a camera missed has no time, and is not paired.
-        """
-        self._alone = [0, 0]
-        number, start = 0, None
-        with contextlib.ExitStack() as stack:
-            sides = [stack.enter_context(contextlib.closing(s.frames())) for s in self._sides]
-            left_frames, right_frames = (
-                (each for each in side if each.image is not None or not self.live) for side in sides
-            )
-            for left, right in paired(
-                left_frames, right_frames, tolerance_ms=self._within, endless=self.live
-            ):
-                if left is None or right is None:
-                    self._alone[left is None] += 1
-                    continue
-                start = left.time_ms if start is None else start
-                both = _side_by_side(left.image, right.image)
-                yield Frame(number, both, left.time_ms - start)
-                number += 1
-
-    def alone(self) -> str:
-        """Return how many frames had no partner, as text; "" if all had one."""
-        left, right = self._alone
-        return f"; {left} left and {right} right frames without a partner" if left + right else ""
-
-
 def opened(arguments: argparse.Namespace) -> Source | Pairs:
     """Open the source; raises ConfigError if camera settings are given for a file."""
-    camera = CameraSettings(
-        size=arguments.camera_size,
-        fps=arguments.camera_fps,
-        exposure=arguments.exposure,
-        fourcc=arguments.pixel_format,
-    )
-    source = (
-        Source(arguments.source, camera, from_start=True)
-        if arguments.left is None
-        else Pairs(arguments, camera)
-    )
-    if camera != CameraSettings() and not source.live:
-        raise ConfigError(f"{shown(source.name)} is not a camera, so it takes no camera settings")
-    return source
+    asked: dict[str, float | None] = {
+        "pixel format": arguments.pixel_format,
+        "width": arguments.camera_size and arguments.camera_size[0],
+        "height": arguments.camera_size and arguments.camera_size[1],
+        "fps": arguments.camera_fps,
+        "exposure": arguments.exposure,
+    }
+    camera = {what: value for what, value in asked.items() if value is not None}
+    if arguments.left is None:
+        return Source(arguments.source, camera, from_start=True)
+    return Pairs(*(Source(name, camera) for name in (arguments.left, arguments.right)))
 
 
 def at_rest(source: Source | Pairs, number: int) -> tuple[GreyImage, Generator[Frame, None, None]]:
@@ -194,20 +140,6 @@ def why_left_out(frame: Frame, rest: GreyImage, *, live: bool) -> str:
 def _because(frame: Frame) -> str:
     """Return why a frame has no image, as the end of a message; "" if it is not known."""
     return f": {in_shell(frame.why)}" if frame.why else ""
-
-
-def _side_by_side(left: GreyImage | None, right: GreyImage | None) -> GreyImage | None:
-    if left is None or right is None:
-        return None
-    if (left.shape, left.dtype) != (right.shape, right.dtype):
-        raise ImageError(f"the left frame is {_size(left)}, the right one {_size(right)}")
-    both = np.empty((left.shape[0], 2 * left.shape[1]), left.dtype)
-    both[:, : left.shape[1]], both[:, left.shape[1] :] = left, right
-    return both
-
-
-def _size(image: GreyImage) -> str:
-    return f"{image.shape[1]} x {image.shape[0]} px of {image.dtype}"
 
 
 def _chained(first: Frame, others: Generator[Frame, None, None]) -> Generator[Frame, None, None]:
