@@ -46,7 +46,7 @@ from cmp_cl.lattice.boards import boards
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.plan import LatticePlan
 
-SEED = 8_100_000  # of the report; constants were chosen on other frames, see fit_lattice.py
+SEED = 8_100_000  # of the report; constants were chosen on other frames
 HIT, SHARE = 3.0, 0.25  # px; of a cell
 FEW = 0.002  # share of wrong numbers in a frame of an open pattern that counts as right
 K = LatticeConstants()

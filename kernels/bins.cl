@@ -51,14 +51,13 @@ int middle_of(const int angle, const int other) {
 
 __kernel void direct_corners(__global const float *restrict corners, const uint capacity,
                              LEVELS_OF_IMAGE, __global const float *restrict circle,
-                             const float radius, const int least_contrast,
-                             __global float4 *restrict lines, __global int *restrict contrast) {
+                             const float radius, __global float4 *restrict lines, __global int *restrict contrast) {
   const uint i = get_global_id(0);
   if (i >= COUNT(corners)) return;
   const float2 at = POSITIONS(corners)[i];
   const float4 edges = EDGES(corners)[i];
   lines[i] = (float4)(0.0f);
-  contrast[i] = least_contrast;
+  contrast[i] = 1;
   if (isnan(at.x + at.y + (edges.x + edges.y) + (edges.z + edges.w))) return;
   const int first = middle_of(ANGLE(edges.x), ANGLE(edges.z));
   const int second = middle_of(ANGLE(edges.y), ANGLE(edges.w));
@@ -71,7 +70,7 @@ __kernel void direct_corners(__global const float *restrict corners, const uint 
     const int level = level_at(LEVELS, at.x + way.x, at.y + way.y);
     sum += k & 1 ? level : -level;
   }
-  contrast[i] = LARGER(sum, least_contrast);
+  contrast[i] = LARGER(sum, 1);
 }
 
 /* Sort the corners that have a position into bins: `binned` lists them bin after bin, bin k from

@@ -12,11 +12,11 @@
  * here. Sides are top, bottom, left, right; line 0 of a side is its last one. */
 #define SIDES 4
 #define PAIRS 16  /* pairs of neighbouring squares of a side that are read */
-#define DEPTHS 14 /* half a cell inside, beyond, and at .3 to 1.4 cells */
+#define DEPTHS 10 /* half a cell inside, beyond, and in steps of levels where squares may end */
 #define NEAR_DEPTH 2
 #define UNSEEN INT_MIN
 #define WHOLE 4096 /* a share of 1 */
-#define REACH(doubled) (0.25f + (float)(doubled) * (0.05f / WHOLE)) /* cells */
+#define REACH(doubled) (STEP_OF_LEVELS * (1.5f + (float)(doubled) * (0.5f / WHOLE))) /* cells */
 
 /* What is found, see cmp_cl/lattice/borders.py. */
 #define ROWS_OF 0
@@ -213,16 +213,13 @@ bool has_room(__global const float2 *nodes, __global const int *owner, const int
   return 2 * inside > known;
 }
 
-/* How far pairs of squares reach, twice the sum of their shares; UNSEEN if they do not reach equally
- * far. Three of four must be near the median, and the medians of both halves near each other,
- * because along an oblique edge they differ. A single pair of a longer side shows nothing. */
-int common_reach(__local const int *reach, const int count, const int length, const int parallel) {
+/* How far pairs of squares reach, twice the sum of their shares; UNSEEN if the medians of both halves
+ * of a side differ by over a step, as along an oblique edge. A single pair of a longer side shows nothing. */
+int common_reach(__local const int *reach, const int count, const int length) {
   if (count < LARGER(SMALLER(2, length - 2), 1)) return UNSEEN;
-  const int common = doubled_median(reach, count), part = count / 2 > 2 ? count / 2 : count;
-  int near = 0;
-  for (int k = 0; k < count; ++k) near += MAGNITUDE_OF(2 * reach[k] - common) <= parallel;
+  const int common = doubled_median(reach, count), part = (count + 1) / 2;
   const int apart = doubled_median(reach, part) - doubled_median(reach + count - part, part);
-  return near > (3 * count - 1) / 4 && MAGNITUDE_OF(apart) <= parallel ? common : UNSEEN;
+  return MAGNITUDE_OF(apart) <= 2 * WHOLE ? common : UNSEEN;
 }
 
 /* What lies past the corner of the pattern at one end of a side: the sum of levels beyond its line
@@ -247,8 +244,8 @@ int step_past(IMAGE_OF_BOARD, __global const float2 *nodes, __global const int *
 
 /* Measure the sides of a board. One work-group. */
 __kernel void measure_border(__global const PIXEL *restrict image, const uint step, const uint rows,
-                             const uint columns, const float end_share, const float follow_share,
-                             const int parallel, __global const float2 *restrict nodes,
+                             const uint columns, const float passing,
+                             __global const float2 *restrict nodes,
                              __global const int *restrict owner, __global int *restrict row_levels,
                              __global int *restrict border) {
   const int height = border[ROWS_OF], width = border[COLUMNS_OF];
@@ -267,9 +264,9 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
   FOR_ALL(side, SIDES) { /* the image may end before the cells beyond a whole square */
     __local const int *own = first + side * PAIRS;
     __local int *own_shown = shown + side * PAIRS;
-    const int seen = PAIRS_IN_SIGHT(side, FAR_SIGHT);
+    const int seen = PAIRS_IN_SIGHT(side, FAR_CELL);
     near[side] = 2 * seen < pairs[side];
-    if (near[side]) PAIRS_IN_SIGHT(side, NEAR_SIGHT);
+    if (near[side]) PAIRS_IN_SIGHT(side, NEAR_CELL);
   }
   ALL_TOGETHER;
 #define LEVEL(n, depth, square) levels[((n) * 2 + (square)) * DEPTHS + (depth)]
@@ -280,7 +277,7 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
     const Square square = SQUARE_AT(side, k + ((k + m) & 1)); /* an even one comes first */
     const float far = near[side] ? NEAR_CELL : FAR_CELL;
     for (int depth = 0; depth < DEPTHS; ++depth) {
-      const float out = depth == 0 ? -0.5f : depth == 1 ? far : 0.1f * (float)(depth + 1);
+      const float out = depth == 0 ? -0.5f : depth == 1 ? far : STEP_OF_LEVELS * (float)depth;
       int sum = 0;
       for (int spot = -1; spot <= 1; ++spot)
         sum += grey_at(IMAGE, (square.middle + out * square.out) + STEP_OF_LEVELS * (float)spot * square.along);
@@ -291,17 +288,12 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
 #define DIFFERENCE(n, depth) (LEVEL(n, depth, 0) - LEVEL(n, depth, 1))
   FOR_ALL(n, SIDES * PAIRS) {
     if (n % PAIRS >= pairs[n / PAIRS] || !shown[n]) continue;
-    int share[DEPTHS + 4], sum = 0;
+    int share[DEPTHS + 1] = {0}, sum = 0;
     const int inside = LARGER(MAGNITUDE_OF(DIFFERENCE(n, 0)), 1);
-    for (int k = 0; k < DEPTHS + 4; ++k) {
-      const bool is_read = k >= 2 + NEAR_DEPTH && k < 2 + DEPTHS;
-      share[k] = is_read ? SMALLER(MAGNITUDE_OF(DIFFERENCE(n, k - 2)), inside) * WHOLE / inside : 0;
-    }
-    for (int k = 2 + NEAR_DEPTH; k < 2 + DEPTHS; ++k) { /* where black and white change places */
-      const int before = LARGER(share[k - 2], share[k - 1]);
-      const int after = LARGER(share[k + 1], share[k + 2]);
-      sum += LARGER(share[k], SMALLER(before, after));
-    }
+    for (int k = NEAR_DEPTH; k < DEPTHS; ++k)
+      share[k] = SMALLER(MAGNITUDE_OF(DIFFERENCE(n, k)), inside) * WHOLE / inside;
+    for (int k = NEAR_DEPTH; k < DEPTHS; ++k) /* or where black and white change places */
+      sum += LARGER(share[k], SMALLER(share[k - 1], share[k + 1]));
     reach[n] = sum;
   }
   ALL_TOGETHER;
@@ -317,9 +309,9 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
     }
     const bool read = some && 2 * some >= pairs[side];
     const float whole = (float)MAGNITUDE_OF(inside);
-    border[FOLLOWS_OF + side] = read && (float)change < 2.0f * follow_share * whole;
-    reaches[side] = read && (float)MAGNITUDE_OF(beyond) < end_share * whole
-                        ? common_reach(reach + start, some, LENGTH_OF(side), parallel)
+    border[FOLLOWS_OF + side] = read && (float)change < 2.0f * passing * whole;
+    reaches[side] = read && (float)MAGNITUDE_OF(beyond) < passing * whole
+                        ? common_reach(reach + start, some, LENGTH_OF(side))
                         : UNSEEN;
     border[REACH_OF + side] = reaches[side];
   }

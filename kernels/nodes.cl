@@ -15,7 +15,7 @@
 
 /* Constants of the score, in the order of cmp_cl/lattice/nodes.py. */
 typedef struct {
-  float side_depth, side_depth_px, side_share, least_contrast;
+  float side_depth, side_depth_px, side_share;
   float depth;
   float rough_weight;
   float side_nats, cells_nats, prior, firm_penalty, loose_penalty;
@@ -58,13 +58,6 @@ __kernel void number_corners(__global const float *restrict corners, const uint 
   }
 }
 
-/* Squares of places, so that a pass looks only where one before changed something. */
-#define TILE 4
-#define TILES_ACROSS (width / TILE + 1)
-#define TILES_DOWN (height / TILE + 1)
-#define TILES (TILES_ACROSS * TILES_DOWN)
-#define TILE_OF(row, column) ((row) / TILE * TILES_ACROSS + (column) / TILE)
-
 /* Lay the numbered corners out as a board, which is empty if the frame has more parts. One
  * work-group. */
 __kernel void lay_board(__global const float *restrict corners, const uint capacity,
@@ -73,8 +66,7 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
                         __global float2 *restrict seen, __global int *restrict owner,
                         __global uchar *restrict torn, __global uchar *restrict used,
                         __global int *restrict best_score, __global int *restrict best_place,
-                        __global uchar *restrict tried, __global uchar *restrict changed,
-                        __global uchar *restrict stale) {
+                        __global uchar *restrict tried, __global int *restrict marks) {
   const int count = (int)COUNT(corners);
   __local int left, right, top, bottom, sum, nodes;
   if (get_local_id(0) == 0) {
@@ -105,10 +97,6 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   const int width = fits ? across : 0, height = fits ? down : 0, all = width * height;
   const int origin_x = left - MARGIN, origin_y = top - MARGIN;
   FOR_ALL(place, all) owner[place] = INT_MAX;
-  FOR_ALL(tile, TILES) {
-    changed[tile] = 0;
-    stale[tile] = 1;
-  }
   ALL_TOGETHER;
   FOR_ALL(i, all ? count : 0) {
     const int4 n = numbers[i];
@@ -119,6 +107,7 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
     const int i = owner[place];
     seen[place] = (float2)(NAN, NAN);
     torn[place] = tried[place] = 0;
+    marks[place] = 0;
     if (i == INT_MAX) {
       owner[place] = NONE;
       continue;
@@ -136,9 +125,6 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   layout[BOARD_COLUMNS] = width;
   layout[SIGN] = sum < 0 ? -1 : 1;
   layout[NODES] = nodes;
-  layout[ROUND] = 1;
-  layout[DROPPED] = layout[ENTERED] = 0;
-  layout[STATE] = nodes > 0;
 }
 
 /* The places of a board, but for some at its edge, row by row. */
@@ -212,6 +198,14 @@ bool step_of(__global const float2 *at, const int place, const int width, const 
   const float root = inverse_root((float)LARGER(count, 1));
   *step *= root * root;
   return count > 0;
+}
+bool has_steps(__global const float2 *at, const int place, const int width) {
+  return (IS_HERE(at[place + 1]) || IS_HERE(at[place - 1])) &&
+         (IS_HERE(at[place + width]) || IS_HERE(at[place - width]));
+}
+bool is_beside_nodes(__global const float2 *at, const int place, const int width) {
+  return IS_HERE(at[place + 1]) || IS_HERE(at[place - 1]) || IS_HERE(at[place + width]) ||
+         IS_HERE(at[place - width]);
 }
 float length_of(const float2 v) {
   const float squared = LARGER(v.x * v.x + v.y * v.y, 1e-6f);
@@ -316,8 +310,7 @@ __kernel void measure_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
 }
 
 /* Two over the mean contrast of the nodes within 5 x 5 places. */
-float usual_share(__global const int2 *cells, const int place, const int width,
-                  const float least_contrast) {
+float usual_share(__global const int2 *cells, const int place, const int width) {
   int sum = 0, count = 0;
   for (int r = -2; r <= 2; ++r)
     for (int c = -2; c <= 2; ++c) {
@@ -326,7 +319,7 @@ float usual_share(__global const int2 *cells, const int place, const int width,
       count += contrast != UNKNOWN;
     }
   count = LARGER(count, 1);
-  sum = LARGER(sum, (int)least_contrast * count);
+  sum = LARGER(sum, count);
   const float root = inverse_root((float)sum);
   return (float)(2 * count) * (root * root);
 }
@@ -364,7 +357,7 @@ void score_node(LEVELS_OF_IMAGE, __constant Nats *nats, const int width, const i
                 __global uchar *sides_of) {
   float own = NO_SCORE;
   if (IS_HERE(at[place])) {
-    const float share = usual_share(cells, place, width, nats->least_contrast);
+    const float share = usual_share(cells, place, width);
     float whole = 0;
     int count = 0;
     ADD_SIDE(place + 1, sides[place].x)
@@ -449,9 +442,7 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
                        __global const int *binned, __global const float2 *at,
                        __global const int2 *cells, __global const uchar *used) {
   Candidate found = {NONE, NONE, (float2)(0.0f), 0.0f};
-  if (!IS_HERE(at[place + 1]) && !IS_HERE(at[place - 1]) && !IS_HERE(at[place + width]) &&
-      !IS_HERE(at[place - width]))
-    return found;
+  if (!is_beside_nodes(at, place, width)) return found;
   const Prediction prediction = predicted(at, place, width);
   const float2 p = prediction.at;
   const float right = (float)((int)columns - 1), bottom = (float)((int)rows - 1);
@@ -474,7 +465,7 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
   float2 here = found.at;
   if (own != PLACE && IS_TORN(own)) here = blended(here, prediction, steps.cell, nats->rough_weight);
   const Cells seen = cells_at(LEVELS, here, steps, parity, nats->depth);
-  const float share = usual_share(cells, place, width, nats->least_contrast);
+  const float share = usual_share(cells, place, width);
   float whole = 0;
   ADD_NEW_SIDE(place + 1, here, at[place + 1], parity)
   ADD_NEW_SIDE(place + width, here, at[place + width], -parity)
@@ -486,99 +477,126 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
   return found;
 }
 
-/* Mark the tiles beside marked ones. One work-group. */
-void spread(__global const uchar *from, __global uchar *to, const int width, const int height) {
-  FOR_ALL(tile, TILES) {
-    const int row = tile / TILES_ACROSS, column = tile % TILES_ACROSS;
-    uchar any = 0;
-    for (int r = LARGER(row - 1, 0); r <= SMALLER(row + 1, TILES_DOWN - 1); ++r)
-      for (int c = LARGER(column - 1, 0); c <= SMALLER(column + 1, TILES_ACROSS - 1); ++c)
-        any |= from[r * TILES_ACROSS + c];
-    to[tile] = any;
+/* Lists of places, and the bit that a place in one of them has in `marks`, so that it is listed
+ * once. One work-group. */
+enum { CHANGED, MOVED, BLENDED, MEASURED, SCORED, JUDGED, LOOKED, ASKING, LISTS };
+#define LIST_OF(kind) (lists + (kind) * places)
+#define FOR_LISTED(kind)                                                            \
+  for (int k = get_local_id(0), place; k < counts[kind]; k += get_local_size(0))    \
+    if (place = LIST_OF(kind)[k], true)
+#define LISTS_OF_PLACES                                                             \
+  __global volatile int *marks, __global int *lists, const int places, __local volatile int *counts
+#define OF_PLACES marks, lists, places, counts
+void list_place(LISTS_OF_PLACES, const int kind, const int place) {
+  if (marks[place] >> kind & 1 || atomic_or(marks + place, 1 << kind) >> kind & 1) return;
+  LIST_OF(kind)[atomic_inc(counts + kind)] = place;
+}
+/* Empty a list, once all work-items have read it. */
+void empty_list(LISTS_OF_PLACES, const int kind) {
+  FOR_LISTED(kind) atomic_and(marks + place, ~(1 << kind));
+  ALL_TOGETHER;
+  if (get_local_id(0) == 0) counts[kind] = 0;
+}
+/* List the nodes within some places of listed ones, these too, and of missing places those to look
+ * at, if that is asked for. */
+#define SQUARE(reach)                                                               \
+  for (int r = -(reach); r <= (reach); ++r)                                         \
+    for (int c = -(reach); c <= (reach); ++c)
+void list_around(LISTS_OF_PLACES, const int from, const int reach, const int kind, const bool looks,
+                 const int width, __global const float2 *seen) {
+  FOR_LISTED(from) SQUARE(reach) {
+    const int other = place + r * width + c;
+    const bool is_node = IS_HERE(seen[other]);
+    if (is_node || other == place) list_place(OF_PLACES, kind, other);
+    if (looks && !is_node) list_place(OF_PLACES, LOOKED, other);
   }
   ALL_TOGETHER;
 }
-
-/* All tiles, and the places of one, of which some may lie beyond the board. One work-group. */
-#define LANES ((int)SMALLER(get_local_size(0), TILE * TILE))
-#define FOR_TILES                                                                   \
-  for (int tile = get_local_id(0) / LANES; tile < TILES; tile += get_local_size(0) / LANES)
-#define FOR_PLACES_OF_TILE(edge)                                                    \
-  for (int m = get_local_id(0) % LANES, row, column; m < TILE * TILE; m += LANES)   \
-    if (row = tile / TILES_ACROSS * TILE + m / TILE,                                \
-        column = tile % TILES_ACROSS * TILE + m % TILE, IS_INSIDE(row, column, edge))
-#define IS_INSIDE(row, column, edge)                                                \
-  ((row) >= (edge) && (row) < height - (edge) && (column) >= (edge) && (column) < width - (edge))
-
+/* The same of nodes that look along rows and columns, and aside to places one step nearer. Missing
+ * places, and nodes without a step of their own, look at all within NEAR. */
+void list_along(LISTS_OF_PLACES, const int from, const int reach, const int kind, const int width,
+                __global const float2 *seen) {
+  FOR_LISTED(from) SQUARE(NEAR) {
+    const int other = place + r * width + c;
+    const bool near = r && c ? abs(r) + abs(c) < reach : abs(r + c) <= reach;
+    if (!IS_HERE(seen[other])) list_place(OF_PLACES, LOOKED, other);
+    if (IS_HERE(seen[other]) ? near || !has_steps(seen, other, width) : other == place)
+      list_place(OF_PLACES, kind, other);
+  }
+  ALL_TOGETHER;
+}
 /* Drop nodes and find others until nothing changes, or the rounds are over; the positions are
  * blended once more then. One work-group.
  *
- * changed: tiles of nodes that this pass dropped or entered; fresh: those and tiles beside them;
- * moved: tiles in which `at` changed; near, wide: those within one and two tiles of these, then
- * those beside wide ones; stale: tiles that changed since nodes were looked for. What is known of a
- * place depends on `seen` within three places, then on `at` within three, then on cells within two.
- * asked: the corner that decided at a place without a node, and whether it was used; asking: tiles
- * with such places. */
-#define RUNS 1
-#define BLENDS 2
-#define ASKED(corner) ((corner) == NONE ? NONE : 2 * (corner) + used[corner])
+ * What is known of a place depends on `seen` near it, then on `at`, then on cells within two places;
+ * so only places near a change are measured, scored, judged and looked at again.
+ * asked: the corner that decided at a place without a node, and whether it was used. */
+#define ASKED(corner) (2 * (corner) + used[corner])
 __kernel void settle_nodes(__global const float *restrict corners, const uint capacity,
                            LEVELS_OF_IMAGE, __constant Nats *nats, const int rounds,
                            __global const int *restrict starts, __global const int *restrict binned,
-                           __global int *layout, __global float2 *seen, __global int *owner,
-                           __global uchar *torn, __global uchar *used, __global uchar *tried,
-                           __global float2 *at, __global float2 *result, __global uchar *rough,
-                           __global float4 *predictions, __global float *cell,
-                           __global int2 *sides, __global int2 *cells, __global float *score,
-                           __global uchar *sides_of, __global int *candidate,
-                           __global float2 *found, __global int *key, __global int *listed,
-                           __global int *asked, __global int *best_score,
-                           __global int *best_place, __global uchar *changed,
-                           __global uchar *fresh, __global uchar *moved, __global uchar *near,
-                           __global uchar *wide, __global uchar *stale,
-                           __global uchar *asking) {
+                           __global const int *restrict layout, __global float2 *seen,
+                           __global int *owner, __global uchar *torn, __global uchar *used,
+                           __global uchar *tried, __global float2 *at, __global float2 *result,
+                           __global uchar *rough, __global float4 *predictions,
+                           __global float *cell, __global int2 *sides, __global int2 *cells,
+                           __global float *score, __global uchar *sides_of,
+                           __global int *candidate, __global float2 *found, __global int *key,
+                           __global int *listed, __global int *asked, __global int *best_score,
+                           __global int *best_place, __global int *marks, __global int *lists,
+                           const int places) {
   const int width = layout[BOARD_COLUMNS], height = layout[BOARD_ROWS];
-  __local int candidates;
-  FOR_ALL(tile, TILES) {
-    near[tile] = 1;
-    asking[tile] = 0;
+  __local int counts[LISTS], nodes, candidates;
+  FOR_ALL(kind, LISTS) counts[kind] = 0;
+  if (get_local_id(0) == 0) nodes = layout[NODES];
+  ALL_TOGETHER;
+  FOR_ALL(place, width * height) {
+    const int row = place / width, column = place % width;
+    if (row < NEAR || row >= height - NEAR || column < NEAR || column >= width - NEAR) continue;
+    if (!IS_HERE(seen[place])) {
+      if (is_beside_nodes(seen, place, width)) list_place(OF_PLACES, LOOKED, place);
+    } else if (is_weak(nats, width, place, score, sides_of)) {
+      list_place(OF_PLACES, JUDGED, place);
+    }
   }
   ALL_TOGETHER;
-  while (layout[STATE]) {
-    const bool runs = layout[STATE] == RUNS;
-    ALL_TOGETHER;
-    if (get_local_id(0) == 0) candidates = 0;
-    FOR_TILES if (runs && near[tile]) FOR_PLACES_OF_TILE(NEAR) {
-      PLACE_OF_WORK_ITEM
+  for (int round = 1;;) {
+    FOR_LISTED(JUDGED) {
       if (!is_weak(nats, width, place, score, sides_of)) continue;
       if (owner[place] >= 0) used[owner[place]] = 0;
       owner[place] = NONE;
       seen[place] = (float2)(NAN, NAN);
       torn[place] = 0;
-      changed[tile] = 1;
-      layout[DROPPED] = 1;
-      atomic_dec(layout + NODES);
+      list_place(OF_PLACES, CHANGED, place);
+      atomic_dec(&nodes);
     }
+    if (get_local_id(0) == 0) candidates = 0;
     ALL_TOGETHER;
-    const bool looks = runs && !layout[DROPPED] && layout[NODES] >= 4;
-    FOR_TILES if (looks && (stale[tile] || asking[tile])) FOR_PLACES_OF_TILE(NEAR) {
-      PLACE_OF_WORK_ITEM
-      if (!stale[tile] && (asked[place] < 0 || asked[place] == ASKED(asked[place] / 2))) continue;
-      asked[place] = NONE;
-      if (IS_HERE(at[place]) || tried[place]) continue;
-      const Candidate own =
-          candidate_at(corners, capacity, LEVELS, nats, layout, width, place,
-                       PARITY_OF(row, column), starts, binned, at, cells, used);
-      asked[place] = ASKED(own.nearest);
-      if (own.nearest != NONE) asking[tile] = 1;
-      if (own.owner == NONE) continue;
-      candidate[place] = own.owner;
-      found[place] = own.at;
-      key[place] = ordered(own.score);
-      if (own.owner != PLACE) atomic_max(best_score + own.owner, key[place]);
-      listed[atomic_inc(&candidates)] = place;
+    empty_list(OF_PLACES, JUDGED);
+    const bool looks = !counts[CHANGED] && nodes >= 4;
+    if (looks) {
+      FOR_LISTED(ASKING)
+        if (asked[place] != ASKED(asked[place] / 2)) list_place(OF_PLACES, LOOKED, place);
+      ALL_TOGETHER;
+      FOR_LISTED(LOOKED) {
+        if (IS_HERE(at[place]) || tried[place]) continue;
+        const Candidate own = candidate_at(corners, capacity, LEVELS, nats, layout, width, place,
+                                           PARITY_OF(place / width, place % width), starts, binned,
+                                           at, cells, used);
+        if (own.nearest != NONE) {
+          asked[place] = ASKED(own.nearest);
+          list_place(OF_PLACES, ASKING, place);
+        }
+        if (own.owner == NONE) continue;
+        candidate[place] = own.owner;
+        found[place] = own.at;
+        key[place] = ordered(own.score);
+        if (own.owner != PLACE) atomic_max(best_score + own.owner, key[place]);
+        listed[atomic_inc(&candidates)] = place;
+      }
+      ALL_TOGETHER;
+      empty_list(OF_PLACES, LOOKED);
     }
-    ALL_TOGETHER;
     FOR_ALL(k, candidates) { /* a corner goes to the place where it scores most, then to the first */
       const int own = candidate[listed[k]];
       if (own >= 0 && key[listed[k]] == best_score[own]) atomic_min(best_place + own, listed[k]);
@@ -592,9 +610,8 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
       tried[place] = 1;
       torn[place] = own == PLACE || IS_TORN(own);
       if (own >= 0) used[own] = 1;
-      changed[TILE_OF(place / width, place % width)] = 1;
-      layout[ENTERED] = 1;
-      atomic_inc(layout + NODES);
+      list_place(OF_PLACES, CHANGED, place);
+      atomic_inc(&nodes);
     }
     ALL_TOGETHER;
     FOR_ALL(k, candidates) {
@@ -603,42 +620,26 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
       best_score[own] = INT_MIN;
       best_place[own] = INT_MAX;
     }
-    FOR_ALL(tile, looks ? TILES : 0) stale[tile] = 0;
-    if (get_local_id(0) == 0) { /* one more pass after drops, a round after nodes entered */
-      if (runs && layout[ENTERED] && layout[ROUND] < rounds) {
-        ++layout[ROUND];
-      } else if (!runs || !layout[DROPPED]) {
-        layout[STATE] = layout[ENTERED] ? BLENDS : 0;
-      }
-      layout[DROPPED] = layout[ENTERED] = 0;
-    }
+    if (!counts[CHANGED]) return;
+    list_along(OF_PLACES, CHANGED, 3, BLENDED, width, seen);
+    FOR_LISTED(BLENDED)
+      if (blend(nats, width, place, seen, torn, at, result, rough, predictions))
+        list_place(OF_PLACES, MOVED, place);
     ALL_TOGETHER;
-    if (!layout[STATE]) break;
-    spread(changed, fresh, width, height);
-    FOR_ALL(tile, TILES) changed[tile] = moved[tile] = 0;
+    if (looks && round++ == rounds) return;
+    list_along(OF_PLACES, MOVED, 1, MEASURED, width, seen);
+    FOR_LISTED(MEASURED)
+      measure(LEVELS, nats, width, place, PARITY_OF(place / width, place % width), at, cell, sides,
+              cells);
+    FOR_LISTED(BLENDED) list_place(OF_PLACES, SCORED, place);
     ALL_TOGETHER;
-    FOR_TILES if (fresh[tile]) FOR_PLACES_OF_TILE(0) {
-      PLACE_OF_WORK_ITEM
-      if (blend(nats, width, place, seen, torn, at, result, rough, predictions)) moved[tile] = 1;
-    }
-    ALL_TOGETHER;
-    if (layout[STATE] != RUNS) continue;
-    spread(moved, near, width, height);
-    FOR_TILES if (near[tile]) FOR_PLACES_OF_TILE(1) {
-      PLACE_OF_WORK_ITEM
-      measure(LEVELS, nats, width, place, PARITY_OF(row, column), at, cell, sides, cells);
-    }
-    spread(near, wide, width, height);
-    FOR_ALL(tile, TILES) {
-      wide[tile] |= fresh[tile];
-      stale[tile] |= wide[tile];
-    }
-    ALL_TOGETHER;
-    FOR_TILES if (wide[tile]) FOR_PLACES_OF_TILE(1) {
-      PLACE_OF_WORK_ITEM
+    list_around(OF_PLACES, MEASURED, 2, SCORED, true, width, seen);
+    FOR_LISTED(SCORED)
       score_node(LEVELS, nats, width, place, seen, at, predictions, cell, sides, cells, score,
                  sides_of);
-    }
-    spread(wide, near, width, height);
+    ALL_TOGETHER;
+    list_around(OF_PLACES, SCORED, 1, JUDGED, false, width, seen);
+    for (int kind = CHANGED; kind <= SCORED; ++kind) empty_list(OF_PLACES, kind);
+    ALL_TOGETHER;
   }
 }

@@ -22,14 +22,15 @@ __kernel void mean_steps(__global const float *restrict corners, const uint capa
   step[i] = total * (root * root);
 }
 
-/* For each number m of steps: the least cosine, the least and the largest length in mean steps,
- * 1 / m, the factor of a sum of differences, the least share of contrast, 1 / sqrt(m). */
+/* For each number m of steps: the least cosine, 1 / m, the factor of a sum of differences, the
+ * least share of contrast, 1 / sqrt(m). */
 typedef struct {
-  float cosine, least, most, part, factor, share, weight;
+  float cosine, part, factor, share, weight;
 } Way;
 
 /* List the votes, in any order: both places in the list of rim nodes, both boundaries, the number
- * of steps, and the weight as the bits of a float. rims: corner and part of each node, part by part.
+ * of steps, and the weight as the bits of a float. rims: the corner of each node, part by part, and the
+ * place of the first node of the next part.
  * rims_and_votes: the numbers of both; that of votes may exceed `room`. One work-item per node of a
  * rim. */
 __kernel void find_votes(__global const float *restrict corners, const uint capacity,
@@ -42,14 +43,14 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
   const int n = get_global_id(0), count = rims_and_votes[0];
   if (n >= count) return;
   __global const float2 *at = POSITIONS(corners);
-  const int i = rims[n].x, own_part = rims[n].y;
+  const int i = rims[n].x;
   const float own_reach = reach * step[i];
-  for (int k = n + 1; k < count; ++k) {
+  for (int k = rims[n].y; k < count; ++k) {
     const int j = rims[k].x;
     const float dx = at[j].x - at[i].x, dy = at[j].y - at[i].y, squared = dx * dx + dy * dy;
     const float other_reach = reach * step[j];
     const float one = own_reach * own_reach, two = other_reach * other_reach;
-    if (!(squared < LARGER(one, two)) || rims[k].y == own_part || i == j) continue;
+    if (!(squared < LARGER(one, two)) || i == j) continue;
     const float held = LARGER(squared, 1.0f), length = held * inverse_root(held);
     const Boundary near = boundary_along(lines[i], dx, dy);
     const Boundary far = boundary_along(lines[j], -dx, -dy);
@@ -58,7 +59,7 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
     for (int m = 1; m <= span; ++m) {
       const Way way = ways[m - 1];
       if (!(along > way.cosine * length) || (near.side + far.side - m) & 1) continue;
-      if (!(length > way.least * mean) || !(length < way.most * mean)) continue;
+      if (!(MAGNITUDE(length - (float)m * mean) < mean)) continue; /* a step off at most */
       const float x = dx * way.part, y = dy * way.part, of_step = x * x + y * y;
       const float share = LARGER(depth, depth_px * inverse_root(LARGER(of_step, 1.0f)));
       const float across_x = -(share * y), across_y = share * x;

@@ -97,7 +97,7 @@ class Found:
     @property
     def fits(self) -> bool:
         """Return whether nothing speaks against the known size."""
-        return self.decision.best.nats > -K.place_nats
+        return self.decision.best.nats > -K.end_nats
 
 
 def found_in(boards: Iterable[Board], asked: Asked) -> list[Found]:

@@ -34,7 +34,7 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
     while left:
         main, *left = left
         placed = joined(units, votes, len(xy), k, main, left)
-        placed.part[taken] = -1
+        placed.unit[taken] = -1
         board = plan.settle(numbers_of(placed))
         owner = board.owner[board.owner >= 0]
         if np.count_nonzero(board.there) < k.least_board:

@@ -27,8 +27,6 @@ ROWS, COLUMNS, SIGN, CONTRAST, ROOM, FOLLOWS, REACH, PAST, STEPS, FOUND = (
 )
 UNSEEN = -(2**31)
 WHOLE = 4096  # a share of 1
-HALF_STEP = 0.05  # cells, half of that between the depths at which squares are read
-FIRST_REACH = 0.25  # cells, half a step before the first depth
 SPOTS = 3  # levels in a sum
 
 
@@ -47,10 +45,11 @@ class Border(NamedTuple):
     room: Mask
 
     @classmethod
-    def of(cls, found: NDArray[np.int32]) -> "Border":
+    def of(cls, found: NDArray[np.int32], k: LatticeConstants) -> "Border":
         """Return the sides from what the kernels found."""
         values = [math.nan if value == UNSEEN else value for value in found.tolist()]
-        reach = np.array(values[REACH:PAST], np.float64) * (HALF_STEP / WHOLE) + FIRST_REACH
+        steps = 1.5 + np.array(values[REACH:PAST]) * (0.5 / WHOLE)  # as REACH in the kernel
+        reach = k.border_step_cells * steps
         past = np.array(values[PAST:STEPS], np.float64) / (SPOTS * values[CONTRAST])
         follows, room = (np.array(values[n : n + SIDES], np.bool_) for n in (FOLLOWS, ROOM))
         return cls(reach, past, follows, room)
@@ -118,9 +117,7 @@ def measure(plan: "LatticePlan") -> Launch:
         image=b["image"],
         step=np.uint32(plan.step),
         **plan.size,
-        end_share=np.float32(k.end_share),
-        follow_share=np.float32(k.passing),
-        parallel=np.int32(k.parallel_cells / HALF_STEP * WHOLE),
+        passing=np.float32(k.passing),
         nodes=b["nodes"],
         owner=b["node_owner"],
         row_levels=b["key"],

@@ -22,22 +22,22 @@ DIRECTIONS = np.array([1, 1j, -1, -1j])
 SHIFTS = np.array([x + 1j * y for x in range(-2, 3) for y in range(-2, 3) if (x + y) % 2 == 0])
 ROUNDED = 0.1  # numbers nearer than that are equal
 TREND = 6  # terms of a quadratic
-PROBES = 32  # points that bound the least distance of two parts
 FAR = 1 << 20  # farther than any number
 SPARE = 8  # steps between parts, on the map of numbers
 
 
 @dataclasses.dataclass(eq=False)
 class Placed:
-    """Corners numbered in one frame: part (N,), -1 where none, number and rotation."""
+    """Corners numbered in one frame, (N,): the node of a part that each is, -1 where none; its
+    number and rotation."""
 
-    part: Whole
+    unit: Whole
     number: Numbers
     rotation: Whole
 
     @property
     def there(self) -> Mask:
-        return self.part >= 0
+        return self.unit >= 0
 
 
 class Placement(NamedTuple):
@@ -59,7 +59,7 @@ class _Joining:
     def __init__(self, units: Units, votes: Votes, corners: int, k: LatticeConstants) -> None:
         self.units, self.votes, self.k = units, votes, k
         bounds = np.searchsorted(units.part, np.arange(units.part.max(initial=-1) + 2))
-        self.members = [np.arange(*each) for each in itertools.pairwise(bounds)]
+        self.members = [slice(*each) for each in itertools.pairwise(bounds.tolist())]
         self.placed = Placed(
             np.full(corners, -1),
             np.zeros(corners, np.complex128),
@@ -94,7 +94,7 @@ class _Joining:
         for number in self.disputed:
             step = self.placed.number - number
             near = np.maximum(np.abs(step.real), np.abs(step.imag)) < self.k.span + ROUNDED
-            self.placed.part[near] = -1
+            self.placed.unit[near] = -1
 
     def place(self, part: int, at: Placement) -> None:
         """Number the corners of a part that have no number, unless theirs is used."""
@@ -102,17 +102,15 @@ class _Joining:
         corner = self.units.corner[some]
         number = self.units.number[some] * DIRECTIONS[at.quarter] + at.offset
         before = self.placed.number[corner]
-        other = self.placed.there[corner] & (np.abs(number - before) > ROUNDED)
+        free = ~self.placed.there[corner]
+        other = ~free & (np.abs(number - before) > ROUNDED)
         self.disputed += [*before[other], *number[other]]
-        _, first = np.unique(np.rint(number), return_index=True)
-        alone = np.zeros(len(number), np.bool_)
-        alone[first] = True
-        fresh = alone & ~self.placed.there[corner] & ~self.used.at(number)
-        corner = corner[fresh]
-        self.placed.part[corner] = part
-        self.placed.number[corner] = number[fresh]
+        fresh = free & ~self.used.at(number)
+        corner, number = corner[fresh], number[fresh]
+        self.placed.unit[corner] = np.arange(some.start, some.stop)[fresh]
+        self.placed.number[corner] = number
         self.placed.rotation[corner] = (self.units.rotation[some][fresh] + at.quarter) % 4
-        self.used.add(number[fresh])
+        self.used.add(number)
 
     def ballots(self, part: int) -> tuple[Whole, Numbers, Float]:
         """Return the votes for placements of a part: quarter, offset, weight."""
@@ -122,15 +120,14 @@ class _Joining:
             (votes.first, votes.second, votes.boundary, votes.other),
             (votes.second, votes.first, votes.other, votes.boundary),
         ):
-            here = np.flatnonzero(
-                (units.part[b] == part) & (placed.part[units.corner[a]] == units.part[a])
-            )
+            here = np.flatnonzero((units.part[b] == part) & (placed.unit[units.corner[a]] == a))
             corner, unit = units.corner[a[here]], b[here]
             turn = s[here] + placed.rotation[corner]
             number = placed.number[corner] + votes.steps[here] * DIRECTIONS[turn % 4]
             quarter = (turn - t[here] + 2 - units.rotation[unit]) % 4
             rows.append((quarter, number, votes.weight[here], unit))
-        unit = self.members[part][placed.there[units.corner[self.members[part]]]]
+        some = self.members[part]
+        unit = some.start + np.flatnonzero(placed.there[units.corner[some]])
         corner = units.corner[unit]  # of both parts
         quarter = (placed.rotation[corner] - units.rotation[unit]) % 4
         rows.append((quarter, placed.number[corner], np.ones(len(unit)), unit))
@@ -152,7 +149,7 @@ class _Joining:
         quarters = np.rint(places.real / FAR).astype(np.int64)
         places -= FAR * quarters
         votes = np.bincount(which, weight)
-        free = self.units.number[some[~self.placed.there[self.units.corner[some]]]]
+        free = self.units.number[some][~self.placed.there[self.units.corner[some]]]
         turned = np.multiply.outer(DIRECTIONS[quarters], free) + places[:, None]
         twice = np.count_nonzero(self.used.at(turned), axis=1)
         best = int(np.argmax(votes - twice))
@@ -171,11 +168,8 @@ class _Joining:
         there[units.corner[some]] = False
         known = part, turn, offset, int(np.count_nonzero(there))
         if known not in self.ratios:
-            of_corner = np.zeros(len(there), np.int64)
-            of_corner[units.corner] = np.arange(len(units.corner))
-            corner = np.flatnonzero(there)
-            others = of_corner[corner]
-            fixed = Side(units.at[others], placed.number[corner], units.rim[others])
+            others = placed.unit[there]
+            fixed = Side(units.at[others], placed.number[there], units.rim[others])
             moved = Side(units.at[some], units.number[some] * DIRECTIONS[turn], units.rim[some])
             energy = Tear.between(fixed, moved, self.k).energies(offset + SHIFTS)
             energy = np.where(energy > 0, energy, np.inf)
@@ -230,11 +224,11 @@ class Tear(NamedTuple):
     @classmethod
     def between(cls, fixed: Side, moved: Side, k: LatticeConstants) -> "Tear":
         """Choose the nodes near the tear: within some cells of the nearest on their own side."""
-        cell = _cell_of(moved.at, moved.number)
-        middle = moved.at.mean()
+        middle, number = moved.at.mean(), moved.number - moved.number.mean()
+        cell = float(np.abs(np.vdot(number, moved.at - middle)) / np.vdot(number, number).real)
         sides = []
-        for (z, _, _), other in ((fixed, moved), (moved, fixed)):
-            chosen = _nearest(z, other.at[other.rim], k.span * cell)
+        for one, other in ((fixed, moved), (moved, fixed)):
+            chosen = _nearest(one, other.at[other.rim], k.span * cell)
             if len(chosen) > k.tear_most:
                 chosen = chosen[np.linspace(0, len(chosen) - 1, k.tear_most).astype(np.int64)]
             sides.append(chosen)
@@ -277,26 +271,22 @@ class Tear(NamedTuple):
         return energy
 
 
-def _nearest(z: Numbers, others: Numbers, reach: float) -> Whole:
-    """Return the indices of the points that are by less than `reach` farther from some others than
+def _nearest(side: Side, others: Numbers, reach: float) -> Whole:
+    """Return the indices of the nodes that are by less than `reach` farther from some others than
     the nearest one, px."""
-    if not len(z) or not len(others):
+    z, rim = side.at.astype(np.complex64), side.at[side.rim].astype(np.complex64)
+    others = others.astype(np.complex64)
+    if not len(rim) or not len(others):
         return np.arange(0)
-    most = np.sqrt(_squares(z[:: len(z) // PROBES + 1], others).min()) + reach
-    some = np.flatnonzero(_from_box(z, others) <= most)
-    squares = _squares(z[some], others[_from_box(others, z) <= most]).min(axis=1)
-    chosen: Whole = some[np.sqrt(squares) < np.sqrt(squares.min()) + reach]
-    return chosen
-
-
-def _from_box(z: Numbers, others: Numbers) -> Float:
-    """Return the distances of points from the upright rectangle around some others."""
+    most = np.abs(np.subtract.outer(rim, others)).min() + reach
     x, y = (
         np.maximum(np.maximum(other.min() - own, own - other.max()), 0)
         for own, other in ((z.real, others.real), (z.imag, others.imag))
     )
-    away: Float = np.hypot(x, y)
-    return away
+    some = np.flatnonzero(np.hypot(x, y) <= most)  # from the upright rectangle around the others
+    away = np.abs(np.subtract.outer(others, z[some])).min(axis=0)
+    chosen: Whole = some[away < away.min() + reach]
+    return chosen
 
 
 def _trend(number: Numbers) -> Float:
@@ -305,29 +295,11 @@ def _trend(number: Numbers) -> Float:
     return np.stack([np.ones(x.shape), x, y, x * x, y * y, x * y], axis=-1)
 
 
-def _squares(a: Numbers, b: Numbers) -> Float:
-    """Return the squared distances of all pairs, (A, B)."""
+def _cubes(a: Numbers, b: Numbers) -> Float:
+    """Return the cubed distances of all pairs, (A, B)."""
     x, y = np.subtract.outer(a.real, b.real), np.subtract.outer(a.imag, b.imag)
     x *= x
     y *= y
     x += y
+    x *= np.sqrt(x)
     return x
-
-
-def _cubes(a: Numbers, b: Numbers) -> Float:
-    """Return the cubed distances of all pairs, (A, B)."""
-    squares = _squares(a, b)
-    squares *= np.sqrt(squares)
-    return squares
-
-
-def _cell_of(z: Numbers, number: Numbers) -> float:
-    """Return the median distance of neighbours in a part, px."""
-    order = np.lexsort((number.real, number.imag))
-    step = np.diff(number[order])
-    beside = np.abs(step - 1) < ROUNDED
-    lengths = np.abs(np.diff(z[order]))[beside]
-    order = np.lexsort((number.imag, number.real))
-    beside = np.abs(np.diff(number[order]) - 1j) < ROUNDED
-    lengths = np.concatenate([lengths, np.abs(np.diff(z[order]))[beside]])
-    return float(np.median(lengths)) if len(lengths) else 1.0

@@ -63,7 +63,6 @@ def launches(plan: "LatticePlan") -> list[Launch]:
             **plan.levels,
             circle=plan.constant(circle()),
             radius=np.float32(k.contrast_radius_px),
-            least_contrast=np.int32(k.least_contrast),
             **directed,
         ),
         plan.one_group("fill_bins", **corners, rows=rows, columns=columns, **bins),

@@ -10,23 +10,22 @@ from cmp_cl.opencl.launches import Launch
 if TYPE_CHECKING:
     from cmp_cl.lattice.plan import LatticePlan
 
-PARTS, LAYOUT = 11, 12  # in the layout, see kernels/lattice.clh: the parts; numbers in all
+PARTS, LAYOUT = 7, 8  # in the layout, see kernels/lattice.clh: the parts; numbers in all
 ANY = 2**31 - 1  # number of parts
 ROUNDS = 12  # times that nodes are looked for, three less than the margin in kernels/nodes.cl
-TILES = 8  # places for each tile, at least: a board has margins
-MARKS = ("changed", "fresh", "moved", "near", "wide", "stale", "asking")  # of tiles
+LISTS = 8  # of places, see `settle_nodes`
 
 
 def sizes(plan: "LatticePlan") -> dict[str, int]:
     """Return the bytes of the buffers."""
     places, corners = plan.places, plan.capacity
-    names = ("owner", "cell", "score", "candidate", "key", "listed", "asked")
+    names = ("owner", "cell", "score", "candidate", "key", "listed", "asked", "marks")
     four = dict.fromkeys(names, 4 * places)
     eight = dict.fromkeys(("seen", "at", "result", "sides", "cells", "found"), 8 * places)
     return {
         **four,
         **eight,
-        **dict.fromkeys(MARKS, places // TILES),
+        "lists": 4 * LISTS * places,
         "layout": 4 * LAYOUT,
         "predictions": 16 * places,
         "torn": places,
@@ -81,7 +80,7 @@ def lay(plan: "LatticePlan", most_parts: int) -> list[Launch]:
             **some("layout"),
             **nodes,
             **claims,
-            **some("tried", "changed", "stale"),
+            **some("tried", "marks"),
         ),
         plan.of_places("blend_nodes", **nats, **some("layout", "seen", "torn"), **positions),
         plan.of_places("measure_nodes", **image, **nats, **some("layout", "at"), **measures),
@@ -107,7 +106,8 @@ def lay(plan: "LatticePlan", most_parts: int) -> list[Launch]:
             **scores,
             **some("candidate", "found", "key", "listed", "asked"),
             **claims,
-            **some(*MARKS),
+            **some("marks", "lists"),
+            places=np.int32(plan.places),
         ),
     ]
 
@@ -118,7 +118,7 @@ def nats(plan: "LatticePlan") -> NDArray[np.float32]:
     firm = 0.5 / k.firm_sd_cells**2
     return np.array(
         [
-            *(k.side_depth_cells, k.side_depth_px, 1 / len(k.side_points), k.least_contrast),
+            *(k.side_depth_cells, k.side_depth_px, 1 / len(k.side_points)),
             k.cell_depth,
             k.rough_weight_per_px2,
             *(k.side_nats, k.cells_nats, k.prior_nats),

@@ -200,7 +200,7 @@ def _of_ends(
     total = np.zeros(len(first))
     beyond = (there[0] - (first + here[0]), first + here[1] - there[1])  # lines, outwards
     for n, lines in zip((side, side + 1), beyond, strict=True):
-        unlike = abs(now.reach[n] - rest.reach[n]) > k.parallel_cells
+        unlike = abs(now.reach[n] - rest.reach[n]) > k.border_step_cells
         unlike |= abs(now.past[n] - rest.past[n]) > k.passing
         same = -k.end_nats / 2 if unlike else 0.0
         if rest.ends[n] and now.follows[n]:
@@ -209,7 +209,7 @@ def _of_ends(
             same = -nats_now[n]
         fewer = -nats_now[n]
         if now.room[n] and not (now.ends[n] or now.follows[n]):
-            fewer = -k.place_nats / 2
+            fewer = -k.end_nats / 2
         total += np.where(lines == 0, same, np.where(lines > 0, -nats_rest[n], fewer))
     return total
 
@@ -250,11 +250,11 @@ def _places(
         total = 0.0
         for n, beyond in ((side, -start), (side + 1, start + lines - size)):
             if beyond > 0:
-                total -= k.place_nats * beyond
+                total -= k.end_nats * beyond
             elif beyond < 0 and not border.follows[n]:
-                total -= nats[n] if border.ends[n] else k.place_nats * bool(border.room[n])
+                total -= nats[n] if border.ends[n] else k.end_nats * bool(border.room[n])
             elif beyond == 0 and border.follows[n]:
-                total -= k.place_nats
+                total -= k.end_nats
         places.append((start - begin, total))
     return places
 
@@ -272,7 +272,7 @@ def full_lines(there: Mask) -> tuple[int, int, int, int]:
     ends = []
     for axis in (1, 0):
         count = np.count_nonzero(there, axis=axis)
-        full = np.flatnonzero(count >= max(float(np.median(count[count > 0])) / 4, 1))
+        full = np.flatnonzero(count)
         ends += [int(full[0]), int(full[-1])]
     return ends[0], ends[1], ends[2], ends[3]
 

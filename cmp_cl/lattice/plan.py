@@ -156,8 +156,8 @@ class LatticePlan(Binder):
         whole = self.dtype == np.uint8 and self.full_scale == 255
         k = self.constants
         shares = ("CUBIC_WEIGHT", "MIDDLE_WEIGHT", "CELL_WEIGHT", "BEYOND_WEIGHT")
-        cells = ("FAR_CELL", "NEAR_CELL", "FAR_SIGHT", "NEAR_SIGHT", "STEP_OF_LEVELS")
-        values = *k.prediction_weights, *k.beyond_cells, *k.sight_cells, k.border_step_cells
+        cells = ("FAR_CELL", "NEAR_CELL", "STEP_OF_LEVELS")
+        values = *k.prediction_weights, *k.beyond_cells, k.border_step_cells
         return {
             **{name: f"{value}f" for name, value in zip(shares + cells, values, strict=True)},
             "PIXEL": "uchar" if self.dtype == np.uint8 else "ushort",
@@ -353,7 +353,7 @@ class LatticePlan(Binder):
             owner=owner[:count].reshape(shape),
             torn=rough[:count].reshape(shape),
             sign=int(found[borders.SIGN]),
-            border=Border.of(found),
+            border=Border.of(found, self.constants),
         )
         return layout, board.turned(borders.upright(found))
 

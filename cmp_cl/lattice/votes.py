@@ -47,13 +47,11 @@ def launches(plan: "LatticePlan", room: int) -> list[Launch]:
 
 
 def ways(plan: "LatticePlan") -> NDArray[np.float32]:
-    """Return what a way of so many steps must have, (span, 7), see kernels/votes.cl."""
+    """Return what a way of so many steps must have, (span, 5), see kernels/votes.cl."""
     k = plan.constants
     rows = [
         [
             k.least_cosine,
-            0.5 * m,
-            1.5 * m + 0.2,
             1 / m,
             2 / (len(k.side_points) * m),
             k.least_side,
@@ -69,7 +67,9 @@ def votes(plan: "LatticePlan", units: Units) -> Votes:
     rim = np.flatnonzero(units.rim)
     found = np.zeros((0, FIELDS), np.int32)
     if len(rim) and units.part[rim[0]] < units.part[rim[-1]]:
-        rims = np.stack([units.corner[rim], units.part[rim]], axis=1).astype(np.int32)
+        part = units.part[rim]
+        after = np.searchsorted(part, part, side="right")
+        rims = np.stack([units.corner[rim], after], axis=1).astype(np.int32)
         found = _found(plan, rims, ROOM * len(rims))
     first, second, _, _, steps, weight = found.T
     order = np.lexsort((second, first, steps))

@@ -32,7 +32,7 @@ def assert_equal_to_the_oracle(plan, board, image):
     plan.write("node_owner", board.owner.astype(np.int32))
     plan.enqueue(plan.measure)
     found = plan.read("border", np.int32)
-    border, sides = Border.of(found), Sides(board, image, K)
+    border, sides = Border.of(found, K), Sides(board, image, K)
     assert found[CONTRAST:].tolist() == sides.found()
     np.testing.assert_array_equal(border.ends, sides.reach != UNSEEN)
     return border

@@ -16,7 +16,7 @@ from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.reference.lattice.parts import F, Mask, Real, Whole
 
 PAIRS = 16  # pairs of neighbouring squares of a side that are read
-DEPTHS = np.array([F(0.1) * F(n) for n in range(3, 15)])  # cells, where the last squares may end
+DEPTHS = range(2, 10)  # steps, where the last squares may end
 Positions = tuple[Real, Real]  # x, y, px, NaN where missing
 
 
@@ -70,7 +70,7 @@ class Sides:
     """What is seen at the sides of a board, (4,) each: top, bottom, left, right.
 
     room: most places of a further line lie in the image. follows: cells follow. reach: of the last
-    squares beyond the last nodes, 0.25 cells and as many of 0.05 / 4096 more, UNSEEN where the
+    squares beyond the last nodes, 1.5 steps and as many of .5 / 4096 more, UNSEEN where the
     pattern is not seen to end. past: the sum of three levels beyond the line of a border, past the
     pattern, less that of three within, UNSEEN where that is not seen. contrast: that of the
     pattern. steps: sums of the steps to the next column, x and y, and to the next row, 1/32 px.
@@ -158,44 +158,40 @@ class Sides:
             return tuple((middle[n][both] + depth * out[n][both]) + spot * along[n][both]
                          for n in (0, 1))  # fmt: skip
 
-        sight, cells = ([F(v) for v in each] for each in (self.k.sight_cells, self.k.beyond_cells))
-        seen = [self._in_view(*at(depth, F(0))).all(axis=1) for depth in sight]
+        cells = [F(each) for each in self.k.beyond_cells]
+        seen = [self._in_view(*at(depth, F(0))).all(axis=1) for depth in cells]
         near = bool(2 * np.count_nonzero(seen[0]) < asked)
         both = both[seen[near]]
         if not len(both) or 2 * len(both) < asked:
             return False, UNSEEN
-        depths = [F(-0.5), cells[near], *DEPTHS]
-        spots = [F(self.k.border_step_cells) * F(n) for n in (-1, 0, 1)]
+        step = F(self.k.border_step_cells)
+        depths = [F(-0.5), cells[near], *(step * F(n) for n in DEPTHS)]
+        spots = [step * F(n) for n in (-1, 0, 1)]
         level = np.array([sum(self._grey(*at(d, spot)) for spot in spots) for d in depths])
         inside, beyond = (abs(int((level[n, :, 0] - level[n, :, 1]).sum())) for n in (0, 1))
         change = int(np.abs(level[0] - level[1]).sum())
         follows = bool(F(change) < F(2) * F(self.k.passing) * F(inside))
-        if not F(beyond) < F(self.k.end_share) * F(inside):
+        if not F(beyond) < F(self.k.passing) * F(inside):
             return follows, UNSEEN
         return follows, self._common(np.abs(level[..., 0] - level[..., 1]), x.shape[1])
 
     def _common(self, contrast: Whole, length: int) -> int:
         """Return the median reach of pairs of squares, doubled, if they reach equally far.
 
-        contrast: (depths, pairs). Three of four must be near the median, and the medians of both
-        halves near each other. A single pair of a longer side shows nothing.
+        contrast: (depths, pairs). The medians of both halves may differ by a step. A single pair
+        of a longer side shows nothing.
         """
         count = contrast.shape[1]
         if count < max(min(2, length - 2), 1):
             return UNSEEN
         inside = np.maximum(contrast[0], 1)
-        share = np.zeros((len(DEPTHS) + 4, count), np.int64)
-        share[2:-2] = np.minimum(contrast[2:], inside) * WHOLE // inside
-        around = np.minimum(
-            np.maximum(share[:-4], share[1:-3]), np.maximum(share[3:-1], share[4:])
-        )  # where black and white change places
-        reach = np.maximum(share[2:-2], around).sum(axis=0)
-        limit = int(self.k.parallel_cells / 0.05 * WHOLE)
-        common = _doubled_median(reach)
-        part = count // 2 if count // 2 > 2 else count
-        off = np.sort(np.abs(2 * reach - common))[(3 * count - 1) // 4]
+        share = np.zeros((len(DEPTHS) + 2, count), np.int64)
+        share[1:-1] = np.minimum(contrast[2:], inside) * WHOLE // inside
+        around = np.minimum(share[:-2], share[2:])  # where black and white change places
+        reach = np.maximum(share[1:-1], around).sum(axis=0)
+        part = (count + 1) // 2
         apart = abs(_doubled_median(reach[:part]) - _doubled_median(reach[-part:]))
-        return common if max(off, apart) <= limit else UNSEEN
+        return _doubled_median(reach) if apart <= 2 * WHOLE else UNSEEN
 
     def _levels_of_a_row(self) -> Whole:
         """Return the levels in the middles of the cells of the middle row, in order."""
@@ -214,9 +210,9 @@ class Sides:
                 [a[0, end] - b for a, b in ((x, x[at]), (y, y[at]))]
                 for at in ((1, end), (0, inner))
             )
-            across, ahead = (F(0.25) + F(each) * F(0.05 / WHOLE) for each in (reach, other))
             levels = []
             step = F(self.k.border_step_cells)
+            across, ahead = (step * (F(1.5) + F(each) * F(0.5 / WHOLE)) for each in (reach, other))
             for aside in (F(-2) * step, F(2) * step):
                 on = [ahead + step * F(2 * n) for n in (1, 2, 3)]
                 px, py = (

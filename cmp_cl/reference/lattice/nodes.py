@@ -219,7 +219,7 @@ def evidence(
         filled = np.nan_to_num(x), np.nan_to_num(y)
         quality = cells_at(plane, *filled, steps, parity, k)[0]
     known = there & steps.known
-    share = _usual(np.where(known, contrast, 0), known, k.least_contrast)
+    share = _usual(np.where(known, contrast, 0), known)
 
     if new is None:
         right, down = side_sums(plane, x, y, parity, k)
@@ -260,7 +260,7 @@ def evidence(
     )
 
 
-def _usual(contrast: Whole, there: Mask, least: int) -> Real:
+def _usual(contrast: Whole, there: Mask) -> Real:
     """Return one over the mean contrast of the nodes within 5 x 5, (R, C)."""
     total, many = np.zeros(contrast.shape, np.int64), np.zeros(contrast.shape, np.int64)
     for i in range(-2, 3):
@@ -268,7 +268,7 @@ def _usual(contrast: Whole, there: Mask, least: int) -> Real:
             total = total + shifted(contrast, i, j, 0)
             many = many + shifted(there.astype(np.int64), i, j, 0)
     many = np.maximum(many, 1)
-    total = np.maximum(total, least * many)
+    total = np.maximum(total, many)
     return (2 * many).astype(np.float32) * inverse(total.astype(np.float32))
 
 

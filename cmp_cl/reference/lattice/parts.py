@@ -134,7 +134,7 @@ def directed(
     radius = F(constants.contrast_radius_px)
     level = read(plane, x[:, None] + radius * across, y[:, None] + radius * down)
     contrast = level[:, 1] + level[:, 3] - level[:, 0] - level[:, 2]
-    contrast = np.maximum(contrast, constants.least_contrast)
+    contrast = np.maximum(contrast, 1)
     return Directed(x=x, y=y, angle=angle, contrast=contrast, placed=placed, known=known)
 
 

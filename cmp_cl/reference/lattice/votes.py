@@ -67,7 +67,7 @@ def votes(
     for m in range(1, k.span + 1):
         cosine = k.least_cosine
         good = (along > F(cosine) * length) & ((s + t - m) % 2 == 0)
-        good &= (length > F(0.5 * m) * mean) & (length < F(1.5 * m + 0.2) * mean)
+        good &= np.abs(length - F(m) * mean) < mean
         n = np.flatnonzero(good)
         part_x, part_y = dx[n] * F(1 / m), dy[n] * F(1 / m)
         square = np.maximum(part_x * part_x + part_y * part_y, F(1))
