@@ -98,16 +98,6 @@ def test_modules_do_not_import_each_other_in_a_circle():
     assert left == {}
 
 
-def test_every_kernel_file_has_the_oracle_that_its_readme_names():
-    kernels = Path(__file__).resolve().parents[1] / "kernels"
-    readme = (kernels / "README.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| \*\*(?:cpu/)?(\w+)\.cl\*\*.*\|([^|]*)\|$", readme, flags=re.MULTILINE)
-    assert {name for name, _ in rows} == {path.stem for path in kernels.rglob("*.cl")}
-    for _, oracles in rows:
-        for oracle in set(re.findall(r"`([\w/]+)`", oracles)):
-            assert (ROOT / "reference" / f"{oracle}.py").is_file(), oracle
-
-
 def test_nothing_but_tests_and_benches_imports_the_oracle():
     importing = {
         name

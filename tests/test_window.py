@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from stereo_data import gel, grid_of, toed_in_rig
+from stereo_data import bisected, gel, grid_of, toed_in_rig
 
 from cmp_cl import CalibrationError, StereoRig, Window, build_grid, detect
 from cmp_cl.motion import displacement
-from cmp_cl.reference.field import space as oracle
 from cmp_cl.space import Bias, PointStatus
 from cmp_cl.space.triangulation import undistort
 from cmp_cl.synthetic import Scene, default_rig, render_stereo
@@ -26,16 +25,6 @@ def rig_behind(window, **changes):
 
 def centres(rig):
     return np.zeros(3), -rig.R.T @ rig.T
-
-
-def bisected(window):
-    thickness, index = np.array([*window.layers, (0.0, window.index)]).T
-    return oracle.Window(
-        normal=window.normal,
-        distance=window.distance,
-        thickness=thickness[:-1],
-        index=index,
-    )
 
 
 def numeric(function, count=3, step=1e-5):

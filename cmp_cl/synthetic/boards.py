@@ -5,7 +5,7 @@ board reach a cell beyond its nodes. A camera is the map from pixels (x, y) to t
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -217,53 +217,9 @@ def _worn(u: Array, v: Array, wear: float, sheet: int) -> tuple[Array, Array]:
     return u + off[..., 0], v + off[..., 1]
 
 
-def squares(
-    size: tuple[int, int], seed: int | np.random.Generator, wide: tuple[float, float] = (14, 26)
-) -> Image:
-    """Return a turned floor of squares, (H, W) grey levels. wide: their sides, px."""
-    draw = np.random.default_rng(seed)
-    y, x = np.indices(size).astype(float)
-    turn, side = np.exp(1j * draw.uniform(0.2, 0.6)), draw.uniform(*wide)
-    u, v = x * turn.real + y * turn.imag, y * turn.real - x * turn.imag
-    return np.where((np.floor(u / side) + np.floor(v / side)) % 2 == 0, 190.0, 70.0)
-
-
-def bars(
-    size: tuple[int, int], seed: int | np.random.Generator, wide: tuple[float, float] = (4, 14)
-) -> Image:
-    """Return shelves of books, (H, W) grey levels. wide: their backs, px."""
-    draw, level = np.random.default_rng(seed), np.full(size, 80.0)
-    for top in range(0, size[0], 50):
-        left = 0
-        while left < size[1]:
-            end = left + int(draw.uniform(*wide))
-            level[top : top + 45, left:end] = draw.uniform(20, 240)
-            left = end
-    return level
-
-
-def blocks(size: tuple[int, int], seed: int | np.random.Generator, side: int = 6) -> Image:
-    """Return random blocks, (H, W) grey levels. side: px."""
-    rough = size[0] // side + 1, size[1] // side + 1
-    level: Image = np.random.default_rng(seed).uniform(20, 235, rough)
-    return np.kron(level, np.ones((side, side)))[: size[0], : size[1]]
-
-
-# other views
-
-
 def gel(scene: Scene) -> View:
     """Return the view of a rendered gel."""
     shot = render(scene)
     number = np.indices(shot.truth.shape[:2]).transpose(1, 2, 0)
     corners = np.concatenate([shot.truth, number], axis=2).reshape(-1, 4)
     return View(shot.image, corners, shot.truth.shape[:2], shot.cell, scene.bits)
-
-
-def cut(view: View, box: tuple[float, float, float, float]) -> View:
-    """Return a part of a view; box: left, top, right, bottom, as shares of the image."""
-    rows, columns = view.image.shape
-    x0, y0, x1, y1 = np.rint(np.multiply(box, (columns, rows, columns, rows))).astype(int).tolist()
-    corners = view.corners - np.array([x0, y0, 0, 0])
-    part: Any = np.ascontiguousarray(view.image[y0:y1, x0:x1])
-    return view._replace(image=part, corners=corners[inside(corners, part.shape)])

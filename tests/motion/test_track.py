@@ -2,13 +2,14 @@
 
 import dataclasses
 
-import cv2
 import numpy as np
 import pyopencl as cl
 import pytest
+from lattices import keep
+from stereo_data import grid_of
 
 from cmp_cl import Corners, Detector, DetectorConfig
-from cmp_cl.grid.grid import Grid, NodeStatus, Sides
+from cmp_cl.grid.grid import NodeStatus, Sides
 from cmp_cl.motion.memory import Memory
 from cmp_cl.motion.nodes import put
 from cmp_cl.motion.track import Tracker, colour_of
@@ -28,7 +29,6 @@ from cmp_cl.synthetic import boards
 SIZE = 420, 460
 CELL = 17.0
 ROOM = 1024  # corners of a view
-FIELDS = ("xy", "pixel", "response", "method", "refusal", "sigma", "edges", "doubtful")
 
 
 def lattice(rows, columns, *, turn=0.05, bend=2.0, at=(40.0, 50.0)):
@@ -39,16 +39,9 @@ def lattice(rows, columns, *, turn=0.05, bend=2.0, at=(40.0, 50.0)):
     return flat @ rotation + wave + np.array(at)
 
 
-def grid_of(xy):
-    rows, columns = xy.shape[:2]
-    index = np.stack(np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"), axis=2)
-    return Grid(
-        xy=xy.astype(np.float32),
-        status=np.full((rows, columns), NodeStatus.DETECTED, np.uint8),
-        image_sigma=np.full((rows, columns), 0.03, np.float32),
-        index=index.reshape(-1, 2).astype(np.int32),
-        border=Sides(True, True, True, True),
-    )
+def whole(xy):
+    """Return the grid of a whole board with nodes there."""
+    return dataclasses.replace(grid_of(xy, 0.03), border=Sides(True, True, True, True))
 
 
 def corners_at(xy, *, turn=0.05, torn=()):
@@ -72,12 +65,9 @@ def corners_at(xy, *, turn=0.05, torn=()):
     )
 
 
-def some(corners, kept):
-    return dataclasses.replace(corners, **{name: getattr(corners, name)[kept] for name in FIELDS})
-
-
 def joined(one, other):
-    both = {name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in FIELDS}
+    names = [name for name, values in vars(one).items() if isinstance(values, np.ndarray)]
+    both = {name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in names}
     return dataclasses.replace(one, **both)
 
 
@@ -115,7 +105,7 @@ def tracker_of(device):
         programs = programs_of(device.handle)
         queue = cl.CommandQueue(programs.context)
         frame = Memory(queue, Tracker.layout(len(rests), rests[0].shape[:2]))
-        views = [(grid_of(xy), corners_at(xy)) for xy in rests]
+        views = [(whole(xy), corners_at(xy)) for xy in rests]
         tracker = Tracker(
             queue,
             programs,
@@ -156,7 +146,7 @@ def test_nodes_are_those_of_the_oracle(tracker_of):
     rng = np.random.default_rng(2)
     rest = lattice(13, 15)
     follow, _ = tracker_of(rest, rest)
-    colour = colour_of(grid_of(rest), corners_at(rest))
+    colour = colour_of(whole(rest), corners_at(rest))
     before = [rest, rest]
     nodes = [rest, rest]
     for frame in range(6):
@@ -172,7 +162,7 @@ def test_nodes_are_those_of_the_oracle(tracker_of):
             edges[[30, 31], 0] += np.pi / 2  # the other colour
             edges[40] = np.nan
             corners = dataclasses.replace(corners, edges=edges)
-            found.append(some(corners, rng.random(len(corners)) > 0.02))
+            found.append(keep(corners, rng.random(len(corners)) > 0.02))
         numbers, arrays = follow(*found)
         for view in range(2):
             expected = oracle.track(before[view], nodes[view], records(found[view]), colour)
@@ -227,9 +217,9 @@ def test_random_jumps_are_refused_or_numbered_right(tracker_of):
             xy = pushed(rest, rest[rng.integers(18), rng.integers(22)], push, width)
         truth = np.arange(rest[..., 0].size)
         kept = rng.random(truth.size) > (0, 0.02, 0.05)[trial % 3]
-        corners = some(corners_at(xy, turn=0.05 - turn), kept)
+        corners = keep(corners_at(xy, turn=0.05 - turn), kept)
         false = lattice(3, 3, at=rng.uniform(0, 300, 2))  # corners of something else
-        other = some(corners_at(false, turn=rng.uniform(0, 3)), np.arange(9) < 9 * (trial % 2))
+        other = keep(corners_at(false, turn=rng.uniform(0, 3)), np.arange(9) < 9 * (trial % 2))
         (found,), arrays = follow(joined(corners, other))
         if not found.holds(rest.shape[:2]):
             refused += 1
@@ -248,7 +238,8 @@ def test_random_jumps_are_refused_or_numbered_right(tracker_of):
 
 def test_nodes_without_a_corner_are_looked_at_again(device):
     rest, inside = lattice(9, 11, bend=0.0), [(2, 3), (6, 6)]
-    picture = drawn_at(rest)
+    camera = boards.plane(cell=CELL, middle=(40, 50), turn=np.degrees(0.05))
+    picture = boards.drawn(camera, SIZE, (9, 11), blur=0.8, noise=1.5, count=4).image
     y, x = np.indices(SIZE)
     free = np.ones(SIZE, np.bool_)
     for node in inside:
@@ -287,12 +278,3 @@ def test_nodes_without_a_corner_are_looked_at_again(device):
     again[tuple(zip(*inside, strict=True))] = True
     np.testing.assert_array_equal(status == NodeStatus.SECOND_LOOK, again)
     np.testing.assert_allclose(nodes, grid.xy, rtol=0, atol=0.05)
-
-
-def drawn_at(xy):
-    """Return a picture of a checkerboard whose nodes (R, C, 2), evenly spaced, are there."""
-    rows, columns = xy.shape[:2]
-    places = np.indices((rows, columns)).transpose(1, 2, 0).reshape(-1, 2)
-    matrix = cv2.findHomography(xy.reshape(-1, 2), places[:, ::-1].astype(float))[0]
-    camera = boards.homography(np.linalg.inv(matrix))
-    return boards.drawn(camera, SIZE, (rows, columns), blur=0.8, noise=1.5, count=4).image

@@ -16,13 +16,9 @@ from cmp_cl.synthetic import Indenter, random_scene
 from cmp_cl.synthetic.boards import (
     Camera,
     View,
-    bars,
-    blocks,
-    cut,
     drawn,
     inside,
     plane,
-    squares,
 )
 from cmp_cl.synthetic.boards import gel as rendered
 
@@ -50,6 +46,33 @@ def fisheye(
         return u + about[0], v + about[1]
 
     return to_cells
+
+
+def squares(size: tuple[int, int], seed: int) -> Array:
+    """Return a turned floor of squares, (H, W) grey levels."""
+    draw = np.random.default_rng(seed)
+    y, x = np.indices(size).astype(float)
+    turn, wide = np.exp(1j * draw.uniform(0.2, 0.6)), draw.uniform(14, 26)
+    u, v = x * turn.real + y * turn.imag, y * turn.real - x * turn.imag
+    return np.where((np.floor(u / wide) + np.floor(v / wide)) % 2 == 0, 190.0, 70.0)
+
+
+def bars(size: tuple[int, int], seed: int) -> Array:
+    """Return shelves of books, (H, W) grey levels."""
+    draw, level = np.random.default_rng(seed), np.full(size, 80.0)
+    for top in range(0, size[0], 50):
+        left = 0
+        while left < size[1]:
+            end = left + int(draw.uniform(4, 14))
+            level[top : top + 45, left:end] = draw.uniform(20, 240)
+            left = end
+    return level
+
+
+def blocks(size: tuple[int, int], seed: int) -> Array:
+    """Return random blocks of 6 px, (H, W) grey levels."""
+    rough = np.random.default_rng(seed).uniform(20, 235, (size[0] // 6 + 1, size[1] // 6 + 1))
+    return np.kron(rough, np.ones((6, 6)))[: size[0], : size[1]]
 
 
 def gravel(size: tuple[int, int], seed: int, grain: float = 1.8) -> Array:
@@ -83,6 +106,15 @@ def gel(markers: int = 24, size: tuple[int, int] = (300, 400), **given: object) 
 
 
 # changes of a view
+
+
+def cut(view: View, box: tuple[float, float, float, float]) -> View:
+    """Return a part of a view; box: left, top, right, bottom, as shares of the image."""
+    rows, columns = view.image.shape
+    x0, y0, x1, y1 = np.rint(np.multiply(box, (columns, rows, columns, rows))).astype(int).tolist()
+    image = np.ascontiguousarray(view.image[y0:y1, x0:x1])
+    corners = view.corners - np.array([x0, y0, 0, 0])
+    return view._replace(image=image, corners=corners[inside(corners, image.shape)])
 
 
 def turned(view: View, quarters: int) -> View:
