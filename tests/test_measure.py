@@ -16,7 +16,7 @@ from cmp_cl import GridError, StereoRig, measure, select_device
 from cmp_cl.measure.views import View
 from cmp_cl.media import read_frames
 from cmp_cl.opencl.device import DeviceKind
-from cmp_cl.synthetic import render_stereo
+from cmp_cl.synthetic import boards, render_stereo
 
 FILM = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.6, 0.6)  # a press that ends, and one at once
 
@@ -219,10 +219,8 @@ def test_a_pattern_is_found_without_its_cell():
 
 def moved_by(cells: float) -> np.ndarray:
     """Return a checkerboard of cells of 12 px that goes on beyond all edges, (180, 200) uint8."""
-    y, x = (np.indices((180 * 3, 200 * 3)) + 0.5) / 3 + np.array([4, 3]).reshape(2, 1, 1)
-    black = (np.floor(x / 12 - cells) + np.floor(y / 12 - cells / 2)) % 2 == 0
-    level = np.where(black, 40.0, 210.0).reshape(180, 3, 200, 3).mean(axis=(1, 3))
-    return np.rint(level + np.random.default_rng(3).normal(0, 2, level.shape)).astype(np.uint8)
+    camera = boards.plane(cell=12, middle=(4 + 12 * cells, 3 + 6 * cells))
+    return boards.drawn(camera, (180, 200), count=3).image
 
 
 def shifts_of(frames: list[float | None], *, track: bool) -> tuple[list[float], list[bool]]:

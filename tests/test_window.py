@@ -13,7 +13,6 @@ from stereo_data import bisected, gel, grid_of, toed_in_rig
 from cmp_cl import CalibrationError, StereoRig, Window, build_grid, detect
 from cmp_cl.motion import displacement
 from cmp_cl.space import Bias, PointStatus
-from cmp_cl.space.triangulation import undistort
 from cmp_cl.synthetic import Scene, default_rig, render_stereo
 
 GEL = Window((0.02, -0.03, 1.0), 20.0, ((5.0, 1.49),), 1.41)
@@ -21,10 +20,6 @@ GEL = Window((0.02, -0.03, 1.0), 20.0, ((5.0, 1.49),), 1.41)
 
 def rig_behind(window, **changes):
     return dataclasses.replace(toed_in_rig(), window=window, **changes)
-
-
-def centres(rig):
-    return np.zeros(3), -rig.R.T @ rig.T
 
 
 def numeric(function, count=3, step=1e-5):
@@ -61,19 +56,6 @@ def test_a_point_on_the_ray_of_a_pixel_is_seen_at_that_pixel(window, angle, azim
     ):
         off = np.cross(seen - centre, ray) / np.linalg.norm(seen - centre)
         assert 1000 * np.linalg.norm(off) < 1e-6
-
-
-def test_pixel_ray_point_pixel_ends_where_it_began():
-    rig = rig_behind(GEL)
-    pixels = np.stack(np.meshgrid(np.linspace(0, 799, 9), np.linspace(0, 1199, 9)), -1)
-    pixels = pixels.reshape(-1, 2)
-    for side, (matrix, distortion, turn) in enumerate(
-        ((rig.K1, rig.D1, np.eye(3)), (rig.K2, rig.D2, rig.R))
-    ):
-        ideal, _ = undistort(pixels, matrix, distortion)
-        rays = np.column_stack([ideal, np.ones(len(ideal))]) @ turn
-        at, ahead = GEL.refracted(centres(rig)[side], rays)
-        np.testing.assert_allclose(rig.project(at + 17 * ahead)[side], pixels, rtol=0, atol=1e-6)
 
 
 def test_points_behind_a_window_are_found_and_their_sigma_is_that_of_the_errors():
