@@ -18,7 +18,7 @@ from cmp_cl.space.calibration.adjustment import (
     root_mean_square,
 )
 from cmp_cl.space.calibration.alone import Alone, calibrate_alone
-from cmp_cl.space.calibration.placing import place, pose_of, vector_of
+from cmp_cl.space.calibration.placing import Seen, place, pose_of, vector_of
 from cmp_cl.space.lens import (
     POSE,
     Lens,
@@ -166,19 +166,17 @@ def calibrate(
     seen, alike = _different(views)
     if free_board:
         seen = _numbered_alike(seen)
-    board = _board_of(seen)
-    alone = {name: _alone(name, each, board, sizes[name], lens) for name, each in seen.items()}
+    board, names = _board_of(seen), list(views)
+    alone = {name: _alone(name, seen, board, sizes[name], lens) for name in names}
     places = place(alone, seen)
     seen, board = places.grids, _board_of(places.grids)
     moments = {moment: number for number, moment in enumerate(sorted(places.boards))}
-    looks = {
-        (name, moment): _look(grid, board, camera, moments[moment])
-        for camera, (name, each) in enumerate(seen.items())
-        for moment, grid in each.items()
-    }
-    every = list(looks.values())
+    every = [
+        _look(grid, board, names.index(name), moments[moment])
+        for (name, moment), grid in seen.items()
+    ]
     state = State(
-        np.array([np.r_[alone[n].camera[:-POSE], vector_of(places.cameras[n])] for n in seen]),
+        np.array([np.r_[alone[n].camera[:-POSE], vector_of(places.cameras[n])] for n in names]),
         np.array([vector_of(places.boards[moment]) for moment in moments]),
         board.reshape(-1, 3),
     )
@@ -190,15 +188,14 @@ def calibrate(
         scale /= _mean_side(state, every, board.shape)
     factor = np.ones(state.cameras.shape)
     factor[:, -3:] = scale  # the translations
-    cameras, unknown = state.cameras * factor, unknowns(lens, len(seen))
+    cameras, unknown = state.cameras * factor, unknowns(lens, len(names))
     deviation = np.full(unknown.shape, np.nan)
     if cov is not None:
         cov = cov * np.outer(factor[unknown], factor[unknown])
         deviation[unknown] = np.sqrt(np.diag(cov))
     residual: dict[str, list[Array | None]] = {n: [None] * len(each) for n, each in views.items()}
-    for (name, moment), look in looks.items():
-        valid = seen[name][moment].valid
-        residual[name][moment] = spread(valid, residuals(lens, look, state))
+    for ((name, moment), grid), look in zip(seen.items(), every, strict=True):
+        residual[name][moment] = spread(grid.valid, residuals(lens, look, state))
     normals = np.full((max(map(len, views.values())), 3), np.nan)
     normals[list(moments)] = [pose_of(pose)[:3, 2] for pose in state.poses]
     return Calibration(
@@ -212,15 +209,17 @@ def calibrate(
                 T=camera[-3:],
                 unit=unit,
             )
-            for name, camera in zip(seen, cameras, strict=True)
+            for name, camera in zip(names, cameras, strict=True)
         },
-        grids={n: [seen[n].get(moment) for moment in range(len(views[n]))] for n in seen},
+        grids={n: [seen.get((n, moment)) for moment in range(len(views[n]))] for n in names},
         residuals=residual,
         normals=normals,
         alike=alike,
-        focal_sigma={name: float(row[:2].max()) for name, row in zip(seen, deviation, strict=True)},
+        focal_sigma={
+            name: float(row[:2].max()) for name, row in zip(names, deviation, strict=True)
+        },
         board=state.board.reshape(board.shape) * scale if free_board else None,
-        covariance=cov if lens is Lens.PINHOLE and len(seen) == 2 else None,
+        covariance=cov if lens is Lens.PINHOLE and len(names) == 2 else None,
     )
 
 
@@ -252,36 +251,36 @@ def _large(grid: Grid) -> bool:
     return bool(len(rows) >= MIN_NODES and np.ptp(rows) > 0 and np.ptp(columns) > 0)
 
 
-def _different(
-    views: Mapping[str, Sequence[Grid | None]],
-) -> tuple[dict[str, dict[int, Grid]], list[list[int]]]:
-    """Return the grids that bring something new, by camera and moment, and the groups of at least
-    two moments whose views are alike in each camera, of which the first is taken.
+def _different(views: Mapping[str, Sequence[Grid | None]]) -> tuple[Seen, list[list[int]]]:
+    """Return the grids that bring something new, and the groups of at least two moments whose views
+    are alike in each camera, of which the first is taken.
 
     Raises CalibrationError if a camera has too few of them.
     """
     large = {
-        name: {m: grid for m, grid in enumerate(each) if grid is not None and _large(grid)}
+        (name, moment): grid
         for name, each in views.items()
+        for moment, grid in enumerate(each)
+        if grid is not None and _large(grid)
     }
     groups: list[list[int]] = []
-    for moment in sorted({moment for each in large.values() for moment in each}):
+    for moment in sorted({moment for _, moment in large}):
         for group in groups:
-            both = [each for each in large.values() if moment in each and group[0] in each]
-            if both and all(_same(each[group[0]], each[moment]) for each in both):
+            both = [n for n in views if (n, moment) in large and (n, group[0]) in large]
+            if both and all(_same(large[name, group[0]], large[name, moment]) for name in both):
                 group.append(moment)
                 break
         else:
             groups.append([moment])
     first = {group[0] for group in groups}
-    seen = {name: {m: each[m] for m in each if m in first} for name, each in large.items()}
-    for name, each in seen.items():
-        copies = len(large[name]) - len(each)
-        others = f"; {copies} more show the same: move and tilt the board between views"
-        if len(each) < MIN_VIEWS:
+    seen = {key: grid for key, grid in large.items() if key[1] in first}
+    for name in views:
+        count, copies = (sum(key[0] == name for key in each) for each in (seen, large))
+        others = f"; {copies - count} more show the same: move and tilt the board between views"
+        if count < MIN_VIEWS:
             raise CalibrationError(
                 f"{name}: {MIN_VIEWS} different views with at least {MIN_NODES} corners are "
-                f"needed, better 10, not {len(each)}{others if copies else ''}"
+                f"needed, better 10, not {count}{others if copies > count else ''}"
             )
     return seen, [group for group in groups if len(group) > 1]
 
@@ -300,14 +299,13 @@ def _same(one: Grid, other: Grid) -> bool:
     return False
 
 
-def _numbered_alike(seen: Mapping[str, Mapping[int, Grid]]) -> dict[str, dict[int, Grid]]:
+def _numbered_alike(seen: Seen) -> Seen:
     """Return the grids of a free board with equal indices for the same node.
 
     If a half turn exchanges black and white, the colours show which way up the board is. Raises
     CalibrationError if the grids have different rows or columns, or there are too few moments.
     """
-    every = [grid for each in seen.values() for grid in each.values()]
-    moments = len({moment for each in seen.values() for moment in each})
+    every, moments = list(seen.values()), len({moment for _, moment in seen})
     if moments < _FREE_VIEWS:
         raise CalibrationError(
             f"{moments} views of a free board, at least {_FREE_VIEWS} are needed"
@@ -317,21 +315,17 @@ def _numbered_alike(seen: Mapping[str, Mapping[int, Grid]]) -> dict[str, dict[in
         raise CalibrationError(f"the views of a free board must be numbered alike, not {extents}")
     decided = sum(every[0].shape) % 2
     return {
-        name: {
-            moment: grid.turned(2 if decided and grid.parity != every[0].parity else 0)
-            for moment, grid in each.items()
-        }
-        for name, each in seen.items()
+        key: grid.turned(2 if decided and grid.parity != every[0].parity else 0)
+        for key, grid in seen.items()
     }
 
 
-def _board_of(seen: Mapping[str, Mapping[int, Grid]]) -> Array:
+def _board_of(seen: Seen) -> Array:
     """Return a flat board (R, C, 3) that holds all nodes of the grids; its squares have side 1.
 
     OpenCV's calibrations stop too early where the numbers of a length are large.
     """
-    shapes = [grid.shape for each in seen.values() for grid in each.values()]
-    row, column = np.indices(np.max(shapes, axis=0))
+    row, column = np.indices(np.max([grid.shape for grid in seen.values()], axis=0))
     return np.stack([column, row, np.zeros(row.shape)], axis=-1).astype(np.float64)
 
 
@@ -341,11 +335,9 @@ def _look(grid: Grid, board: Array, camera: int, moment: int) -> Look:
     return Look(camera, moment, nodes, grid.xy[grid.valid].astype(np.float64))
 
 
-def _alone(
-    name: str, seen: Mapping[int, Grid], board: Array, size: tuple[int, int], lens: Lens
-) -> Alone:
+def _alone(name: str, seen: Seen, board: Array, size: tuple[int, int], lens: Lens) -> Alone:
     """Calibrate one camera alone; errors name it."""
-    looks = [_look(grid, board, 0, moment) for moment, grid in seen.items()]
+    looks = [_look(grid, board, 0, key[1]) for key, grid in seen.items() if key[0] == name]
     try:
         return calibrate_alone(lens, looks, board.reshape(-1, 3), size)
     except CalibrationError as error:

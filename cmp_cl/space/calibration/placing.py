@@ -1,7 +1,7 @@
 """Where the cameras of a rig stand, from the board that two of them see at one moment."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -12,6 +12,7 @@ from cmp_cl.grid.grid import Grid
 from cmp_cl.space.calibration.alone import Alone
 
 Array = NDArray[np.float64]
+Seen: TypeAlias = dict[tuple[str, int], Grid]  # by camera and moment
 
 _ODD = 5.0  # a moment fits badly if it is off by this many times the median of all
 
@@ -20,17 +21,17 @@ class Places(NamedTuple):
     """Where cameras and boards are.
 
     cameras: by name, (4, 4), from the first camera's frame to that one's. boards: by moment,
-    (4, 4), from the board to the first camera's frame. grids: by name and moment, turned to the
+    (4, 4), from the board to the first camera's frame. grids: turned to the
     numbers of the first camera that sees the board. odd: moments that fit the others badly.
     """
 
     cameras: dict[str, Array]
     boards: dict[int, Array]
-    grids: dict[str, dict[int, Grid]]
+    grids: Seen
     odd: list[int]
 
 
-def place(alone: Mapping[str, Alone], grids: Mapping[str, Mapping[int, Grid]]) -> Places:
+def place(alone: Mapping[str, Alone], grids: Seen) -> Places:
     """Place all cameras relative to the first one, the one with the most known boards next.
 
     A camera may be rolled, so its grid may be numbered from another corner of the board. Each turn
@@ -42,8 +43,8 @@ def place(alone: Mapping[str, Alone], grids: Mapping[str, Mapping[int, Grid]]) -
     first, *waiting = alone
     cameras = {first: np.eye(4)}
     boards = {moment: pose_of(pose) for moment, pose in alone[first].poses.items()}
-    numbered = dict(grids[first])
-    turned = {first: numbered.copy()}
+    numbered = {moment: grids[first, moment] for moment in boards}
+    turned = grids.copy()
     odd: set[int] = set()
     while waiting:
         name = max(waiting, key=lambda each: len(boards.keys() & alone[each].poses.keys()))
@@ -52,7 +53,7 @@ def place(alone: Mapping[str, Alone], grids: Mapping[str, Mapping[int, Grid]]) -
         common = sorted(boards.keys() & poses.keys())
         if not common:
             raise CalibrationError(f"{name}: no moment shows the board in another camera as well")
-        turns = {each: _turns(numbered[each], grids[name][each]) for each in common}
+        turns = {each: _turns(numbered[each], grids[name, each]) for each in common}
         options = {
             moment: [
                 (quarter, poses[moment] @ turn @ np.linalg.inv(boards[moment]))
@@ -67,11 +68,11 @@ def place(alone: Mapping[str, Alone], grids: Mapping[str, Mapping[int, Grid]]) -
             )
         cameras[name], chosen, bad = _agreed(options)
         odd.update(bad)
-        turned[name] = {m: grid.turned(chosen.get(m, 0)) for m, grid in grids[name].items()}
+        turned |= {(name, m): grids[name, m].turned(quarters) for m, quarters in chosen.items()}
         for moment in poses.keys() - boards.keys():
             boards[moment] = np.linalg.inv(cameras[name]) @ poses[moment]
-            numbered[moment] = grids[name][moment]
-    return Places(cameras, boards, {name: turned[name] for name in alone}, sorted(odd))
+            numbered[moment] = grids[name, moment]
+    return Places(cameras, boards, turned, sorted(odd))
 
 
 def _turns(one: Grid, other: Grid) -> list[tuple[int, Array]]:
