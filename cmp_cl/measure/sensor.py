@@ -14,12 +14,11 @@ import numpy as np
 
 from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError, ImageError, check_kind
-from cmp_cl.field import DisplacementField
+from cmp_cl.field.field import frame_of_pytac3d
 from cmp_cl.image import GreyImage
 from cmp_cl.measure.measured import Measured
 from cmp_cl.measure.two_views import TwoViews
 from cmp_cl.media.cameras import Source
-from cmp_cl.points import PointStatus
 from cmp_cl.series import SeriesWriter, read_series
 from cmp_cl.space import BinocularSplit, StereoRig
 
@@ -30,7 +29,12 @@ Callback = Callable[[Frame, Any], object]
 class _Loop(Closing):
     """Frames of a thread, of which the newest few wait to be taken."""
 
-    def __init__(self, recvCallback: Callback | None, maxQSize: int, callbackParam: Any) -> None:
+    def __init__(
+        self,
+        recvCallback: Callback | None = None,
+        maxQSize: int = 5,
+        callbackParam: Any = None,
+    ) -> None:
         check_kind("maxQSize", maxQSize, int, ConfigError)
         if maxQSize < 1:
             raise ConfigError(f"maxQSize must be 1 or more, not {maxQSize}")
@@ -168,20 +172,13 @@ class Sensor(_Loop):
             self._path = path
 
     @staticmethod
-    def replay(
-        path: str | PathLike[str],
-        *,
-        serial: str = "",
-        recvCallback: Callback | None = None,
-        maxQSize: int = 5,
-        callbackParam: Any = None,
-    ) -> "Replay":
+    def replay(path: str | PathLike[str], *, serial: str = "", **settings: Any) -> "Replay":
         """Return a sensor that gives the frames of a series, .npz or .h5, at their times.
 
-        The other arguments are those of `Sensor`. Raises FieldError if the file is no series in
-        space.
+        settings: recvCallback, maxQSize and callbackParam. Raises FieldError if the file is no
+        series in space.
         """
-        return Replay(path, serial, recvCallback, maxQSize, callbackParam)
+        return Replay(path, serial, **settings)
 
     def close(self) -> None:
         """End the loop, complete the series, and release the device."""
@@ -233,15 +230,8 @@ class Sensor(_Loop):
 class Replay(_Loop):
     """Gives the frames of a recorded series as a `Sensor` does, see `Sensor.replay`."""
 
-    def __init__(
-        self,
-        path: str | PathLike[str],
-        serial: str,
-        recvCallback: Callback | None,
-        maxQSize: int,
-        callbackParam: Any,
-    ) -> None:
-        super().__init__(recvCallback, maxQSize, callbackParam)
+    def __init__(self, path: str | PathLike[str], serial: str, **settings: Any) -> None:
+        super().__init__(**settings)
         self._serial = serial
         self._series = read_series(path, ("rest", "displacement", "time_ms", "unit"))
         if (
@@ -259,25 +249,14 @@ class Replay(_Loop):
         ):
             if np.isfinite(time_ms):
                 self._closed.wait(max(0.0, start + float(time_ms) / 1e3 - time.monotonic()))
-            field = _field_of(series["rest"], moved, str(series["unit"]))
-            seconds = float(time_ms) / 1e3
-            yield field.as_pytac3d(serial=self._serial, index=int(index), time_s=seconds)
-
-
-def _field_of(rest: Any, moved: Any, unit: str) -> DisplacementField:
-    """Return the field of a frame of a series; its covariances are unknown."""
-    known = np.isfinite(moved).all(axis=2)
-    status = np.where(known, PointStatus.VALID, PointStatus.MISSING).astype(np.uint8)
-    unknown = np.full((*known.shape, 3, 3), np.nan)
-    return DisplacementField(
-        position=np.where(known[..., None], rest, np.nan),
-        displacement=moved,
-        covariance=unknown,
-        position_covariance=unknown,
-        status=status,
-        source=np.zeros(known.shape, np.uint8),
-        unit=unit,
-    )
+            yield frame_of_pytac3d(
+                series["rest"],
+                moved,
+                str(series["unit"]),
+                serial=self._serial,
+                index=int(index),
+                time_s=float(time_ms) / 1e3,
+            )
 
 
 def pytac3d(source: str, rig: StereoRig | str | PathLike[str], **settings: Any) -> SimpleNamespace:
