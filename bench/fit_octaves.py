@@ -30,8 +30,10 @@ class Settings(NamedTuple):
         octave_wide: least response of the ring of 8 px, one in that many; 0 leaves it out.
         octave_share: as share, in octaves. apart: px of the octave. one: whether all octaves have
         one reference. strong: least response that needs no neighbours, 1/128 of the reference; 0
-        leaves the check out. around: px. opposed: neighbours that suffice; with as many times
-        `askew` of them. cosine: least one of opposed directions. seen: px of octave 1.
+        leaves the check out. around: px. aligned: neighbours opposed or alike that suffice; `askew`
+        times as many opposed as askew are needed. cosine: least one of opposed directions. seen:
+        px of octave 1. noisy: how many strong maxima one weak lone one outweighs, and how many of
+        these a weak one with neighbours does; 0 asks the weak alone.
     """
 
     share: int = 24
@@ -42,10 +44,11 @@ class Settings(NamedTuple):
     one: bool = True
     strong: int = 64
     around: int = 24
-    opposed: int = 3
+    aligned: int = 7
     askew: float = 2
     cosine: float = 0.816
     seen: float = 1.5
+    noisy: int = 8
 
 
 class Maxima(NamedTuple):
@@ -116,8 +119,13 @@ def decided(board: Listed, chosen: Settings) -> np.ndarray:
     level = level or harmonic.reference(fine.response)
     fine = fine.of(128 * fine.response >= (5 * chosen.share + 1) // 3 * level)
     every = Maxima(*map(np.concatenate, zip(frame, fine, strict=True)))
-    xy = frame.xy[~lone(frame, every, board, chosen, level)]
-    xy = far(fine.xy[~lone(fine, every, board, chosen, level)], xy, RADIUS)
+    weak, fine_weak = (128 * each.response < chosen.strong * level for each in (frame, fine))
+    alone = lone(frame, weak, every, board, chosen, level)
+    outweighed = np.count_nonzero(~weak) + chosen.noisy**2 * np.count_nonzero(weak & ~alone)
+    noisy = chosen.noisy * np.count_nonzero(alone) > outweighed
+    xy = frame.xy[~lone(frame, weak | noisy, every, board, chosen, level)]
+    fine_lone = lone(fine, fine_weak | noisy, every, board, chosen, level)
+    xy = far(fine.xy[~fine_lone], xy, RADIUS)
     for n, octave in enumerate(board.octaves[1:], 1):
         least = chosen.octave_share * (level if chosen.one else references[n])
         strong = 128 * octave.response >= least
@@ -126,14 +134,21 @@ def decided(board: Listed, chosen: Settings) -> np.ndarray:
     return xy
 
 
-def lone(maxima: Maxima, every: Maxima, board: Listed, chosen: Settings, level: int) -> np.ndarray:
-    """Return which maxima of the frame are weak, and neither alternate nor are seen in octave 1."""
+def lone(
+    maxima: Maxima,
+    asked: np.ndarray,
+    every: Maxima,
+    board: Listed,
+    chosen: Settings,
+    level: int,
+) -> np.ndarray:
+    """Return which maxima are asked, and neither alternate nor are seen in octave 1."""
     found = np.zeros(len(maxima.xy), np.bool_)
     if not chosen.strong or len(board.octaves) < 2:
         return found
     half = board.octaves[1]
-    half = half.of(128 * half.response >= chosen.share * level)
-    for n in np.flatnonzero(128 * maxima.response < chosen.strong * level):
+    half = half.of((128 * half.response >= chosen.share * level) & (4 * half.wide >= half.response))
+    for n in np.flatnonzero(asked):
         apart = np.abs(every.xy - maxima.xy[n]).max(axis=1)
         near = every.direction[(apart > RADIUS) & (apart <= chosen.around)]
         cosine = (near * np.conj(maxima.direction[n])).real
@@ -141,7 +156,7 @@ def lone(maxima: Maxima, every: Maxima, board: Listed, chosen: Settings, level: 
         askew = np.count_nonzero(np.abs(cosine) < chosen.cosine)
         beside = np.abs(half.xy - maxima.xy[n]).max(axis=1) <= 2 * chosen.seen
         found[n] = opposed < chosen.askew * askew
-        found[n] |= opposed < chosen.opposed and not beside.any()
+        found[n] |= len(near) - askew < chosen.aligned and not beside.any()
     return found
 
 
@@ -163,7 +178,8 @@ VARIED = [
     {"one": False},
     *({"strong": n} for n in (0, 32, 48, 96, 128)),
     *({"around": n} for n in (16, 20, 32)),
-    *({"opposed": n} for n in (2, 4)),
+    *({"aligned": n} for n in (4, 5, 6, 8)),
+    *({"noisy": n} for n in (0, 4, 16)),
     *({"askew": n} for n in (0.5, 1, 3)),
     *({"cosine": n} for n in (0.71, 0.89, 0.95)),
     *({"seen": n} for n in (1, 1.5, 3)),

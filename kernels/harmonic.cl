@@ -264,6 +264,7 @@ __kernel void clear_maxima(const uint rows, const uint step, SEEN_ARGUMENT
 typedef struct {
   int bound[2]; /* the least responses that the noise allows */
   int kind, reference;
+  int noisy; /* of octave 1: above 0 if the frame is noise, see ask_weak */
 } Decision;
 
 int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
@@ -371,7 +372,7 @@ bool is_candidate(const Decision decision, const bool fine, const int r, const i
 
 #if OCTAVES
 
-/* Mark the maxima of octave 1. One work-item per maximum. */
+/* Mark the maxima of octave 1 to which the wide ring responds. One work-item per maximum. */
 __kernel void see_octave(__global const int *restrict lists, __global const uint *restrict counts,
                          __global const Decision *restrict found, const uint rows,
                          const uint step, const uint capacity, const int coarse_share,
@@ -379,17 +380,18 @@ __kernel void see_octave(__global const int *restrict lists, __global const uint
   OF_FRAME
   ENTRY(KIND_OF_OCTAVE(1))
   const int r = entry[2 * capacity];
-  if (r <= DECISION(p, octave).bound[0] || 128 * r < coarse_share * DECISION(p, 0).reference) return;
+  if (!(entry[3 * capacity] & CLEAN) || r <= DECISION(p, octave).bound[0]) return;
+  if (128 * r < coarse_share * DECISION(p, 0).reference) return;
   atomic_or(seen + word, 1u << x % 32);
 }
 
-/* Count the maxima of the frame around one of them. Others may mark theirs as KEPT meanwhile, which
- * changes no bit that is read here. */
+/* Count the maxima of the frame around one of them. Others may mark theirs as KEPT meanwhile, or no
+ * longer, which changes no bit that is read here. */
 Around around_maximum(__global const int *lists, __global const uint *counts, const size_t p,
                       const Decision decision, __global const int *entry, const uint capacity,
                       const int coarse_share, const int fine_share) {
   const int x = entry[0], y = entry[capacity], own = entry[3 * capacity];
-  Around around = {0, 0};
+  Around around = {0, 0, 0};
   for (int fine = 0; fine <= FINE; ++fine) {
     __global const int *list = LIST_OF(fine);
     const uint count = min(counts[LIST(fine)], capacity);
@@ -402,18 +404,17 @@ Around around_maximum(__global const int *lists, __global const uint *counts, co
       const int to_other = facing(DIRECTION_X(own), DIRECTION_Y(own), DIRECTION_X(marks),
                                   DIRECTION_Y(marks));
       around.opposed += to_other < 0;
+      around.aligned += to_other != 0;
       around.askew += to_other == 0;
     }
   }
   return around;
 }
 
-/* A corner of the frame is strong, or not lone. A maximum of octave 1 is seen within 1 px of the
- * pixel of that octave. */
+/* A maximum of octave 1 is seen within 1 px of the pixel of that octave. */
 bool is_lone(__global const int *lists, __global const uint *counts, __global const uint *seen,
              const size_t p, const Decision decision, __global const int *entry, const uint rows,
              const uint step, const uint capacity, const int coarse_share, const int fine_share) {
-  if (2 * entry[2 * capacity] >= decision.reference) return false;
   const Around around =
       around_maximum(lists, counts, p, decision, entry, capacity, coarse_share, fine_share);
   const int x = (PAD + entry[0]) & ~1, y = entry[capacity] & ~1;
@@ -421,13 +422,29 @@ bool is_lone(__global const int *lists, __global const uint *counts, __global co
 }
 #define IS_LONE                                                                     \
   is_lone(lists, counts, seen, p, decision, entry, rows, step, capacity, coarse_share, fine_share)
-#else
-#define IS_LONE false
+#define IS_WEAK (2 * r < decision.reference)
+
+/* Keep the coarse candidates, but for weak ones that are lone. A frame is noise to its strongest
+ * maxima if these outweigh the rest: one of them 8 strong ones, one weak with neighbours 8 of them.
+ * One work-item per maximum. */
+__kernel void ask_weak(__global int *lists, __global const uint *restrict counts,
+                       __global Decision *found, const uint rows, const uint step,
+                       const uint capacity, const int coarse_share, const int fine_share,
+                       __global const uint *restrict seen) {
+  OF_FRAME
+  ENTRY(0)
+  const Decision decision = DECISION(p, 0);
+  const int r = entry[2 * capacity], marks = entry[3 * capacity];
+  if (!is_candidate(decision, false, r, marks, coarse_share, fine_share)) return;
+  const bool lone = IS_WEAK && IS_LONE;
+  atomic_add(&DECISION(p, 1).noisy, lone ? 8 : IS_WEAK ? -64 : -1);
+  if (!lone) entry[3 * capacity] |= KEPT;
+}
 #endif
 
 /* Keep the coarse corners: their response is above the noise bound and not below a share of the
- * reference, or half of that share if it is clean, and they are not lone. Each marks the window
- * around it as taken. One work-item per maximum. */
+ * reference, or half of that share if it is clean, and they are not lone. Strong ones are asked in
+ * noisy frames alone. Each marks the window around it as taken. One work-item per maximum. */
 __kernel void keep_coarse(__global int *lists, __global const uint *restrict counts,
                           __global const Decision *restrict found, const uint rows,
                           const uint step, const uint capacity, const int coarse_share,
@@ -437,8 +454,16 @@ __kernel void keep_coarse(__global int *lists, __global const uint *restrict cou
   ENTRY(0)
   const Decision decision = DECISION(p, 0);
   const int r = entry[2 * capacity], marks = entry[3 * capacity];
-  if (!is_candidate(decision, false, r, marks, coarse_share, fine_share) || IS_LONE) return;
+#if OCTAVES
+  if (!(marks & KEPT)) return;
+  if (DECISION(p, 1).noisy > 0 && !IS_WEAK && IS_LONE) {
+    entry[3 * capacity] &= ~KEPT;
+    return;
+  }
+#else
+  if (!is_candidate(decision, false, r, marks, coarse_share, fine_share)) return;
   entry[3 * capacity] |= KEPT;
+#endif
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);
   const int left = x - NMS_RADIUS;
@@ -464,7 +489,10 @@ __kernel void keep_fine(__global int *lists, __global const uint *restrict count
   const Decision decision = DECISION(p, 0);
   const int r = entry[2 * capacity], marks = entry[3 * capacity];
   if (taken[word] >> x % 32 & 1) return;
-  if (!is_candidate(decision, true, r, marks, coarse_share, fine_share) || IS_LONE) return;
+  if (!is_candidate(decision, true, r, marks, coarse_share, fine_share)) return;
+#if OCTAVES
+  if ((DECISION(p, 1).noisy > 0 || IS_WEAK) && IS_LONE) return;
+#endif
   entry[3 * capacity] |= KEPT;
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);

@@ -35,7 +35,8 @@ OCTAVE_SHARE = 48  # least response of a corner of a halved frame, 1/128 of the 
 OCTAVE_APART = 5  # px of the halved frame: nearer to a corner found before it is that corner
 STRONG = 2  # a response of half the reference needs nothing beside it
 NEIGHBOURS = 24  # px in x and y: the corners of narrower cells have neighbours in there
-OPPOSED = 3  # of them suffice
+ALIGNED = 7  # of them that are opposed or alike suffice
+NOISY = 8  # strong candidates outweigh one that is weak and lone, one weak with neighbours as many
 SEEN = 1  # px of the frame halved once
 UNIT = 15  # of a direction, about
 
@@ -140,17 +141,15 @@ def corners(
         direction = direction_of(harmonics(frame.once, y, x, FINE))
         rings.append((Candidates(x, y, fine_response[y, x], direction), fine_response))
     every = Candidates(*map(np.concatenate, zip(*(found for found, _ in rings), strict=True)))
+    lone = [np.zeros(len(each.x), np.bool_) for each, _ in rings]
+    if len(octaves) > 1:
+        lone = lone_ones([each for each, _ in rings], every, octaves[1], rule, nms_radius, level)
 
     kept = np.zeros(image.shape, np.bool_)
     found = []
     for is_fine, (each, response) in enumerate(rings):
         free = nms.largest_within(kept.astype(np.int64), nms_radius)[each.y, each.x] == 0
-        if len(octaves) > 1:
-            weak = free & (STRONG * each.response < level)
-            asked = Candidates(*(of[weak] for of in each))
-            opposed, askew = around(asked, every, nms_radius)
-            seen = is_seen(asked, octaves[1], rule, level)
-            free[weak] = (opposed >= 2 * askew) & (seen | (opposed >= OPPOSED))
+        free &= ~lone[is_fine]
         x, y = each.x[free], each.y[free]
         kept[y, x] = True
         found.append((x, y, frame, response, bool(is_fine)))
@@ -258,18 +257,53 @@ def candidates(frame: Octave, rule: RingHarmonic, level: int) -> Candidates:
 def of_octave(octave: Octave, level: int) -> NDArray[np.bool_]:
     """Return (N,): the maxima of a halved frame that are at least a share of the reference, and to
     which the ring of 8 px responds at least a quarter as much."""
-    response = octave.levels()
-    strong: NDArray[np.bool_] = 128 * response >= OCTAVE_SHARE * level
-    return strong & (4 * wide_response(octave) >= response)
+    strong: NDArray[np.bool_] = 128 * octave.levels() >= OCTAVE_SHARE * level
+    return strong & is_wide(octave)
+
+
+def is_wide(octave: Octave) -> NDArray[np.bool_]:
+    """Return (N,): whether the ring of 8 px responds at least a quarter as much to a maximum of a
+    halved frame."""
+    wide: NDArray[np.bool_] = 4 * wide_response(octave) >= octave.levels()
+    return wide
+
+
+def lone_ones(
+    rings: list[Candidates],
+    every: Candidates,
+    half: Octave,
+    rule: RingHarmonic,
+    nms_radius: int,
+    level: int,
+) -> list[NDArray[np.bool_]]:
+    """Return (N,) for each ring: which candidates are lone.
+
+    The weak ones are asked. If of those of the 5 px ring far more are lone than not, and these are
+    not few beside the strong ones, the frame is noise to its strongest maxima, and all are asked.
+    """
+
+    def lone_among(candidates: Candidates, asked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        lone = asked.copy()
+        some = Candidates(*(of[asked] for of in candidates))
+        opposed, aligned, askew = around(some, every, nms_radius)
+        seen = is_seen(some, half, rule, level)
+        lone[asked] = (opposed < 2 * askew) | ((aligned < ALIGNED) & ~seen)
+        return lone
+
+    weak = [STRONG * each.response < level for each in rings]
+    lone = np.count_nonzero(lone_among(rings[0], weak[0]))
+    strong, known = np.count_nonzero(~weak[0]), np.count_nonzero(weak[0]) - lone
+    noisy = NOISY * lone > strong + NOISY**2 * known
+    return [lone_among(each, asked | noisy) for each, asked in zip(rings, weak, strict=True)]
 
 
 def is_seen(asked: Candidates, half: Octave, rule: RingHarmonic, level: int) -> NDArray[np.bool_]:
-    """Return (N,): whether the halved frame has a maximum within SEEN of the pixel that a candidate
-    lies in, in both axes.
+    """Return (N,): whether the halved frame has a maximum, to which the ring of 8 px responds too,
+    within SEEN of the pixel that a candidate lies in, in both axes.
 
     There, noise is weaker, and independent of that of the frame; the corners of wide cells stay.
     """
-    there = 128 * half.levels() >= rule.coarse_share * level
+    there = (128 * half.levels() >= rule.coarse_share * level) & is_wide(half)
     apart_x = np.abs((asked.x[:, None] >> 1) - half.x[there])
     apart_y = np.abs((asked.y[:, None] >> 1) - half.y[there])
     seen: NDArray[np.bool_] = (np.maximum(apart_x, apart_y) <= SEEN).any(axis=1)
@@ -284,17 +318,18 @@ def direction_of(seen: Harmonics) -> Whole:
 
 
 def around(asked: Candidates, every: Candidates, nms_radius: int) -> Whole:
-    """Return (2, N): how many of the candidates around one are opposed to it, and how many askew.
+    """Return (3, N): how many of the candidates around one are opposed to it, how many are opposed
+    or alike, and how many askew.
 
     Those of a checkerboard are opposed or alike; those of noise have any direction.
     """
-    found = np.zeros((2, len(asked.x)), np.int64)
+    found = np.zeros((3, len(asked.x)), np.int64)
     for n, (x, y, _, direction) in enumerate(zip(*asked, strict=True)):
         apart = np.maximum(np.abs(every.x - x), np.abs(every.y - y))
         near = every.direction[(apart > nms_radius) & (apart <= NEIGHBOURS)]
         along = near @ direction
         askew = 3 * along**2 < 2 * (direction @ direction) * (near**2).sum(axis=1)
-        found[:, n] = (~askew & (along < 0)).sum(), askew.sum()
+        found[:, n] = (~askew & (along < 0)).sum(), (~askew).sum(), askew.sum()
     return found
 
 

@@ -409,7 +409,8 @@ int is_marked(__global const uint *marks, const int x, const int y, const int be
   return 0;
 }
 
-/* Mark the maxima of octave 1 that are above a bound and at least a share of the reference. */
+/* Mark the maxima of octave 1 that are above a bound and at least a share of the reference, and to
+ * which the wide ring responds. */
 void mark_octave(const Octave octave, __global const int *lists, __global const uint2 *spans,
                  const uint bands, const uint capacity, const int bound, const int least,
                  __global uint *marks) {
@@ -419,7 +420,7 @@ void mark_octave(const Octave octave, __global const int *lists, __global const 
     __global const int *list = LIST_OF(band, kind);
     for (uint k = 0; k < SMALLER(SPAN_OF(band, kind).y, capacity); ++k) {
       const int r = list[2 * capacity + k], x = PAD + list[k];
-      if (r <= bound || 128 * r < least) continue;
+      if (!(list[3 * capacity + k] & CLEAN) || r <= bound || 128 * r < least) continue;
       marks[(uint)list[capacity + k] * width + x / 32] |= 1u << x % 32;
     }
   }
@@ -430,15 +431,16 @@ ROW_LOOP Around count_around(__global const int *restrict columns, __global cons
                              __global const int *restrict marks, const uint count, const int x,
                              const int y, const int own) {
   const int own_x = DIRECTION_X(own), own_y = DIRECTION_Y(own);
-  int opposed = 0, askew = 0;
+  int opposed = 0, aligned = 0, askew = 0;
   for (uint n = 0; n < count; ++n) {
     const int across = MAGNITUDE_OF(columns[n] - x), down = MAGNITUDE_OF(rows[n] - y);
     const int near = (across <= AROUND) & ((across > NMS_RADIUS) | (down > NMS_RADIUS));
     const int to_other = facing(own_x, own_y, DIRECTION_X(marks[n]), DIRECTION_Y(marks[n]));
     opposed += near & (to_other < 0);
+    aligned += near & (to_other != 0);
     askew += near & (to_other == 0);
   }
-  const Around around = {opposed, askew};
+  const Around around = {opposed, aligned, askew};
   return around;
 }
 
@@ -453,11 +455,11 @@ uint first_from(__global const int *rows, const uint count, const int y) {
   return first;
 }
 
-/* Whether a weak maximum of the frame is lone. `marks` holds the maxima of octave 1. */
+/* Whether a maximum of the frame is lone. `marks` holds the maxima of octave 1. */
 int is_lone(__global const int *lists, __global const uint2 *spans, const uint bands,
             const uint capacity, const int x, const int y, const int own,
             __global const uint *marks, const Octave smaller) {
-  Around around = {0, 0};
+  Around around = {0, 0, 0};
   for (uint kind = 0; kind <= FINE; ++kind)
     for (uint band = 0; band < bands; ++band) {
       __global const int *list = LIST_OF(band, kind), *rows = list + capacity;
@@ -466,15 +468,31 @@ int is_lone(__global const int *lists, __global const uint2 *spans, const uint b
       const Around here = count_around(list + first, rows + first, list + 3 * capacity + first,
                                        end - first, x, y, own);
       around.opposed += here.opposed;
+      around.aligned += here.aligned;
       around.askew += here.askew;
     }
   return IS_LONE_IN(
       around, is_marked(marks, x >> 1, y >> 1, 1, 1, (int)smaller.rows - 1, smaller.step / 32));
 }
-#define IS_LONE(list, n)                                                            \
-  (2 * list[2 * capacity + (n)] < reference &&                                      \
-   is_lone(lists, spans, bands, capacity, list[n], list[capacity + (n)],            \
-           list[3 * capacity + (n)], marks, smaller))
+
+/* Mark the lone ones of the weak maxima of a kind, or of the strong ones. Return by how much they
+ * outweigh the rest: one of them 8 strong ones, one weak with neighbours 8 of them. */
+int mark_lone(__global int *lists, __global const uint2 *spans, const uint kind, const int weak,
+               const uint bands, const uint capacity, const int reference,
+               __global const uint *marks, const Octave smaller) {
+  int noisy = 0;
+  for (uint band = 0; band < bands; ++band) {
+    __global int *list = LIST_OF(band, kind);
+    for (uint n = 0; n < SPAN_OF(band, kind).y; ++n) {
+      const int x = list[n], y = list[capacity + n], own = list[3 * capacity + n];
+      const int asked = (2 * list[2 * capacity + n] < reference) == weak && !(own & LONE);
+      const int lone = asked && is_lone(lists, spans, bands, capacity, x, y, own, marks, smaller);
+      noisy += lone ? 8 : asked ? -64 : -1;
+      if (lone) list[3 * capacity + n] |= LONE;
+    }
+  }
+  return noisy;
+}
 
 /* Add the corners of octave n to those of the frame and of the octaves before. Return how many
  * there are then. `marks` has room for the bits of the octave. */
@@ -607,29 +625,31 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
   const Octave smaller = octave_of(1, rows, columns, step, 1);
   mark_octave(smaller, lists, spans, bands_of(1, rows, bands), capacity, bounds[1],
               coarse_share * reference, marks);
-#else
-#define IS_LONE(list, n) 0
+#define MARK_LONE(kind, weak)                                                       \
+  mark_lone(lists, spans, kind, weak, bands, capacity, reference, marks, smaller)
+  const int noisy = MARK_LONE(0, 1) > 0; /* to its strongest maxima */
+  if (noisy) MARK_LONE(0, 0);
 #endif
 #if FINE
   for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
-#endif
   for (uint band = 0; band < bands; ++band) {
-    __global int *list = LIST_OF(band, 0);
+    __global const int *list = LIST_OF(band, 0);
     for (uint n = 0; n < SPAN_OF(band, 0).y; ++n) {
       const uint x = (uint)list[n] + PAD;
-      if (IS_LONE(list, n)) list[3 * capacity + n] |= LONE;
-#if FINE
-      else maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
-#endif
+      if (list[3 * capacity + n] & LONE) continue;
+      maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
     }
   }
-#if FINE
   for (uint band = 0; band < bands; ++band) {
     __global int *list = LIST_OF(band, 1);
     for (uint n = 0; n < SPAN_OF(band, 1).y; ++n)
-      if (any_near(maxima, list[n] + PAD, list[capacity + n], (int)rows, width) || IS_LONE(list, n))
+      if (any_near(maxima, list[n] + PAD, list[capacity + n], (int)rows, width))
         list[3 * capacity + n] |= LONE;
   }
+#if OCTAVES
+  MARK_LONE(1, 1);
+  if (noisy) MARK_LONE(1, 0);
+#endif
 #endif
   for (uint kind = 0; kind <= FINE; ++kind) remove_lone(lists, spans, kind, bands, capacity);
   for (uint band = 0; band < bands; ++band) {
