@@ -2,7 +2,6 @@
 
 import argparse
 import itertools
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,7 +25,7 @@ from cmp_cl.cli.arguments import (
     views_of,
     whole,
 )
-from cmp_cl.cli.messages import Progress, counted, one_line, shown
+from cmp_cl.cli.messages import Progress, counted, one_line, shown, tell
 from cmp_cl.cli.window import add_window, through_window, window_files
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
 from cmp_cl.grid import Grid
@@ -156,7 +155,7 @@ def run(arguments: argparse.Namespace) -> int:
     except CalibrationError as error:
         raise CalibrationError(_explained(error, files, boards.left_out)) from error
     for line in boards.left_out:
-        print(f"cmp-cl: left out {line}", file=sys.stderr)
+        tell(f"left out {line}")
     window, covariance = None, found.covariance
     if arguments.window is not None:
         rig = through_window(
@@ -176,7 +175,7 @@ def run(arguments: argparse.Namespace) -> int:
     except ConfigError as error:  # matplotlib is not installed
         if arguments.picture is not None:
             raise
-        print(f"cmp-cl: no picture: {one_line(error)}", file=sys.stderr)
+        tell(f"no picture: {one_line(error)}")
     _report(found, files, arguments)
     print(f"wrote {', '.join(map(shown, written))}; corners found on {device}")
     return 0

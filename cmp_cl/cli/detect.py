@@ -6,11 +6,10 @@ import functools
 import itertools
 import os
 import statistics
-import sys
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,8 +109,7 @@ def run(arguments: argparse.Namespace) -> int:
                         found.overlays.append(name)
             except ImageError as error:
                 found.failures.append(one_line(error))
-            for stream, line in found.lines(hint=not hinted):
-                progress.say(line, stream)
+            found.report(progress, hint=not hinted)
             hinted = hinted or bool(found.dark)
             failed = failed or bool(found.failures)
         if table is not None and failed and not rows:  # an error keeps an older table
@@ -238,28 +236,27 @@ class _Found:
         """What to do about pixels of 16 bits that seem to be of fewer, as text; "" if none do."""
         return of_few_bits(np.uint16, self.brightest) if self.full_scale is None else ""
 
-    def lines(self, *, hint: bool) -> Iterator[tuple[TextIO, str]]:
-        """Yield the lines about the file, each with its stream; hint: about a dark image too."""
+    def report(self, progress: Progress, *, hint: bool) -> None:
+        """Print the lines about the file; hint: about a dark image too."""
         name = shown(self.path)
-        refused = [f"{name}: {_listed(self.refused, 'not numbered')}"] if self.refused else []
-        self.failures += refused
+        if self.refused:
+            self.failures.append(f"{name}: {_listed(self.refused, 'not numbered')}")
         for failure in self.failures:
-            yield sys.stderr, f"cmp-cl: {failure}"
+            progress.tell(failure)
         if not self.corners:
             return
         if self.broken:
-            yield sys.stderr, f"cmp-cl: {name}: {_listed(self.broken, 'left out')}"
-        yield sys.stdout, f"{name}: {self._counts()}"
+            progress.tell(f"{name}: {_listed(self.broken, 'left out')}")
+        progress.say(f"{name}: {self._counts()}")
         if self.full_scale is not None and self.brightest > self.full_scale:
-            yield (
-                sys.stderr,
-                f"cmp-cl: {name}: the brightest pixel is {self.brightest}, above the full scale of "
-                f"{self.full_scale}: such pixels all look alike",
+            progress.tell(
+                f"{name}: the brightest pixel is {self.brightest}, above the full scale of "
+                f"{self.full_scale}: such pixels all look alike"
             )
         if self.advice and not self.dark:
-            yield sys.stderr, f"cmp-cl: {name}: {self.advice}"
+            progress.tell(f"{name}: {self.advice}")
         if hint and self.dark:
-            yield sys.stderr, f"cmp-cl: {name}: {in_shell(self.dark)}"
+            progress.tell(f"{name}: {in_shell(self.dark)}")
 
     def _counts(self) -> str:
         corners, spent = f"{_span(self.corners)} corners", f"{self.milliseconds[0]:.2f} ms"

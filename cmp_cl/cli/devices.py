@@ -8,6 +8,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from cmp_cl.cli.messages import one_line, tell
 from cmp_cl.detector import Detector
 from cmp_cl.errors import CmpClError
 from cmp_cl.opencl.device import (
@@ -58,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Print the devices; return 1 if there is none."""
     devices = list_devices()
     if not devices:
-        print(f"cmp-cl: no OpenCL device was found: {why_none()}", file=sys.stderr)
+        tell(f"no OpenCL device was found: {why_none()}")
         print(INSTALL, file=sys.stderr)
         return 1
     _print_table(
@@ -98,7 +99,7 @@ def time_devices(devices: Sequence[Device]) -> None:
                     corners = detector(scene.image)
                     spent.append((time.perf_counter() - start) * 1e3)
         except CmpClError as error:
-            print(f"cmp-cl: {device.index}: {' '.join(str(error).splitlines())}", file=sys.stderr)
+            tell(f"{device.index}: {one_line(error)}")
             continue
         late = statistics.quantiles(spent[WARM_UP:], n=20)[-1]
         answer = score(corners.xy, scene.truth, scene.cell, scene.junctions)

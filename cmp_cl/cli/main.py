@@ -17,7 +17,7 @@ import cv2
 
 import cmp_cl
 from cmp_cl.cli import calibrate, demo, detect, devices, pattern, plot, render, run
-from cmp_cl.cli.messages import by_options, one_line, shortened
+from cmp_cl.cli.messages import by_options, one_line, shortened, tell
 from cmp_cl.cli.running.stopping import handled, interrupt
 from cmp_cl.errors import CmpClError, KernelBuildError
 
@@ -97,7 +97,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _warn(message: Warning | str, *_: object) -> None:
-    print(f"cmp-cl: {message}", file=sys.stderr)
+    tell(str(message))
 
 
 def _fail(message: str, *, status: int = 2) -> int:
@@ -106,7 +106,7 @@ def _fail(message: str, *, status: int = 2) -> int:
     except OSError:
         _silence(sys.stdout)
     try:
-        print(f"cmp-cl: {message}", file=sys.stderr, flush=True)
+        tell(message)
     except OSError:  # the terminal is closed
         _silence(sys.stderr)
     return status

@@ -6,7 +6,7 @@ import os
 import re
 import sys
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from cmp_cl.closing import Closing
 
@@ -79,11 +79,17 @@ class Progress(Closing):
             self._bar.set_postfix_str(note, refresh=False)
             self._bar.update()
 
-    def say(self, line: str, stream: TextIO | None = None) -> None:
-        """Print a line above the bar, on stdout unless another stream is named."""
+    def say(self, line: str) -> None:
+        """Print a line above the bar."""
         if self._bar is not None:
             self._bar.clear()
-        print(line, file=stream or sys.stdout, flush=True)
+        print(line, flush=True)
+
+    def tell(self, line: str) -> None:
+        """Print a line of this program on stderr, above the bar."""
+        if self._bar is not None:
+            self._bar.clear()
+        tell(line)
 
     def close(self) -> None:
         if self._bar is not None:

@@ -245,7 +245,7 @@ def _flow(
                 found.left_out += 1
                 if found.left_out <= _LINES_OF_BROKEN:
                     why = sources.why_left_out(frame, rest, live=source.live)
-                    progress.say(f"cmp-cl: {why}", sys.stderr)
+                    progress.tell(why)
         finally:
             ignore()  # no signal stops the end of what is written
 

@@ -18,6 +18,7 @@ _PAGE = b"""<!doctype html><title>cmp-cl</title>
 <img src="pictures" style="max-width:100vw;max-height:100vh">
 """
 _PART = b"--picture\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%s\r\n"
+_QUALITY = cv2.IMWRITE_JPEG_QUALITY, 80  # %; 95 has twice the bytes
 _REPEATED = 0.5  # s, after which a picture is sent again: some browsers show it only then
 
 Draw = Callable[[], NDArray[np.uint8]]
@@ -78,7 +79,7 @@ class LiveView(Closing):
                         self._changed.wait(_REPEATED)
                     draw, seen, open_ = self._draw, self._count, self._open
                 if draw is not None:
-                    picture = cv2.imencode(".jpg", draw())[1].tobytes()
+                    picture = cv2.imencode(".jpg", draw(), _QUALITY)[1].tobytes()
                     browser.wfile.write(_PART % (len(picture), picture))
             browser.wfile.write(b"--picture--\r\n")
 
