@@ -390,17 +390,3 @@ def without_end(seed: int, count: int) -> Views:
     for number, case in enumerate(open_patterns(seed, count)):
         image = picture(case, seed + number)
         yield everywhere(image, corners_in(case), case.cell * case.zoom, None)
-
-
-def stretched(seed: int, count: int) -> Views:
-    """Yield patterns without an end that waves stretch and squeeze up to three times."""
-    draw = np.random.default_rng(seed + 77)
-    for number in range(count):
-        case = Open(
-            cell=float(draw.uniform(9, 20)),
-            rotation=float(draw.uniform(-60, 60)),
-            wave=float(draw.uniform(0.9, 1.6)),
-            noise=float(draw.uniform(0.5, 6)),
-            sheet=seed + number,
-        )
-        yield everywhere(picture(case, seed + number), corners_in(case), case.cell, None)

@@ -2,7 +2,6 @@
 
 import images
 import numpy as np
-import pyopencl as cl
 import pytest
 from configs import rings
 
@@ -16,7 +15,6 @@ from cmp_cl import (
     SpectralCriteria,
 )
 from cmp_cl.stages.form import Form
-from cmp_cl.stages.refine import RESULT_HEAD
 
 IMAGE = images.eight_bits()["board"]
 FULL = DetectorConfig(
@@ -80,24 +78,6 @@ def test_what_a_configuration_does_not_need_is_left_out(detector_for, form, name
     assert set(buffers) <= set(full.arrays)
     assert not launches & (launched | kernels)
     assert not set(buffers) & set(plan.arrays)
-
-
-@pytest.mark.parametrize("refinement", [None, EdgeLines(), EdgeStep(), Midlines()])
-def test_refinement_writes_nothing_for_a_frame_without_corners(device_in_form, refinement):
-    """Refinement stops at the number of corners."""
-    config = DetectorConfig(refinement=refinement)
-    with Detector(shape=IMAGE.shape, device=device_in_form, config=config) as detector:
-        plan = detector._plans.lend()
-        result = plan.arrays["result"]
-        before = np.full(result.size // 4, 7, np.float32)
-        cl.enqueue_copy(plan.queue, result, before)
-        assert len(detector(images.eight_bits()["black"])) == 0
-        after = np.empty_like(before)
-        cl.enqueue_copy(plan.queue, after, result)
-        np.testing.assert_array_equal(after[RESULT_HEAD:], before[RESULT_HEAD:])
-        assert len(detector(IMAGE)) > 0
-        cl.enqueue_copy(plan.queue, after, result)
-        assert (after != before)[RESULT_HEAD:].any()
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from cases import some
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
-from configs import rings
+from configs import CONFIGS, rings
 from forms import in_form
 
 from cmp_cl import (
@@ -20,9 +20,6 @@ from cmp_cl import (
     Detector,
     DetectorConfig,
     EdgeStep,
-    Fit,
-    Midlines,
-    RingHarmonic,
     SpectralCriteria,
 )
 from cmp_cl.opencl.launches import GROUP
@@ -34,28 +31,6 @@ QUICK = [path for path in VECTORS if path.stem in ("deep-paper", "harmonic-puzzl
 FRAME = images.scene().image[20:53, 30:61].copy()  # 33 x 31
 FEW = np.where(np.arange(31) < 16, FRAME, 128).astype(np.uint8)
 DEEP = FRAME.astype(np.uint16) * 16 + 7
-CONFIGS = {
-    "default": DetectorConfig(),
-    "wide cells, no checks": DetectorConfig(detection=RingHarmonic(fine=False), nms_radius=15),
-    "rings": rings(),
-    "least": DetectorConfig(
-        detection=BinaryRings(outer_radius=4, contrast=None), nms_radius=1, refinement=None
-    ),
-    "wide windows": DetectorConfig(
-        detection=BinaryRings(threshold=AdaptiveMean(window=255)), nms_radius=15
-    ),
-    "rings, step": DetectorConfig(detection=BinaryRings(), refinement=EdgeStep(cell=11)),
-    "spectral, midlines": DetectorConfig(
-        detection=BinaryRings(criteria=SpectralCriteria(correlation=0)), refinement=Midlines()
-    ),
-    "quadratic midlines": DetectorConfig(refinement=Midlines(fit=Fit.QUADRATIC)),
-    "smaller, step": DetectorConfig(
-        detection=RingHarmonic(octaves=0), scale=0.7, refinement=EdgeStep(cell=11)
-    ),
-    "larger, midlines": DetectorConfig(
-        detection=RingHarmonic(octaves=0), scale=1.3, refinement=Midlines()
-    ),
-}
 SIXTEEN_BITS = {
     "harmonic": DetectorConfig(full_scale=4095),
     "offset": DetectorConfig(
@@ -126,28 +101,16 @@ def test_few_corners_after_many_are_not_mixed_with_them(device):
 
 
 def test_kernels_use_nothing_optional():
-    """No local memory, barriers, doubles, halves, images, printf, sub-groups or extensions.
+    """No doubles, halves, images, printf, sub-groups or extensions.
 
-    `#pragma unroll` is allowed: a compiler that does not know it ignores it (C99, 6.10.6). The
-    lattice, its filter, tracking and sums over a frame may use barriers and a little local memory.
-    Points in space may be doubles, where the device has them.
+    `#pragma unroll` is allowed: a compiler that does not know it ignores it (C99, 6.10.6). Points
+    in space are doubles in a part that only devices that have them compile.
     """
-    words = r"\b(image\dd\w*|printf|sub_group\w*|half)\b"
-    words += r"|#\s*pragma(?! unroll$| OPENCL FP_CONTRACT OFF$)"
-    grouped, exact = r"|\b(__local|local|barrier)\b", r"|\bdouble\d*\b"
-    shares = {"lattice", "bins", "borders", "links", "faces", "parts", "votes", "nodes", "track"}
-    shares |= {"plane", "noise", "harmonic", "filter"}
+    optional = r"\b(image\dd\w*|printf|sub_group\w*|half|double\d*)\b"
+    optional += r"|#\s*pragma(?! unroll$| OPENCL FP_CONTRACT OFF$)"
     files = sorted(kernel_folder().rglob("*.cl*"))
     assert len(files) > 20
     for path in files:
         text = re.sub(r"/\*.*?\*/|//[^\n]*", "", path.read_text("utf-8"), flags=re.DOTALL)
-        assert "__kernel" in text or path.suffix == ".clh"
-        if path.stem in (
-            "space",
-            "moment",
-        ):  # doubles, in a part that only devices that have them compile
-            text = re.sub(r"#if DOUBLE\n.*?#else\n", "", text, flags=re.DOTALL)
-        optional = (
-            words + exact + ("" if path.stem in shares and path.parent.name != "cpu" else grouped)
-        )
+        text = re.sub(r"#if DOUBLE\n.*?#else\n", "", text, flags=re.DOTALL)
         assert re.findall(optional, text, re.MULTILINE) == [], path.name

@@ -9,18 +9,11 @@ import numpy as np
 import pyopencl as cl
 import pytest
 from cases import some
-from configs import rings
+from configs import CONFIGS, rings
 
 from cmp_cl import (
-    BinaryRings,
     Detector,
     DetectorConfig,
-    EdgeStep,
-    Fit,
-    Midlines,
-    RapidCriteria,
-    RingHarmonic,
-    SpectralCriteria,
 )
 from cmp_cl.errors import KernelBuildError
 from cmp_cl.opencl import program
@@ -89,30 +82,6 @@ def test_batches_and_maps_of_a_detector_compile_nothing_anew(own_programs, devic
         assert not compiled
 
 
-CONFIGS = {
-    "default": DetectorConfig(),
-    "wide cells, step, scaled": DetectorConfig(
-        detection=RingHarmonic(fine=False, octaves=0), refinement=EdgeStep(), scale=0.5
-    ),
-    "rings": rings(),
-    "rings, step, scaled": DetectorConfig(
-        detection=BinaryRings(), refinement=EdgeStep(), scale=0.5
-    ),
-    "midlines": DetectorConfig(
-        detection=BinaryRings(contrast=None), refinement=Midlines(fit=Fit.QUADRATIC)
-    ),
-    "spectral": DetectorConfig(detection=BinaryRings(criteria=SpectralCriteria()), refinement=None),
-    "plain": DetectorConfig(
-        detection=BinaryRings(criteria=RapidCriteria(corrosion_threshold=None), contrast=None),
-        nms_radius=15,
-        refinement=None,
-    ),
-    "spectral without corrosion": DetectorConfig(
-        detection=BinaryRings(criteria=SpectralCriteria(corrosion_threshold=None), outer_radius=4)
-    ),
-}
-
-
 @pytest.mark.parametrize("dtype", some([np.uint8, np.uint16], (np.uint8,)))
 @pytest.mark.parametrize(
     "config",
@@ -150,6 +119,3 @@ def test_one_changed_offset_of_a_ring_changes_its_bits(altered, device, detector
     np.testing.assert_array_equal(found.binary, expected.binary)
     changed = np.bitwise_or.reduce((found.inner ^ expected.inner).ravel())
     assert changed == 1 << 1
-
-
-# --- the index -----------------------------------------------------------------------------

@@ -1,9 +1,19 @@
-"""Configurations that tests share."""
+"""Configurations that tests share, and a table of them in which every kernel has a part."""
 
 import dataclasses
 from typing import Any
 
-from cmp_cl import BinaryRings, DetectorConfig
+from cmp_cl import (
+    AdaptiveMean,
+    BinaryRings,
+    DetectorConfig,
+    EdgeStep,
+    Fit,
+    Midlines,
+    RapidCriteria,
+    RingHarmonic,
+    SpectralCriteria,
+)
 
 _OF_RINGS = [field.name for field in dataclasses.fields(BinaryRings)]
 
@@ -14,3 +24,31 @@ def rings(base: DetectorConfig | None = None, **changes: Any) -> DetectorConfig:
     base = base or DetectorConfig(detection=BinaryRings())
     inner = {name: changes.pop(name) for name in _OF_RINGS if name in changes}
     return base.replace(detection=dataclasses.replace(base.detection, **inner), **changes)
+
+
+CONFIGS = {
+    "default": DetectorConfig(),
+    "wide cells, no checks": DetectorConfig(detection=RingHarmonic(fine=False), nms_radius=15),
+    "any response": DetectorConfig(detection=RingHarmonic(noise=0, relative=0), nms_radius=1),
+    "rings": rings(),
+    "least": rings(
+        criteria=RapidCriteria(corrosion_threshold=None),
+        outer_radius=4,
+        contrast=None,
+        nms_radius=1,
+        refinement=None,
+    ),
+    "wide windows": rings(threshold=AdaptiveMean(window=255), nms_radius=15),
+    "rings, step": rings(refinement=EdgeStep(cell=11)),
+    "spectral, midlines": rings(
+        criteria=SpectralCriteria(correlation=0, corrosion_threshold=None), refinement=Midlines()
+    ),
+    "quadratic midlines": DetectorConfig(refinement=Midlines(fit=Fit.QUADRATIC)),
+    "smaller, step": DetectorConfig(
+        detection=RingHarmonic(octaves=0), scale=0.7, refinement=EdgeStep(cell=11)
+    ),
+    "larger, midlines": DetectorConfig(
+        detection=RingHarmonic(octaves=0), scale=1.3, refinement=Midlines()
+    ),
+    "rings, smaller": rings(scale=0.5),
+}

@@ -1,7 +1,6 @@
 """Grids, points and rigs for the tests in space: projected lattices and photographs."""
 
 import json
-import re
 from pathlib import Path
 
 import cv2
@@ -58,26 +57,17 @@ def upright(grid: Grid) -> Grid:
 
 def bumblebee_rig(path: Path) -> StereoRig:
     """Return the rig of BoofCV's stereo.yaml: X_left = rotation X_right + (x, y, z), mm."""
-    text = path.read_text()
-    left, rest = text.split("rightToLeft:")
-    pose, right = rest.split("right:")
+    import yaml
 
-    def number(block: str, key: str) -> float:
-        return float(re.search(rf"\b{key}: (\S+)", block).group(1))
-
-    def listed(block: str, key: str) -> list[float]:
-        lines = re.search(rf"{key}:\n((?:\s*- \S+\n)+)", block).group(1)
-        return [float(item) for item in re.findall(r"- (\S+)", lines)]
-
-    def camera(block: str) -> tuple[np.ndarray, list[float]]:
-        fx, fy, cx, cy, t1, t2 = (
-            number(block, key) for key in ("fx", "fy", "cx", "cy", "t1", "t2")
-        )
-        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), [*listed(block, "radial"), t1, t2]
-
-    rotation = np.reshape(listed(pose, "rotation"), (3, 3))
-    translation = np.array([number(pose, key) for key in "xyz"])
-    return StereoRig(*camera(left), *camera(right), rotation.T, -rotation.T @ translation)
+    listed = yaml.safe_load(path.read_text())
+    cameras = []
+    for side in ("left", "right"):
+        seen, lens = listed[side]["pinhole"], listed[side]["radial_tangential"]
+        matrix = [[seen["fx"], 0, seen["cx"]], [0, seen["fy"], seen["cy"]], [0, 0, 1]]
+        cameras += [matrix, [*lens["radial"], lens["t1"], lens["t2"]]]
+    pose = listed["rightToLeft"]
+    rotation = np.reshape(pose["rotation"], (3, 3))
+    return StereoRig(*cameras, rotation.T, -rotation.T @ [pose[key] for key in "xyz"])
 
 
 def toed_in_rig(unit: str = "mm") -> StereoRig:
