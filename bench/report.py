@@ -63,6 +63,11 @@ def conditions(table: pd.DataFrame) -> str:
     )
 
 
+def headed(title: str, table: pd.DataFrame, *parts: str) -> str:
+    """Return a section: its heading, the conditions of its table, and what is said."""
+    return "\n".join([f"## {title}\n\n{conditions(table)}", *parts])
+
+
 def markdown(table: pd.DataFrame) -> str:
     """Return a table as Markdown: floats with three digits, nothing as a dash."""
     lines = ["| " + " | ".join(map(str, table.columns)) + " |", "|---" * table.shape[1] + "|"]
@@ -109,19 +114,18 @@ def summed(table: pd.DataFrame, *by: str) -> pd.DataFrame:
 
 def speed(folder: Path) -> str:
     table = read(folder, "speed")
-    text = [f"## Time\n\n{conditions(table)}"]
-    text.append(
+    parts = [
         "From an image in host memory to positions in host memory; methods take turns in one run, "
         "and the answers that were timed are the ones that are scored. `times` is the ratio to our "
         "default. The paper reports 4.95 ms for 1936 corners at integer positions.\n"
-    )
+    ]
     for scene, words in (("vga", "640 x 480"), ("wide", "1600 x 1200, two views")):
         rows = table[table["scene"] == scene].sort_values("ms")
         base = rows.loc[rows["method"] == DEFAULT, "ms"].iloc[0]
-        rows = rows.assign(times=rows["ms"] / base)
-        text.append(f"### {words}, {rows['corners'].iloc[0]} corners\n")
-        text.append(markdown(rows[["method", "ms", "ms_p95", "times", "missed", "false", "rmse"]]))
-    return "\n".join(text)
+        shown = ["method", "ms", "ms_p95", "times", "missed", "false", "rmse"]
+        parts.append(f"### {words}, {rows['corners'].iloc[0]} corners\n")
+        parts.append(markdown(rows.assign(times=rows["ms"] / base)[shown]))
+    return headed("Time", table, *parts)
 
 
 def detection(folder: Path) -> str:
@@ -131,21 +135,21 @@ def detection(folder: Path) -> str:
     whole["missed a frame"] = whole["missed"] / whole["frames"]
     whole["false a frame"] = whole["false"] / whole["frames"]
     error_against_time(whole, folder / "error.png")
+    right_by_severity(summed(table, "severity"), folder / "severity.png")
     columns = ["method", "frames right, %", "missed a frame", "false a frame", "rmse", "ms"]
-    text = [f"## Error against run time\n\n{conditions(table)}"]
-    text.append(
+    return headed(
+        "Error against run time",
+        table,
         f"{whole['frames'].iloc[0]} rendered gels: every object at every severity, 20 to 44 "
         "corners a side, the print worn (wear causes most of the RMSE of every method). The peers "
         "have the settings that `search.py` found for them on other scenes; ours are the same "
-        "everywhere.\n"
+        "everywhere.\n",
+        "![Error against run time](error.png)\n",
+        markdown(whole[columns]),
+        "## Frames right, %, by severity and by density\n",
+        "![Frames right by severity](severity.png)\n",
+        markdown(shares(table, "severity").merge(shares(table, "markers"), on="method")),
     )
-    text.append("![Error against run time](error.png)\n")
-    text.append(markdown(whole[columns]))
-    text.append("## Frames right, %, by severity and by density\n")
-    right_by_severity(summed(table, "severity"), folder / "severity.png")
-    text.append("![Frames right by severity](severity.png)\n")
-    text.append(markdown(shares(table, "severity").merge(shares(table, "markers"), on="method")))
-    return "\n".join(text)
 
 
 def shares(table: pd.DataFrame, by: str) -> pd.DataFrame:
@@ -157,49 +161,50 @@ def shares(table: pd.DataFrame, by: str) -> pd.DataFrame:
 
 
 def shortfalls(folder: Path) -> str:
-    """List where a peer surely finds more frames right than our default, with our grid or not."""
+    """List where a peer finds more frames right than our best row, with our grid or not."""
     rows = summed(read(folder, "detection"), "markers", "severity")
     found = []
     for (markers, severity), group in rows.groupby(["markers", "severity"]):
-        ours = group[group["method"].isin(OURS)].sort_values("right").iloc[-1]
-        for _, peer in group[~group["method"].isin(OURS)].iterrows():
-            if peer["right"] > ours["right"]:
-                low = interval(peer["right"], peer["frames"])[0]
-                sure = low > interval(ours["right"], ours["frames"])[1]
-                found.append(
-                    {
-                        "corners a side": markers,
-                        "severity": severity,
-                        "our best": f"{ours['method']}: {ours['right']} of {ours['frames']}",
-                        "peer": f"{peer['method']}: {peer['right']} of {peer['frames']}",
-                        "told apart": "yes" if sure else "no",
-                    }
-                )
+        own = group["method"].isin(OURS)
+        ours = group[own].sort_values("right").iloc[-1]
+        least = interval(ours["right"], ours["frames"])[1]
+        for _, peer in group[~own & (group["right"] > ours["right"])].iterrows():
+            found.append(
+                {
+                    "corners a side": markers,
+                    "severity": severity,
+                    "our best": f"{ours['method']}: {ours['right']} of {ours['frames']}",
+                    "peer": f"{peer['method']}: {peer['right']} of {peer['frames']}",
+                    "told apart": "yes"
+                    if interval(peer["right"], peer["frames"])[0] > least
+                    else "no",
+                }
+            )
     body = markdown(pd.DataFrame(found)) if found else "Nowhere.\n"
     return f"## Where a peer finds more frames right than our best row\n\n{body}"
 
 
 def photographs(folder: Path) -> str:
     table = read(folder, "photographs")
-    text = [f"## Photographs: missed / false / outside\n\n{conditions(table)}"]
-    text.append(
-        "False corners are counted where every corner is listed, `outside` elsewhere. The truth is "
-        "a saddle fitted to the image, which favours methods that fit one; differences under .2 px "
-        "mean nothing. The small boards are rendered before enlarged photographs of rooms.\n"
-    )
     counts = table[["missed", "false", "outside"]].astype(str).agg(" / ".join, axis=1)
     expected = dict(zip(table["photograph"], table["expected"], strict=True))
     names = {name: f"{name} ({count})" for name, count in expected.items()}
-    methods = table["method"].unique()
-    for heading, values, renamed in (
-        ("", counts, names),
-        ("### Median distance from the truth, px\n", table["median"], {}),
-    ):
+
+    def wide(values: pd.Series) -> pd.DataFrame:
         shown = table.assign(shown=values)
-        wide = shown.pivot(index="method", columns="photograph", values="shown")
-        wide = wide.loc[methods, list(names)].rename(columns=renamed)
-        text += [heading] * bool(heading) + [markdown(wide.reset_index())]
-    return "\n".join(text)
+        pivoted = shown.pivot(index="method", columns="photograph", values="shown")
+        return pivoted.loc[table["method"].unique(), list(names)]
+
+    return headed(
+        "Photographs: missed / false / outside",
+        table,
+        "False corners are counted where every corner is listed, `outside` elsewhere. The truth is "
+        "a saddle fitted to the image, which favours methods that fit one; differences under .2 px "
+        "mean nothing. The small boards are rendered before enlarged photographs of rooms.\n",
+        markdown(wide(counts).rename(columns=names).reset_index()),
+        "### Median distance from the truth, px\n",
+        markdown(wide(table["median"]).reset_index()),
+    )
 
 
 # positions, numbers, fields
@@ -207,29 +212,29 @@ def photographs(folder: Path) -> str:
 
 def sigma(folder: Path) -> str:
     table = read(folder, "sigma")
-    text = [f"## Positions, displacements, and their sigma\n\n{conditions(table)}"]
-    text.append(
-        "RMS of the distance, px, and the share of coordinates within two stated sigma, %, by wear "
-        "of the print (0 is a perfect one). The sigma of a position is that of the mark that is "
-        "seen: where the mark sits on a worn print is not in it. A displacement cancels the wear. "
-        "`raw` is before the lattice filter.\n"
-    )
     usual = table[table["noise"].isna()]
     groups = usual.groupby(["kind", "corrosion"], sort=False)
     rows = groups.agg(frames=("frames", "sum"), rms=("rms", "mean"), share=("within_2", "mean"))
     rows["within 2 sigma, %"] = 100 * rows.pop("share")
-    text.append(markdown(rows.reset_index()))
     coverage(usual, folder / "sigma.png")
-    text.append("![Share within two sigma, by severity](sigma.png)\n")
-    return "\n".join(text)
+    return headed(
+        "Positions, displacements, and their sigma",
+        table,
+        "RMS of the distance, px, and the share of coordinates within two stated sigma, %, by wear "
+        "of the print (0 is a perfect one). The sigma of a position is that of the mark that is "
+        "seen: where the mark sits on a worn print is not in it. A displacement cancels the wear. "
+        "`raw` is before the lattice filter.\n",
+        markdown(rows.reset_index()),
+        "![Share within two sigma, by severity](sigma.png)\n",
+    )
 
 
-def as_it_is(name: str, title: str, words: str) -> Callable[[Path], str]:
+def as_it_is(name: str, title: str, words: str = "") -> Callable[[Path], str]:
     """Return a section that shows a whole table."""
 
     def section(folder: Path) -> str:
         table = read(folder, name)
-        return f"## {title}\n\n{conditions(table)}\n{words}\n\n{markdown(table)}"
+        return headed(title, table, f"{words}\n", markdown(table))
 
     return section
 
@@ -244,35 +249,31 @@ def limits(folder: Path) -> str:
     rows = table.groupby(["method", "difficulty"], sort=False)["held"].agg(
         lambda levels: ", ".join(f"{level:g}" for level in levels.dropna()) or "none"
     )
-    wide = rows.unstack("difficulty").reset_index()
-    return (
-        f"## Where each method breaks\n\n{conditions(table)}\n"
-        "The levels at which at most 10 corners of 1000 are missed or false.\n\n" + markdown(wide)
+    return headed(
+        "Where each method breaks",
+        table,
+        "The levels at which at most 10 corners of 1000 are missed or false.\n",
+        markdown(rows.unstack("difficulty").reset_index()),
     )
 
 
 def refraction(folder: Path) -> str:
     table = read(folder, "refraction")
     parts = dict(list(table.groupby("part", sort=False)))
-    names = {
-        "parameters": "Behind a gel of index 1.41, with one parameter of the window changed:",
-        "images": "From rendered images, the parameters exact; a gel of 0 mm is air:",
-    }
-    return "\n".join(
-        [
-            f"## A window and a gel\n\n{conditions(table)}",
-            as_air(folder),
-            *(f"{words}\n\n{_refracted(parts[name])}" for name, words in names.items()),
-            "Cameras and window calibrated on noisy views of drawn rigs. Along the normal, a press "
-            "of 1 mm errs by:\n",
-            *(_of_drawn(str(index), rows) for index, rows in parts["drawn"].groupby("changed")),
-            "The kernel that triangulates takes, over its time without a window:\n",
-            *(
-                f"- {row['changed']}: {row['times']:.2f} times"
-                for _, row in parts["time"].iterrows()
-            ),
-            "",
-        ]
+    return headed(
+        "A window and a gel",
+        table,
+        as_air(folder),
+        "Behind a gel of index 1.41, with one parameter of the window changed:\n",
+        _refracted(parts["parameters"]),
+        "From rendered images, the parameters exact; a gel of 0 mm is air:\n",
+        _refracted(parts["images"]),
+        "Cameras and window calibrated on noisy views of drawn rigs. Along the normal, a press of "
+        "1 mm errs by:\n",
+        *(_of_drawn(str(index), rows) for index, rows in parts["drawn"].groupby("changed")),
+        "The kernel that triangulates takes, over its time without a window:\n",
+        *(f"- {row['changed']}: {row['times']:.2f} times" for _, row in parts["time"].iterrows()),
+        "",
     )
 
 
@@ -362,21 +363,28 @@ def coverage(table: pd.DataFrame, path: Path) -> None:
 def figures(folder: Path) -> str:
     """Return the README's table: time, error and right frames of each method."""
     timed, errors = read(folder, "speed"), summed(read(folder, "detection")).set_index("method")
+    field = read(folder, "field")
+    value = field.set_index(["what", "case", "unit"])["value"]
+    rate = field.loc[field["what"].str.startswith("cmp-cl run"), "value"].iloc[0]
     small, large = (timed[timed["scene"] == scene].set_index("method") for scene in ("vga", "wide"))
-    rows = [field_row(folder)]
-    for name, row in small.sort_values("ms").iterrows():
-        if name in IN_README:
-            whole = errors.loc[name]
-            rows.append(
-                {
-                    "method": name,
-                    "640 x 480, ms": row["ms"],
-                    "1600 x 1200, ms": large["ms"].get(name, np.nan),
-                    "RMSE px": row["rmse"],
-                    "missed / false": f"{row['missed']} / {row['false']}",
-                    "frames right, %": percent(whole["right"], whole["frames"]),
-                }
-            )
+    rows: list[dict[str, Any]] = [
+        {
+            "method": f"cmp_cl, two views to their field (`run` from MJPG: {rate:.3g} a second)",
+            "640 x 480, ms": np.nan,
+            "1600 x 1200, ms": value["frame to field, two views", "severity to 0.5", "ms"],
+        }
+    ]
+    for name, row in small[small.index.isin(IN_README)].sort_values("ms").iterrows():
+        rows.append(
+            {
+                "method": name,
+                "640 x 480, ms": row["ms"],
+                "1600 x 1200, ms": large["ms"].get(name, np.nan),
+                "RMSE px": row["rmse"],
+                "missed / false": f"{row['missed']} / {row['false']}",
+                "frames right, %": percent(errors["right"][name], errors["frames"][name]),
+            }
+        )
     text = (
         f"{conditions(timed).strip()} Medians of one run, from an image in host memory to "
         f"positions in host memory, for {small['corners'].iloc[0]} and {large['corners'].iloc[0]} "
@@ -384,18 +392,6 @@ def figures(folder: Path) -> str:
         "severely deformed.\n\n"
     )
     return text + markdown(pd.DataFrame(rows))
-
-
-def field_row(folder: Path) -> dict[str, Any]:
-    """Return the README's row of a field, and of the frames a second from a file."""
-    table = read(folder, "field")
-    value = table.set_index(["what", "case", "unit"])["value"]
-    rate = table.loc[table["what"].str.startswith("cmp-cl run"), "value"].iloc[0]
-    return {
-        "method": f"cmp_cl, two views to their field (`run` from MJPG: {rate:.3g} a second)",
-        "640 x 480, ms": np.nan,
-        "1600 x 1200, ms": value["frame to field, two views", "severity to 0.5", "ms"],
-    }
 
 
 def insert(page: Path, text: str) -> None:
@@ -409,10 +405,10 @@ SECTIONS: dict[str, Callable[[Path], str]] = {
     "detection": detection,
     "photographs": photographs,
     "sigma": sigma,
-    "numbering": as_it_is("numbering", "Numbers", ""),
-    "field": as_it_is("field", "From a frame to its field", ""),
+    "numbering": as_it_is("numbering", "Numbers"),
+    "field": as_it_is("field", "From a frame to its field"),
     "refraction": refraction,
-    "scaling": as_it_is("scaling", "Cost by pixels, corners and frames", ""),
+    "scaling": as_it_is("scaling", "Cost by pixels, corners and frames"),
     "stiff": as_it_is("stiff", "Stiff and extreme cases", "Counts are of false corners."),
     "limits": limits,
 }
