@@ -1,9 +1,9 @@
 """A live view: the latest picture, in any browser, from a server on this machine."""
 
 import contextlib
+import sys
 import threading
 from collections.abc import Callable
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 import cv2
@@ -32,6 +32,8 @@ class LiveView(Closing):
     """
 
     def __init__(self) -> None:
+        from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer  # takes .1 s
+
         self._changed = threading.Condition()
         self._draw: Draw | None = None
         self._count = 0
@@ -47,12 +49,18 @@ class LiveView(Closing):
             def log_message(self, *_: Any) -> None:
                 """Print nothing."""
 
+        class Server(ThreadingHTTPServer):
+            allow_reuse_address = sys.platform != "win32"  # where two could have one port
+            daemon_threads = False  # closing waits for the last pictures
+
+            def handle_error(self, *_: Any) -> None:
+                """A browser that goes away is no error."""
+
         try:
-            self._server = ThreadingHTTPServer(("127.0.0.1", _PORT), Page)
+            self._server = Server(("127.0.0.1", _PORT), Page)
         except OSError:  # another run shows its pictures there
-            self._server = ThreadingHTTPServer(("127.0.0.1", 0), Page)
+            self._server = Server(("127.0.0.1", 0), Page)
         self.address = f"http://127.0.0.1:{self._server.server_port}"
-        self._server.daemon_threads = False
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def show(self, draw: Draw) -> None:
@@ -62,7 +70,7 @@ class LiveView(Closing):
             self._count += 1
             self._changed.notify_all()
 
-    def _answer(self, browser: BaseHTTPRequestHandler) -> None:
+    def _answer(self, browser: Any) -> None:
         pictures = browser.path == "/pictures"
         kind = "multipart/x-mixed-replace; boundary=picture" if pictures else "text/html"
         browser.send_response(200)
@@ -90,4 +98,4 @@ class LiveView(Closing):
             self._count += 1
             self._changed.notify_all()
         self._server.shutdown()
-        self._server.server_close()  # waits for the last pictures
+        self._server.server_close()

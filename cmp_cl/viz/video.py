@@ -56,10 +56,12 @@ class VideoFile(Closing):
     def _removed_on_error(self) -> Any:
         try:
             yield
-        except BaseException:
+        except BaseException as error:
             self._stream = None
             with contextlib.suppress(self._av.FFmpegError):
                 self._files.__exit__(*sys.exc_info())
+            if isinstance(error, ValueError):  # FFmpeg lacks the codec, or takes no such rate
+                raise OSError(f"no video can be written to {str(self._path)!r}: {error}") from error
             raise
 
     def close(self) -> None:
