@@ -34,7 +34,7 @@ from cmp_cl.measure import Region, find_board, square_sides, trusted
 from cmp_cl.opencl.device import select_device
 from cmp_cl.space import Calibration, Lens, MisfitError, calibrate
 from cmp_cl.space.calibration.advice import advice
-from cmp_cl.space.exports import check_cameras, check_corners, save_cameras, save_corners
+from cmp_cl.space.exports import check_cameras, save_cameras, save_corners
 from cmp_cl.viz import save_figure
 from cmp_cl.viz.calibration import calibration_figure
 
@@ -244,8 +244,7 @@ def _check(arguments: argparse.Namespace, files: Mapping[str, list[Path]], pictu
         )
     if check_cameras(arguments.out) not in (".yaml", ".yml") and arguments.window is not None:
         raise ConfigError(f"--window needs a calibration in .yaml: {shown(arguments.out)}")
-    if arguments.corners is not None:
-        check_corners(arguments.corners)
+    check_suffix("--corners", arguments.corners, ".vnl")
     check_suffix("--picture", arguments.picture, ".png")
     outputs = arguments.out, arguments.corners, picture
     inputs = *itertools.chain(*files.values()), *window_files(arguments, list(files))

@@ -40,7 +40,8 @@ def save_corners(path: str | PathLike[str], views: Views) -> None:
     Raises ConfigError on another suffix than .vnl or without any view, CalibrationError if shapes
     differ or a name has white space, OSError.
     """
-    check_corners(path)
+    if suffix_of(path, ConfigError) != ".vnl":
+        raise ConfigError(f"{str(path)!r}: corners are written as .vnl, for mrcal")
     check_kind("views", views, Mapping, CalibrationError)
     for name, grid in views.items():
         check_kind("each name of views", name, str, CalibrationError)
@@ -69,12 +70,6 @@ def save_corners(path: str | PathLike[str], views: Views) -> None:
                 f"{name} - - -" if np.isnan(x) else f"{name} {x:.6f} {y:.6f} {level[node]}"
             )
     write_text(path, "\n".join(lines) + "\n")
-
-
-def check_corners(path: str | PathLike[str]) -> None:
-    """Raise ConfigError if the suffix of a path is not that of `save_corners`."""
-    if suffix_of(path, ConfigError) != ".vnl":
-        raise ConfigError(f"{str(path)!r}: corners are written as .vnl, for mrcal")
 
 
 # cameras
