@@ -47,7 +47,8 @@ def add_parser(commands: Any) -> None:
         description="Finds the corners of a rigid checkerboard in views of it, at least three, "
         "better ten or more, tilted in different directions and in all parts of the image; "
         "calibrates the camera or cameras and the poses between them; prints the error of every "
-        "view and what would make the result better, and draws both.",
+        "view and what would make the result better, and draws both beside the calibration, if "
+        "matplotlib is installed.",
     )
     cameras = parser.add_argument_group("views: of one camera, or of several at the same moments")
     cameras.add_argument("images", nargs="*", metavar="IMAGE", help="views of one camera")
@@ -98,12 +99,6 @@ def add_parser(commands: Any) -> None:
         help="the calibration to write: .yaml or .yml (OpenCV, for cmp-cl run), .camera_info.yaml "
         "(ROS), or .camchain.yaml (Kalibr); default: calibration.yaml",
     )
-    output.add_argument(
-        "--picture",
-        metavar="PNG",
-        help="where the boards were, how they were tilted, and the residuals; default: beside the "
-        "calibration, if matplotlib is installed",
-    )
     output.add_argument("--corners", metavar="VNL", help="write the corners too, for mrcal")
     add_window(parser)
     rare = parser.add_argument_group("rarely needed")
@@ -139,7 +134,7 @@ class _Found(NamedTuple):
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
     files = _files(arguments)
-    picture = arguments.picture or _beside(arguments.out)
+    picture = Path(arguments.out).with_name(f"{Path(arguments.out).name.split('.')[0]}.png")
     _check(arguments, files, picture)
     device = select_device(arguments.device)
     boards = _boards(arguments, files, device)
@@ -171,10 +166,8 @@ def run(arguments: argparse.Namespace) -> int:
         written.append(Path(arguments.corners))
     try:
         save_figure(picture, calibration_figure(found, _names(files)))
-        written.append(Path(picture))
+        written.append(picture)
     except ConfigError as error:  # matplotlib is not installed
-        if arguments.picture is not None:
-            raise
         tell(f"no picture: {one_line(error)}")
     _report(found, files, arguments)
     print(f"wrote {', '.join(map(shown, written))}; corners found on {device}")
@@ -223,12 +216,7 @@ def _names(files: Mapping[str, list[Path]]) -> dict[str, list[str]]:
     return {name: [shown(path.name) for path in paths] for name, paths in files.items()}
 
 
-def _beside(out: str) -> str:
-    """Return the name of the picture beside a calibration."""
-    return str(Path(out).with_name(f"{Path(out).name.split('.')[0]}.png"))
-
-
-def _check(arguments: argparse.Namespace, files: Mapping[str, list[Path]], picture: str) -> None:
+def _check(arguments: argparse.Namespace, files: Mapping[str, list[Path]], picture: Path) -> None:
     if (arguments.split or arguments.mirror) and not arguments.stereo:
         raise ConfigError("--split and --mirror need --stereo: frames that show two views")
     if arguments.region is not None and len(arguments.region) != len(files):
@@ -245,7 +233,6 @@ def _check(arguments: argparse.Namespace, files: Mapping[str, list[Path]], pictu
     if check_cameras(arguments.out) not in (".yaml", ".yml") and arguments.window is not None:
         raise ConfigError(f"--window needs a calibration in .yaml: {shown(arguments.out)}")
     check_suffix("--corners", arguments.corners, ".vnl")
-    check_suffix("--picture", arguments.picture, ".png")
     outputs = arguments.out, arguments.corners, picture
     inputs = *itertools.chain(*files.values()), *window_files(arguments, list(files))
     check_files(inputs, outputs)
