@@ -129,13 +129,11 @@ def _filtered(values: Floats, measured: Bools, most: Floats | None) -> Filtered:
 def _common(residual: Floats, kept: Bools) -> Floats:
     """Return the covariance of the coordinates around each node, over its mean diagonal."""
     count = residual.shape[2]
-    common = np.zeros((*kept.shape, count, count))
-    for r, c in np.ndindex(*kept.shape):
-        near = np.where(kept, _near(kept.shape, r, c, 2.0), 0)
-        sums = np.einsum("rc,rci,rcj->ij", near, residual, residual)
-        mean = np.trace(sums) / count
-        common[r, c] = sums / mean if mean > 0 else np.eye(count)
-    return common
+    down, along = (_gaussian(n, 2.0) for n in kept.shape)
+    squares = np.einsum("rc,rci,rcj->rcij", kept, residual, residual)
+    sums = np.einsum("rm,mnij,cn->rcij", down, squares, along)
+    mean = np.trace(sums, axis1=2, axis2=3)[..., None, None] / count
+    return np.where(mean > 0, sums / np.where(mean > 0, mean, 1), np.eye(count))
 
 
 def _plane(values: Floats, votes: Bools) -> Floats:
@@ -159,26 +157,30 @@ def axis_filter(n: int, half: int, degree: int) -> Floats:
     return weights
 
 
-def _window(n: int, half: int, i: int) -> slice:
-    low = min(max(i - half, 0), n - 2 * half - 1)
-    return slice(low, low + 2 * half + 1)
+def _share(votes: Bools, halves: tuple[int, int]) -> Floats:
+    """Return the share of the nodes of each node's window that vote."""
+    inside = []
+    for n, half in zip(votes.shape, halves, strict=True):
+        low = np.clip(np.arange(n) - half, 0, n - 2 * half - 1)[:, None]
+        inside.append((np.arange(n) >= low) & (np.arange(n) <= low + 2 * half))
+    down, along = (each / each.sum(axis=1, keepdims=True) for each in inside)
+    share: Floats = down @ votes @ along.T
+    return share
 
 
-def _near(shape: tuple[int, int], r: int, c: int, deviation: float) -> Floats:
-    """Return Gaussian weights of all nodes around one."""
-    down = np.exp(-((np.arange(shape[0]) - r) ** 2) / (2 * deviation**2))
-    along = np.exp(-((np.arange(shape[1]) - c) ** 2) / (2 * deviation**2))
-    return np.outer(down / down.sum(), along / along.sum())
+def _gaussian(n: int, deviation: float) -> Floats:
+    """Return (n, n), the weights of the nodes of a line around each of them, with the sum 1."""
+    apart = np.arange(n)[:, None] - np.arange(n)
+    weights = np.exp(-(apart**2) / (2 * deviation**2))
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
 def _average(values: Floats, counted: Bools, deviation: float) -> Floats:
     """Return the Gaussian mean around each node of the counted values; NaN if there are none."""
-    result = np.full(counted.shape, np.nan)
-    for r, c in np.ndindex(*counted.shape):
-        weights = np.where(counted, _near(counted.shape, r, c, deviation), 0)
-        if weights.sum() > 1e-6:
-            result[r, c] = (weights * np.where(counted, values, 0)).sum() / weights.sum()
-    return result
+    down, along = (_gaussian(n, deviation) for n in counted.shape)
+    total = down @ counted @ along.T
+    mean = down @ np.where(counted, values, 0) @ along.T
+    return np.where(total > 1e-6, mean / np.maximum(total, 1e-6), np.nan)
 
 
 def _noise(data: Floats, votes: Bools) -> tuple[Floats, Floats, Floats]:
@@ -189,9 +191,7 @@ def _noise(data: Floats, votes: Bools) -> tuple[Floats, Floats, Floats]:
     residual = data - np.einsum("ij,jlk,ml->imk", down, data, along)
     own = np.outer(np.diag(down), np.diag(along))
     usable = votes & (1 - own > 0.05)
-    for r, c in np.ndindex(rows, columns):
-        window = votes[_window(rows, shapes[0][0], r), _window(columns, shapes[1][0], c)]
-        usable[r, c] &= window.mean() >= 0.75 - 1e-6
+    usable &= _share(votes, (shapes[0][0], shapes[1][0])) >= 0.75 - 1e-6
     u = (residual**2).mean(axis=2) / np.maximum(1 - own, 1e-3)
     size = np.sqrt(u)
     expected = _expected(residual, np.where(usable, size, 0))
@@ -242,10 +242,7 @@ def _mixture(
             risk = _average(np.where(votes, loss, 0), votes, 1.5) / chosen
             owns.append(own)
             if (h_row, h_column) != (0, 0):
-                for r, c in np.ndindex(rows, columns):
-                    window = votes[_window(rows, h_row, r), _window(columns, h_column, c)]
-                    if window.mean() < 0.75 - 1e-6:
-                        risk[r, c] = np.inf
+                risk[_share(votes, (h_row, h_column)) < 0.75 - 1e-6] = np.inf
             estimates.append(estimate)
             risks.append(np.where(np.isnan(risk), np.inf, risk))
             gains.append(np.outer((a**2).sum(axis=1), (b**2).sum(axis=1)))

@@ -128,6 +128,8 @@ def unseen(camera: Camera, pixel: Floats) -> tuple[Floats, bool]:
     for _ in range(200):  # of a damped fixed point
         off = (pixel - seen(camera, point)) / camera.focal
         point = point + 0.9 * off
+        if np.abs(off).max() < 1e-15:
+            break
     found = bool(np.isfinite(point).all())
     near = found and float(np.abs(seen(camera, point) - pixel).max()) < 1e-2
     return (point, True) if near else (start, False)
