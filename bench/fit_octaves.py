@@ -31,9 +31,10 @@ class Settings(NamedTuple):
         octave_share: as share, in octaves. apart: px of the octave. one: whether all octaves have
         one reference. strong: least response that needs no neighbours, 1/128 of the reference; 0
         leaves the check out. around: px. aligned: neighbours opposed or alike that suffice; `askew`
-        times as many opposed as askew are needed. cosine: least one of opposed directions. seen:
-        px of octave 1. noisy: how many strong maxima one weak lone one outweighs, and how many of
-        these a weak one with neighbours does; 0 asks the weak alone.
+        times as many opposed as askew are needed. opposed: least number, if any is aligned, that
+        suffices beside octave 1. cosine: least one of opposed directions. seen: px of octave 1.
+        noisy: how many strong maxima one weak lone one outweighs, and how many of these a weak one
+        with neighbours does; 0 asks the weak alone.
     """
 
     share: int = 24
@@ -45,6 +46,7 @@ class Settings(NamedTuple):
     strong: int = 64
     around: int = 24
     aligned: int = 7
+    opposed: int = 2
     askew: float = 2
     cosine: float = 0.816
     seen: float = 1.5
@@ -147,7 +149,7 @@ def lone(
     if not chosen.strong or len(board.octaves) < 2:
         return found
     half = board.octaves[1]
-    half = half.of((128 * half.response >= chosen.share * level) & (4 * half.wide >= half.response))
+    half = half.of(128 * half.response >= chosen.share * level)
     for n in np.flatnonzero(asked):
         apart = np.abs(every.xy - maxima.xy[n]).max(axis=1)
         near = every.direction[(apart > RADIUS) & (apart <= chosen.around)]
@@ -156,7 +158,9 @@ def lone(
         askew = np.count_nonzero(np.abs(cosine) < chosen.cosine)
         beside = np.abs(half.xy - maxima.xy[n]).max(axis=1) <= 2 * chosen.seen
         found[n] = opposed < chosen.askew * askew
-        found[n] |= len(near) - askew < chosen.aligned and not beside.any()
+        aligned = len(near) - askew
+        seen = beside.any() and (aligned == 0 or opposed >= chosen.opposed)
+        found[n] |= aligned < chosen.aligned and not seen
     return found
 
 
@@ -179,6 +183,7 @@ VARIED = [
     *({"strong": n} for n in (0, 32, 48, 96, 128)),
     *({"around": n} for n in (16, 20, 32)),
     *({"aligned": n} for n in (4, 5, 6, 8)),
+    *({"opposed": n} for n in (0, 1, 3)),
     *({"noisy": n} for n in (0, 4, 16)),
     *({"askew": n} for n in (0.5, 1, 3)),
     *({"cosine": n} for n in (0.71, 0.89, 0.95)),

@@ -1,10 +1,11 @@
 """What the octaves find: spread ink, noise, every cell and blur, blank frames, photographs.
 
-    python bench/octaves.py             about five minutes
+    python bench/octaves.py             about eight minutes
 
 A row of results/octaves.csv is a set of images with one of two settings: the default, and
 `octaves=0`. covered: the share of the coordinates of corners from halved frames whose error is
-within two sigma; the ink of half of these boards has spread.
+within two sigma; the ink of half of these boards has spread. said: the share of blank frames
+whose corners `Corners.advice` says to be noise.
 """
 
 import itertools
@@ -94,13 +95,17 @@ def every_cell_and_blur() -> dict[str, Any]:
 
 def blank(correlation: float, finder: Finder) -> dict[str, Any]:
     """Return the corners a megapixel in grey frames with noise of 8 grey levels."""
-    counts = []
+    counts, said = [], []
     for seed in range(FIRST_SEED, FIRST_SEED + 3):
         grey = np.full(boards.SHAPE, 0.5)
         rng = np.random.default_rng(seed)
-        counts.append(len(finder(photographed(grey, rng, noise=8, correlation=correlation))))
+        image = photographed(grey, rng, noise=8, correlation=correlation)
+        found = finder(image)
+        counts.append(len(found))
+        said.append("noise" in found.advice(image))
     false = float(np.mean(counts)) / math.prod(boards.SHAPE) * 1e6
-    return {"set": f"blank, noise smoothed by {correlation} px", "false_a_megapixel": false}
+    name = f"blank, noise smoothed by {correlation} px"
+    return {"set": name, "false_a_megapixel": false, "said": float(np.mean(said))}
 
 
 def covered(finder: Finder) -> dict[str, Any]:
@@ -151,7 +156,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(row, flush=True)
 
     finders = {name: Finder(config) for name, config in SETTINGS.items()}
-    for name, group in [*spread_ink(), *noisy(100)]:
+    for name, group in [*spread_ink(), *noisy(400)]:
         for setting, finder in finders.items():
             keep({"settings": setting, "set": name, **judged(group, finder)})
     for correlation, (setting, finder) in itertools.product(CORRELATIONS, finders.items()):

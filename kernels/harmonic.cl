@@ -372,7 +372,7 @@ bool is_candidate(const Decision decision, const bool fine, const int r, const i
 
 #if OCTAVES
 
-/* Mark the maxima of octave 1 to which the wide ring responds. One work-item per maximum. */
+/* Mark the maxima of octave 1. One work-item per maximum. */
 __kernel void see_octave(__global const int *restrict lists, __global const uint *restrict counts,
                          __global const Decision *restrict found, const uint rows,
                          const uint step, const uint capacity, const int coarse_share,
@@ -380,8 +380,7 @@ __kernel void see_octave(__global const int *restrict lists, __global const uint
   OF_FRAME
   ENTRY(KIND_OF_OCTAVE(1))
   const int r = entry[2 * capacity];
-  if (!(entry[3 * capacity] & CLEAN) || r <= DECISION(p, octave).bound[0]) return;
-  if (128 * r < coarse_share * DECISION(p, 0).reference) return;
+  if (r <= DECISION(p, octave).bound[0] || 128 * r < coarse_share * DECISION(p, 0).reference) return;
   atomic_or(seen + word, 1u << x % 32);
 }
 

@@ -37,6 +37,7 @@ STRONG = 2  # a response of half the reference needs nothing beside it
 NEIGHBOURS = 24  # px in x and y: the corners of narrower cells have neighbours in there
 ALIGNED = 7  # of them that are opposed or alike suffice
 NOISY = 8  # strong candidates outweigh one that is weak and lone, one weak with neighbours as many
+OPPOSED = 2  # of them, or no aligned one, beside one that the frame halved once has too
 SEEN = 1  # px of the frame halved once
 UNIT = 15  # of a direction, about
 
@@ -257,15 +258,9 @@ def candidates(frame: Octave, rule: RingHarmonic, level: int) -> Candidates:
 def of_octave(octave: Octave, level: int) -> NDArray[np.bool_]:
     """Return (N,): the maxima of a halved frame that are at least a share of the reference, and to
     which the ring of 8 px responds at least a quarter as much."""
-    strong: NDArray[np.bool_] = 128 * octave.levels() >= OCTAVE_SHARE * level
-    return strong & is_wide(octave)
-
-
-def is_wide(octave: Octave) -> NDArray[np.bool_]:
-    """Return (N,): whether the ring of 8 px responds at least a quarter as much to a maximum of a
-    halved frame."""
-    wide: NDArray[np.bool_] = 4 * wide_response(octave) >= octave.levels()
-    return wide
+    response = octave.levels()
+    strong: NDArray[np.bool_] = 128 * response >= OCTAVE_SHARE * level
+    return strong & (4 * wide_response(octave) >= response)
 
 
 def lone_ones(
@@ -286,7 +281,7 @@ def lone_ones(
         lone = asked.copy()
         some = Candidates(*(of[asked] for of in candidates))
         opposed, aligned, askew = around(some, every, nms_radius)
-        seen = is_seen(some, half, rule, level)
+        seen = is_seen(some, half, rule, level) & ((aligned == 0) | (opposed >= OPPOSED))
         lone[asked] = (opposed < 2 * askew) | ((aligned < ALIGNED) & ~seen)
         return lone
 
@@ -298,12 +293,12 @@ def lone_ones(
 
 
 def is_seen(asked: Candidates, half: Octave, rule: RingHarmonic, level: int) -> NDArray[np.bool_]:
-    """Return (N,): whether the halved frame has a maximum, to which the ring of 8 px responds too,
-    within SEEN of the pixel that a candidate lies in, in both axes.
+    """Return (N,): whether the halved frame has a maximum within SEEN of the pixel that a candidate
+    lies in, in both axes.
 
     There, noise is weaker, and independent of that of the frame; the corners of wide cells stay.
     """
-    there = (128 * half.levels() >= rule.coarse_share * level) & is_wide(half)
+    there = 128 * half.levels() >= rule.coarse_share * level
     apart_x = np.abs((asked.x[:, None] >> 1) - half.x[there])
     apart_y = np.abs((asked.y[:, None] >> 1) - half.y[there])
     seen: NDArray[np.bool_] = (np.maximum(apart_x, apart_y) <= SEEN).any(axis=1)

@@ -409,8 +409,7 @@ int is_marked(__global const uint *marks, const int x, const int y, const int be
   return 0;
 }
 
-/* Mark the maxima of octave 1 that are above a bound and at least a share of the reference, and to
- * which the wide ring responds. */
+/* Mark the maxima of octave 1 that are above a bound and at least a share of the reference. */
 void mark_octave(const Octave octave, __global const int *lists, __global const uint2 *spans,
                  const uint bands, const uint capacity, const int bound, const int least,
                  __global uint *marks) {
@@ -420,7 +419,7 @@ void mark_octave(const Octave octave, __global const int *lists, __global const 
     __global const int *list = LIST_OF(band, kind);
     for (uint k = 0; k < SMALLER(SPAN_OF(band, kind).y, capacity); ++k) {
       const int r = list[2 * capacity + k], x = PAD + list[k];
-      if (!(list[3 * capacity + k] & CLEAN) || r <= bound || 128 * r < least) continue;
+      if (r <= bound || 128 * r < least) continue;
       marks[(uint)list[capacity + k] * width + x / 32] |= 1u << x % 32;
     }
   }
