@@ -21,8 +21,8 @@ from cmp_cl.space import Bias, BinocularSplit, Points3D, PointStatus, StereoRig
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
 _LEAST_FITTING = 0.75  # share of the nodes at rest that must fit
 _FLIP = np.array([-1, 1], np.float32)
-# Rows and columns to the nearest nodes of the same colours; the opposite ones follow from them.
-_SHIFTS = (0, 2), (2, 0), (1, 1), (1, -1)
+# Rows and columns to the nearest nodes of the same colours
+_SHIFTS = (0, 2), (0, -2), (2, 0), (-2, 0), (1, 1), (-1, -1), (1, -1), (-1, 1)
 _BETTER = 0.25  # share of the reprojection error that is left if the views were swapped or mirrored
 
 
@@ -125,22 +125,20 @@ class TwoViews(Measurement):
         """
         borders = zip(left.border or NO_SIDES, right.border or NO_SIDES, strict=True)
         both = [here and there for here, there in borders]
-        open_ways = not any(both[:2]), not any(both[2:])
-        for shift in _SHIFTS:
-            if any(step and not is_open for step, is_open in zip(shift, open_ways, strict=True)):
+        rows_known, columns_known = any(both[:2]), any(both[2:])
+        for rows, columns in _SHIFTS:
+            if (rows and rows_known) or (columns and columns_known):
                 continue
-            for sign in (1, -1):
-                rows, columns = shifted = sign * shift[0], sign * shift[1]
-                other = dataclasses.replace(right, origin=shifted).cut_to(left)
-                points = self._rig.triangulate(left, other)
-                pairs = np.count_nonzero(left.valid & other.valid)
-                if pairs and _fit(points) >= _LEAST_FITTING * pairs:
-                    raise GridError(
-                        f"the two views may show different parts of the pattern: the rig fits as "
-                        f"well with the right view's numbers shifted by {rows} rows and {columns} "
-                        "columns; give the pattern's rows and columns, or show its border on the "
-                        "same side of both views"
-                    )
+            other = dataclasses.replace(right, origin=(rows, columns)).cut_to(left)
+            points = self._rig.triangulate(left, other)
+            pairs = np.count_nonzero(left.valid & other.valid)
+            if pairs and _fit(points) >= _LEAST_FITTING * pairs:
+                raise GridError(
+                    f"the two views may show different parts of the pattern: the rig fits as well "
+                    f"with the right view's numbers shifted by {rows} rows and {columns} columns; "
+                    "give the pattern's rows and columns, or show its border on the same side of "
+                    "both views"
+                )
 
     def _check_order(self, left: Grid, right: Grid, error: float) -> None:
         """Raise GridError if the rig fits far better to views that are swapped or mirrored.
@@ -148,16 +146,11 @@ class TwoViews(Measurement):
         A flat pattern near the point at which the cameras look fits to 1 px even so, with its
         heights reversed. error: the median reprojection error of the views as they are, px.
         """
-        flipped = [
-            dataclasses.replace(grid, xy=grid.xy * _FLIP + (view[2] - 1, 0))
-            for grid, view in ((left, self._split.left), (right, self._split.right))
-        ]
+        last = self._split.left[2] - 1, 0
+        flipped = [dataclasses.replace(grid, xy=grid.xy * _FLIP + last) for grid in (left, right)]
+        ways = {"left and right swapped": [right, left], "both views mirrored": flipped}
         other, how = min(
-            (_middle(self._rig.triangulate(*views).error), how)
-            for how, views in (
-                ("left and right swapped", (right, left)),
-                ("both views mirrored", flipped),
-            )
+            (_middle(self._rig.triangulate(*views).error), how) for how, views in ways.items()
         )
         if other < _BETTER * error:
             raise GridError(
