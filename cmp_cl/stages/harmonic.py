@@ -108,10 +108,10 @@ def _by_pixels(plan: PlanBase) -> list[Launch]:
     ]
     for octave in range(1, plan.octaves + 1):
         larger = plan.size_of(octave - 1)
-        halving = _dense(
-            plan,
-            octave,
+        halving = plan.dense(
             "halve",
+            None,
+            octave,
             image=plan.image_of(octave - 1),
             full_rows=larger["rows"],
             full_step=larger["step"],
@@ -122,21 +122,12 @@ def _by_pixels(plan: PlanBase) -> list[Launch]:
     return [*stages, *_list_maxima(plan, 0), *_decide(plan)]
 
 
-def _dense(plan: PlanBase, octave: int, name: str, /, **arguments: Any) -> Launch:
-    """Bind a kernel with one work-item per element of a row of an octave."""
-    if not octave:
-        return plan.dense(name, **arguments)
-    size = plan.size_of(octave)
-    items = (int(size["step"]), int(size["rows"]), plan.frames)
-    return plan.stage(name, items, (GROUP, 1, 1), **arguments)
-
-
 def _list_maxima(plan: PlanBase, octave: int) -> list[Launch]:
     """Return the launches from the image of an octave to the lists of its maxima."""
     b, size = plan.arrays, plan.size_of(octave)
 
     def dense(name: str, **arguments: Any) -> Launch:
-        return _dense(plan, octave, name, **arguments)
+        return plan.dense(name, None, octave, **arguments)
 
     stages = [
         *noise.launches(plan, octave),

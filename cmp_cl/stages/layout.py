@@ -115,11 +115,14 @@ class PlanBase(Binder):
         lines = isinstance(self.config.refinement, EdgeLines | EdgeStep)
         return LANES if self.form is Form.CPU and lines else 1
 
-    def dense(self, name: str, *heights: int, **arguments: Any) -> Launch:
-        """Bind a kernel with one work-item per element of a row, of a slab of that height."""
-        height = heights[0] if heights else self.working[0]
-        items = (self.step, height, self.frames)
-        return self.stage(name, items, (self.width, 1, 1), **arguments)
+    def dense(
+        self, name: str, height: int | None = None, octave: int = 0, /, **arguments: Any
+    ) -> Launch:
+        """Bind a kernel with one work-item per element of a row of an octave, of a slab of that
+        height."""
+        size = self.size_of(octave)
+        items = (int(size["step"]), height or int(size["rows"]), self.frames)
+        return self.stage(name, items, (GROUP if octave else self.width, 1, 1), **arguments)
 
     def of_corners(self, name: str, **arguments: Any) -> Launch:
         """Bind a kernel with one work-item per entry of the list of corners."""
@@ -141,8 +144,7 @@ class PlanBase(Binder):
     @property
     def size(self) -> dict[str, Any]:
         """Return rows, columns and step of the image that the stages start from, by argument."""
-        (rows, columns), step = self.working, self.step
-        return {"rows": np.uint32(rows), "columns": np.uint32(columns), "step": np.uint32(step)}
+        return self.size_of(0)
 
     @property
     def corner_list(self) -> dict[str, Any]:

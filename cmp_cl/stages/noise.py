@@ -21,10 +21,10 @@ def launches(plan: PlanBase, octave: int = 0) -> list[Launch]:
     b, size = plan.arrays, plan.size_of(octave)
     count = bands(plan, octave)
     return [
-        plan.stage(
+        plan.dense(
             "noise",
-            (int(size["step"]), count, plan.frames),
-            (plan.width if octave == 0 else GROUP, 1, 1),
+            count,
+            octave,
             image=plan.image_of(octave),
             rows=size["rows"],
             step=size["step"],
