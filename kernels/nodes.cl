@@ -343,23 +343,18 @@ float score_of(LEVELS_OF_IMAGE, const float sides, const int quality, const floa
   return inside ? score : -INFINITY;
 }
 
-/* The score of a node, and the number of its sides; no node has a score of 99. */
+/* The score of a node; no node has a score of 99. */
 #define NO_SCORE 99.0f
 #define ADD_SIDE(neighbour, sum)                                                    \
-  if (IS_HERE(at[neighbour])) {                                                     \
-    whole += clipped(((float)(sum) * share) * nats->side_share);                    \
-    ++count;                                                                        \
-  }
+  if (IS_HERE(at[neighbour])) whole += clipped(((float)(sum) * share) * nats->side_share);
 void score_node(LEVELS_OF_IMAGE, __constant Nats *nats, const int width, const int place,
                 __global const float2 *seen, __global const float2 *at,
                 __global const float4 *predictions, __global const float *cell,
-                __global const int2 *sides, __global const int2 *cells, __global float *score,
-                __global uchar *sides_of) {
+                __global const int2 *sides, __global const int2 *cells, __global float *score) {
   float own = NO_SCORE;
   if (IS_HERE(at[place])) {
     const float share = usual_share(cells, place, width);
     float whole = 0;
-    int count = 0;
     ADD_SIDE(place + 1, sides[place].x)
     ADD_SIDE(place + width, sides[place].y)
     ADD_SIDE(place - 1, sides[place - 1].x)
@@ -368,7 +363,6 @@ void score_node(LEVELS_OF_IMAGE, __constant Nats *nats, const int width, const i
     const Prediction prediction = {p.xy, p.z};
     own = score_of(LEVELS, whole, cells[place].x, share, seen[place], at[place], prediction,
                    cell[place], nats);
-    sides_of[place] = count;
   }
   score[place] = own;
 }
@@ -378,22 +372,19 @@ __kernel void score_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
                           __global const float2 *restrict at,
                           __global const float4 *restrict predictions,
                           __global const float *restrict cell, __global const int2 *restrict sides,
-                          __global const int2 *restrict cells, __global float *restrict score,
-                          __global uchar *restrict sides_of) {
+                          __global const int2 *restrict cells, __global float *restrict score) {
   FOR_PLACES(1) {
     PLACE_OF_WORK_ITEM
-    score_node(LEVELS, nats, width, place, seen, at, predictions, cell, sides, cells, score,
-               sides_of);
+    score_node(LEVELS, nats, width, place, seen, at, predictions, cell, sides, cells, score);
   }
 }
 
 /* Whether a node scores too little; one that is less likely than not goes at once, of others the
  * worst of each 3 x 3 first. */
-bool is_weak(__constant Nats *nats, const int width, const int place, __global const float *score,
-             __global const uchar *sides_of) {
+bool is_weak(__constant Nats *nats, const int width, const int place, __global const float *score) {
   const float own = score[place];
   if (own == NO_SCORE) return false;
-  if (!sides_of[place] || own < 0) return true;
+  if (own < 0) return true;
   bool is_worst = own < nats->stay;
   for (int r = -1; is_worst && r <= 1; ++r)
     for (int c = -1; c <= 1; ++c) is_worst &= own <= score[place + r * width + c];
@@ -540,7 +531,7 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
                            __global uchar *tried, __global float2 *at, __global float2 *result,
                            __global uchar *rough, __global float4 *predictions,
                            __global float *cell, __global int2 *sides, __global int2 *cells,
-                           __global float *score, __global uchar *sides_of,
+                           __global float *score,
                            __global int *candidate, __global float2 *found, __global int *key,
                            __global int *listed, __global int *asked, __global int *best_score,
                            __global int *best_place, __global int *marks, __global int *lists,
@@ -555,14 +546,14 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
     if (row < NEAR || row >= height - NEAR || column < NEAR || column >= width - NEAR) continue;
     if (!IS_HERE(seen[place])) {
       if (is_beside_nodes(seen, place, width)) list_place(OF_PLACES, LOOKED, place);
-    } else if (is_weak(nats, width, place, score, sides_of)) {
+    } else if (is_weak(nats, width, place, score)) {
       list_place(OF_PLACES, JUDGED, place);
     }
   }
   ALL_TOGETHER;
   for (int round = 1;;) {
     FOR_LISTED(JUDGED) {
-      if (!is_weak(nats, width, place, score, sides_of)) continue;
+      if (!is_weak(nats, width, place, score)) continue;
       if (owner[place] >= 0) used[owner[place]] = 0;
       owner[place] = NONE;
       seen[place] = (float2)(NAN, NAN);
@@ -635,8 +626,7 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
     ALL_TOGETHER;
     list_around(OF_PLACES, MEASURED, 2, SCORED, true, width, seen);
     FOR_LISTED(SCORED)
-      score_node(LEVELS, nats, width, place, seen, at, predictions, cell, sides, cells, score,
-                 sides_of);
+      score_node(LEVELS, nats, width, place, seen, at, predictions, cell, sides, cells, score);
     ALL_TOGETHER;
     list_around(OF_PLACES, SCORED, 1, JUDGED, false, width, seen);
     for (int kind = CHANGED; kind <= SCORED; ++kind) empty_list(OF_PLACES, kind);

@@ -38,8 +38,12 @@ class Found:
     """A board in a view, upright; the number of its first node and how sure it is."""
 
     board: Board
-    border: Border
     decision: Decision
+
+    @property
+    def border(self) -> Border:
+        assert self.board.border is not None
+        return self.board.border
 
     @functools.cached_property
     def size(self) -> int:
@@ -102,11 +106,7 @@ class Found:
 
 def found_in(boards: Iterable[Board], asked: Asked) -> list[Found]:
     """Return the boards of a view with their numbers, those of more corners first."""
-    found = [
-        Found(board, board.border, _decided(board, asked))
-        for board in boards
-        if board.border is not None and (board.owner >= 0).any()
-    ]
+    found = [Found(board, _decided(board, asked)) for board in boards if (board.owner >= 0).any()]
     return sorted(found, key=lambda each: -each.size)
 
 

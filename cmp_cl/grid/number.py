@@ -15,8 +15,7 @@ from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.opencl.device import Device
 
 LEAST = LatticeConstants.least_board
-NARROW = 6  # px, side of bins; cells are narrow where bins 3 x 3 around a corner hold another
-WIDE_RING, NARROW_RING = (3, 5, 4), (1, 3, 2)  # smoothings; ring, px along the axes and diagonals
+SMOOTHINGS, AXIS, DIAGONAL = 2, 4, 3  # px, the ring of levels around a corner
 
 
 def number(
@@ -96,26 +95,15 @@ def _edges(image: GreyImage, xy: NDArray[np.float32]) -> NDArray[np.float32]:
     on a ring.
     """
     last = np.array(image.shape[::-1]) - 1
-    column, row = np.clip(np.rint(xy), 0, last).astype(np.int64).T
-    bins = np.zeros(np.array(image.shape) // NARROW + 1, np.float32)
-    np.add.at(bins, (row // NARROW, column // NARROW), 1)
-    around = cv2.boxFilter(bins, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    narrow = around[row // NARROW, column // NARROW] > 1
-    levels: NDArray[np.float32] = image.astype(np.float32)
+    x, y = np.clip(np.rint(xy), 0, last).astype(np.int64).T + AXIS
+    smooth = np.pad(image.astype(np.float32), AXIS, mode="edge")
     kernel = np.array([1, 2, 1], np.float32) / 4
-    angle = np.zeros(len(xy))
-    for some, (smoothings, a, d) in ((~narrow, WIDE_RING), (narrow, NARROW_RING)):
-        smooth = levels
-        for _ in range(smoothings):
-            smooth = np.asarray(
-                cv2.sepFilter2D(smooth, -1, kernel, kernel, borderType=cv2.BORDER_REPLICATE),
-                np.float32,
-            )
-        padded = np.pad(smooth, a, mode="edge")
-        x, y = column[some] + a, row[some] + a
-        s = [padded[y + v, x + u] for u, v in ((0, -a), (d, -d), (a, 0), (d, d))]
-        t = [padded[y - v, x - u] for u, v in ((0, -a), (d, -d), (a, 0), (d, d))]
-        upright, rising, level, falling = (one + other for one, other in zip(s, t, strict=True))
-        angle[some] = np.arctan2(rising - falling, upright - level) / 2
-    edges = angle[:, None] - np.pi / 4 + np.arange(4) * (np.pi / 2)
+    for _ in range(SMOOTHINGS):
+        smooth = np.asarray(
+            cv2.sepFilter2D(smooth, -1, kernel, kernel, borderType=cv2.BORDER_REPLICATE), np.float32
+        )
+    ring = ((0, -AXIS), (DIAGONAL, -DIAGONAL), (AXIS, 0), (DIAGONAL, DIAGONAL))
+    upright, rising, level, falling = (smooth[y + v, x + u] + smooth[y - v, x - u] for u, v in ring)
+    angle = np.arctan2(rising - falling, upright - level) / 2
+    edges: NDArray[np.float64] = angle[:, None] - np.pi / 4 + np.arange(4) * (np.pi / 2)
     return ((edges + np.pi) % (2 * np.pi) - np.pi).astype(np.float32)

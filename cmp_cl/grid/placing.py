@@ -11,7 +11,7 @@ from cmp_cl.grid.choice import Asked, Found
 from cmp_cl.grid.grid import Grid, NodeStatus, Rival, Sides, empty_grid
 from cmp_cl.grid.limits import check_size
 from cmp_cl.lattice.arrays import LOOKED, Board
-from cmp_cl.lattice.numbers import Decision, Numbering, Seen, full_lines, seen_lines
+from cmp_cl.lattice.numbers import Decision, Numbering, Seen, outer_lines, seen_lines
 
 
 class Given(NamedTuple):
@@ -90,7 +90,7 @@ def _extent(board: Board, best: Numbering, asked: Asked) -> tuple[tuple[int, int
         return (0, 0), (size[0], size[1])
     if asked.like is None:
         return (0, 0), asked.shape
-    lines = full_lines(board.owner >= 0)
+    lines = outer_lines(board.owner >= 0)
     first, shape = [], []
     ends = asked.like.border or Sides()
     for axis, start in enumerate((best.row, best.column)):

@@ -20,10 +20,8 @@ from cmp_cl.lattice.constants import LatticeConstants
 DIRECTIONS = np.array([1, 1j, -1, -1j])
 # Shifts that keep the colours, of which the one of least bending is looked for.
 SHIFTS = np.array([x + 1j * y for x in range(-2, 3) for y in range(-2, 3) if (x + y) % 2 == 0])
-ROUNDED = 0.1  # numbers nearer than that are equal
 TREND = 6  # terms of a quadratic
 FAR = 1 << 20  # farther than any number
-SPARE = 8  # steps between parts, on the map of numbers
 
 
 @dataclasses.dataclass(eq=False)
@@ -65,12 +63,9 @@ class _Joining:
             np.zeros(corners, np.complex128),
             np.zeros(corners, np.int64),
         )
-        self.disputed: list[complex] = []
-        self.used = Occupied(units.number[each] for each in self.members)
-        self.ratios: dict[tuple[int, int, complex, int], float] = {}
 
     def run(self, main: int, others: Iterable[int]) -> Placed:
-        self.place(main, Placement(0, 0j))
+        order = [self.place(main, Placement(0, 0j))]
         left = list(others)
         while left:
             found = [(self.sure(p), p) for p in left]
@@ -83,34 +78,22 @@ class _Joining:
                 break
             part = -best[1]
             assert best[2] is not None
-            self.place(part, best[2])
+            order.append(self.place(part, best[2]))
             left.remove(part)
-        self.leave_out_disputed()
+        corner = np.concatenate(order)
+        _, first = np.unique(_keys(self.placed.number[corner]), return_index=True)
+        self.placed.unit[np.delete(corner, first)] = -1  # a number goes to the part placed first
         return self.placed
 
-    def leave_out_disputed(self) -> None:
-        """Take the numbers from corners near one that two parts number otherwise. A piece of one of
-        them hangs on the wrong side of a tear there; its nodes are found again from the others."""
-        for number in self.disputed:
-            step = self.placed.number - number
-            near = np.maximum(np.abs(step.real), np.abs(step.imag)) < self.k.span + ROUNDED
-            self.placed.unit[near] = -1
-
-    def place(self, part: int, at: Placement) -> None:
-        """Number the corners of a part that have no number, unless theirs is used."""
-        some = self.members[part]
-        corner = self.units.corner[some]
-        number = self.units.number[some] * DIRECTIONS[at.quarter] + at.offset
-        before = self.placed.number[corner]
-        free = ~self.placed.there[corner]
-        other = ~free & (np.abs(number - before) > ROUNDED)
-        self.disputed += [*before[other], *number[other]]
-        fresh = free & ~self.used.at(number)
-        corner, number = corner[fresh], number[fresh]
-        self.placed.unit[corner] = np.arange(some.start, some.stop)[fresh]
-        self.placed.number[corner] = number
-        self.placed.rotation[corner] = (self.units.rotation[some][fresh] + at.quarter) % 4
-        self.used.add(number)
+    def place(self, part: int, at: Placement) -> Whole:
+        """Number the corners of a part that have no number. Return these corners."""
+        some, placed = self.members[part], self.placed
+        unit = some.start + np.flatnonzero(~placed.there[self.units.corner[some]])
+        corner: Whole = self.units.corner[unit]
+        placed.unit[corner] = unit
+        placed.number[corner] = self.units.number[unit] * DIRECTIONS[at.quarter] + at.offset
+        placed.rotation[corner] = (self.units.rotation[unit] + at.quarter) % 4
+        return corner
 
     def ballots(self, part: int) -> tuple[Whole, Numbers, Float]:
         """Return the votes for placements of a part: quarter, offset, weight."""
@@ -137,71 +120,39 @@ class _Joining:
     def sure(self, part: int) -> tuple[float, Placement | None]:
         """Return the placement of a part if it is sure, and by how much its surface is better.
 
-        It has the most votes, less the numbers that would be used twice, and the surface bends
-        least there. Neither is enough alone: squeezed cells can get lost between the parts, which
-        makes counts too short; and where cells are long the surface expects more of them.
+        It has the most votes, and the surface bends least there. Neither is enough alone: squeezed
+        cells can get lost between the parts, which makes counts too short; and where cells are long
+        the surface expects more of them.
         """
         quarter, offset, weight = self.ballots(part)
-        if weight.sum() < self.k.join_votes:
-            return 0.0, None
-        some = self.members[part]
-        places, which = np.unique(np.rint(offset) + FAR * quarter, return_inverse=True)
-        quarters = np.rint(places.real / FAR).astype(np.int64)
-        places -= FAR * quarters
+        _, first, which = np.unique(_keys(offset) + quarter * FAR * FAR, True, True)
         votes = np.bincount(which, weight)
-        free = self.units.number[some][~self.placed.there[self.units.corner[some]]]
-        turned = np.multiply.outer(DIRECTIONS[quarters], free) + places[:, None]
-        twice = np.count_nonzero(self.used.at(turned), axis=1)
-        best = int(np.argmax(votes - twice))
-        if votes[best] < self.k.join_votes:
+        if not len(votes) or votes.max() < self.k.join_votes:
             return 0.0, None
-        at = Placement(int(quarters[best]), complex(places[best]))
-        ratio = self.ratio(part, *at)
+        best = first[votes.argmax()]
+        at = Placement(int(quarter[best]), complex(np.rint(offset[best])))
+        ratio = self.ratio(part, at)
         return (ratio, at) if ratio >= self.k.join_bend else (0.0, None)
 
-    def ratio(self, part: int, turn: int, offset: complex) -> float:
+    def ratio(self, part: int, at: Placement) -> float:
         """Return by what factor the surface bends more at the second best offset; 0 if this one is
         not the best."""
-        units, placed = self.units, self.placed
-        some = self.members[part]
-        there = placed.there
+        units, some, there = self.units, self.members[part], self.placed.there
         there[units.corner[some]] = False
-        known = part, turn, offset, int(np.count_nonzero(there))
-        if known not in self.ratios:
-            others = placed.unit[there]
-            fixed = Side(units.at[others], placed.number[there], units.rim[others])
-            moved = Side(units.at[some], units.number[some] * DIRECTIONS[turn], units.rim[some])
-            energy = Tear.between(fixed, moved, self.k).energies(offset + SHIFTS)
-            energy = np.where(energy > 0, energy, np.inf)
-            first, second = np.sort(energy)[:2]
-            best = SHIFTS[energy.argmin()] == 0 and np.isfinite(first)
-            self.ratios[known] = float(second / first) if best else 0.0
-        return self.ratios[known]
+        others = self.placed.unit[there]
+        fixed = Side(units.at[others], self.placed.number[there], units.rim[others])
+        moved = Side(units.at[some], units.number[some] * DIRECTIONS[at.quarter], units.rim[some])
+        energy = Tear.between(fixed, moved, self.k).energies(at.offset + SHIFTS)
+        energy = np.where(energy > 0, energy, np.inf)
+        first, second = np.sort(energy)[:2]
+        best = SHIFTS[energy.argmin()] == 0 and np.isfinite(first)
+        return float(second / first) if best else 0.0
 
 
-class Occupied:
-    """The numbers that corners have, as a map; no part can lie farther from the first than it has
-    room for."""
-
-    def __init__(self, parts: Iterable[Numbers]) -> None:
-        self.reach = sum(int(np.ptp(n.real) + np.ptp(n.imag)) + SPARE for n in parts)
-        self.map = np.zeros((2 * self.reach + 1, 2 * self.reach + 1), np.bool_)
-
-    def _places(self, number: Numbers) -> tuple[Whole, Whole]:
-        row, column = (each + self.reach for each in _row_and_column(number))
-        return row.clip(0, 2 * self.reach), column.clip(0, 2 * self.reach)
-
-    def add(self, number: Numbers) -> None:
-        self.map[self._places(number)] = True
-
-    def at(self, number: Numbers) -> Mask:
-        """Return which of the numbers are taken."""
-        taken: Mask = self.map[self._places(number)]
-        return taken
-
-
-def _row_and_column(number: Numbers) -> tuple[Whole, Whole]:
-    return np.rint(number.imag).astype(np.int64), np.rint(number.real).astype(np.int64)
+def _keys(number: Numbers) -> Whole:
+    """Return one whole number for each."""
+    column, row = np.rint(number.real), np.rint(number.imag)
+    return (column * FAR + row).astype(np.int64)
 
 
 class Side(NamedTuple):

@@ -30,7 +30,6 @@ def sizes(plan: "LatticePlan") -> dict[str, int]:
         "predictions": 16 * places,
         "torn": places,
         "rough": places,
-        "sides_of": places,
         "tried": places,
         "numbers": 16 * corners,
         "used": corners,
@@ -67,7 +66,6 @@ def lay(plan: "LatticePlan", most_parts: int) -> list[Launch]:
     nodes = some("seen", "owner", "torn", "used")
     positions = some("at", "result", "rough", "predictions")
     measures = some("cell", "sides", "cells")
-    scores = some("score", "sides_of")
     claims = some("best_score", "best_place")
     return [
         plan.one_group(
@@ -90,7 +88,7 @@ def lay(plan: "LatticePlan", most_parts: int) -> list[Launch]:
             **nats,
             **some("layout", "seen", "at", "predictions"),
             **measures,
-            **scores,
+            **some("score"),
         ),
         plan.one_group(
             "settle_nodes",
@@ -103,7 +101,7 @@ def lay(plan: "LatticePlan", most_parts: int) -> list[Launch]:
             **some("tried"),
             **positions,
             **measures,
-            **scores,
+            **some("score"),
             **some("candidate", "found", "key", "listed", "asked"),
             **claims,
             **some("marks", "lists"),

@@ -17,8 +17,7 @@ from cmp_cl.lattice.borders import Border
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.printing import Prints, agreement, prints_of
 
-VOTERS = 400  # nodes that show the motion from a reference
-LOOKS = 6  # steps from the affine guess of a node's number to the nearest node of the reference
+VOTERS = 100  # nodes that show the motion from a reference
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -46,8 +45,8 @@ class Seen:
         )
 
     @functools.cached_property
-    def full_lines(self) -> tuple[int, int, int, int]:
-        return full_lines(~np.isnan(self.at.real))
+    def outer_lines(self) -> tuple[int, int, int, int]:
+        return outer_lines(~np.isnan(self.at.real))
 
     @functools.cached_property
     def prints(self) -> Prints:
@@ -57,14 +56,6 @@ class Seen:
     def steps(self) -> tuple[complex, complex]:
         """Return the mean steps to the next column and the next row, px."""
         return _steps(self.at)
-
-    @functools.cached_property
-    def affine(self) -> Float:
-        """Return the affine map, (3, 2), from (1, x, y), px, to about (row, column) here."""
-        known = ~np.isnan(self.at)
-        model = _affine_model(self.at[known])
-        place = np.argwhere(known).astype(np.float64)
-        return np.asarray(np.linalg.lstsq(model, place, rcond=None)[0], np.float64)
 
 
 class Reference(NamedTuple):
@@ -158,7 +149,7 @@ def _shifts(
     away = np.square(row - unmoved[0])[:, None] + np.square(column - unmoved[1])
     score = nats - np.minimum(away / (2 * sd_cells**2), k.motion_nats)
     score += agreement(rest.seen.prints, prints, row - origin[0], column - origin[1], k)
-    here, there = now.full_lines, rest.seen.full_lines
+    here, there = now.outer_lines, rest.seen.outer_lines
     for axis, first in ((0, row), (1, column)):
         ends = _of_ends(
             first - origin[axis],
@@ -191,7 +182,7 @@ def _of_ends(
 ) -> Float:
     """Return the nats of two opposite sides for each number of the first line, (P,).
 
-    here, there: the first and the last full line, now and at rest.
+    here, there: the first and the last line, now and at rest.
 
     Two borders on one line agree. Else the pattern did not end where it seemed to, at rest or now,
     and an object hid its rest.
@@ -227,7 +218,7 @@ def in_shape(now: Seen, shape: tuple[int, int], k: LatticeConstants) -> Decision
     found = []
     for quarters in turns:
         turned = now.turned(quarters)
-        top, bottom, left, right = turned.full_lines
+        top, bottom, left, right = turned.outer_lines
         rows = _places(top, bottom, shape[0], turned.border, 0, k)
         columns = _places(left, right, shape[1], turned.border, 2, k)
         found += [
@@ -242,7 +233,7 @@ def _places(
 ) -> list[tuple[int, float]]:
     """Return numbers for the first line of a board, and their nats.
 
-    begin, end: the first and the last of its full lines. size: the lines of the pattern.
+    begin, end: the first and the last of its lines. size: the lines of the pattern.
     """
     nats, places = border.nats(k), []
     lines = end - begin + 1
@@ -262,19 +253,15 @@ def _places(
 def seen_lines(now: Seen) -> tuple[int, int]:
     """Return the rows and columns that a board seems to have: its own, and one more on each side
     on which the pattern follows."""
-    top, bottom, left, right = now.full_lines
+    top, bottom, left, right = now.outer_lines
     more = now.border.follows.astype(int)
     return bottom - top + 1 + more[:2].sum(), right - left + 1 + more[2:].sum()
 
 
-def full_lines(there: Mask) -> tuple[int, int, int, int]:
-    """Return the first and last row, first and last column with a fair share of the nodes."""
-    ends = []
-    for axis in (1, 0):
-        count = np.count_nonzero(there, axis=axis)
-        full = np.flatnonzero(count)
-        ends += [int(full[0]), int(full[-1])]
-    return ends[0], ends[1], ends[2], ends[3]
+def outer_lines(there: Mask) -> tuple[int, int, int, int]:
+    """Return the first and last row, first and last column that hold nodes."""
+    (top, bottom), (left, right) = (np.flatnonzero(there.any(axis))[[0, -1]] for axis in (1, 0))
+    return int(top), int(bottom), int(left), int(right)
 
 
 def _steps(at: Numbers) -> tuple[complex, complex]:
@@ -287,44 +274,23 @@ def _steps(at: Numbers) -> tuple[complex, complex]:
     return along or -1j * down, down or 1j * along
 
 
-def _affine_model(z: Numbers) -> Float:
-    """Return (1, x, y) of points, (N, 3)."""
-    return np.stack([np.ones(len(z)), z.real, z.imag], axis=1)
-
-
 def _unmoved(at: Numbers, reference: Reference) -> Float:
     """Return the number, (2,) real, of a board's node (0, 0) if the middle of the view had not
     moved since the reference.
 
-    Nodes are compared with the nearest ones of the reference; their numbers there are an affine
-    function of their own, whose value in the middle of the view counts.
+    Nodes around the middle are compared with the nearest ones of the reference.
     """
     there = reference.seen.at
     along, down = reference.seen.steps
-    row, column = np.nonzero(~np.isnan(at))
-    z = at[row, column]
+    place, nodes = np.argwhere(~np.isnan(at)), np.argwhere(~np.isnan(there))
+    z, others = at[tuple(place.T)], there[tuple(nodes.T)]
     middle = complex(np.median(z.real), np.median(z.imag))
     some = np.argsort(np.abs(z - middle), kind="stable")[: max(len(z) // 2, 9)]
     some = some[:: max(len(some) // VOTERS, 1)]
-    row, column, z = row[some], column[some], z[some]
-    place = _affine_model(z) @ reference.seen.affine
-    area = (along.conjugate() * down).imag or 1.0
-    near = np.zeros(len(z), np.bool_)
-    for _ in range(LOOKS):
-        r, c = np.rint(np.clip(place, 0, np.array(there.shape) - 1)).astype(np.int64).T
-        off = z - there[r, c]
-        x, y = (off.conj() * down).imag / area, (along.conjugate() * off).imag / area
-        near = ~np.isnan(off)
-        found = np.stack([r + y, c + x], axis=1)
-        place = np.where(np.isnan(off)[:, None], place, found)
-    if np.count_nonzero(near) < 4:
-        near[:] = True
-    number = place[near] - np.stack([row, column], axis=1)[near] + reference.origin
-    model = _affine_model(z[near] - middle)
-    weight = np.ones(len(number))
-    for _ in range(3):
-        fit = np.linalg.lstsq(model * weight[:, None], number * weight[:, None], rcond=None)[0]
-        off = np.linalg.norm(number - model @ fit, axis=1)
-        weight = (off <= max(2.5 * float(np.median(off)), 1e-3)).astype(np.float64)
-    unmoved: Float = fit[0]
+    place, z = place[some], z[some]
+    nearest = np.abs(np.subtract.outer(z, others)).argmin(axis=1)
+    off, area = z - others[nearest], (along.conjugate() * down).imag or 1.0
+    x, y = (off.conj() * down).imag / area, (along.conjugate() * off).imag / area
+    number = nodes[nearest] + np.stack([y, x], axis=1) - place + reference.origin
+    unmoved: Float = np.median(number, axis=0)
     return unmoved

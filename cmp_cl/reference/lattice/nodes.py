@@ -144,20 +144,6 @@ def result(board: Board, k: LatticeConstants) -> Board:
     return Board(x=x, y=y, owner=board.owner, torn=rough, sign=board.sign)
 
 
-def side_sums(plane: Plane, x: Real, y: Real, parity: Whole, k: LatticeConstants) -> list[Whole]:
-    """Return the evidence of the sides to the right and down, (R, C) each, as sums of five
-    differences in sixteenths of a grey level; 0 where a node is missing."""
-    sums = []
-    for (r, c), sign in (((0, 1), parity), ((1, 0), -parity)):
-        dx, dy = shifted(x, r, c, np.nan) - x, shifted(y, r, c, np.nan) - y
-        both = np.flatnonzero(~np.isnan(dx.ravel()))
-        total = np.zeros(x.size, np.int64)
-        start, step = (x.ravel()[both], y.ravel()[both]), (dx.ravel()[both], dy.ravel()[both])
-        total[both] = side_sum(plane, start, step, k) * sign.ravel()[both]
-        sums.append(total.reshape(x.shape))
-    return sums
-
-
 def cells_at(
     plane: Plane, x: Real, y: Real, steps: Steps, parity: Whole, k: LatticeConstants
 ) -> tuple[Whole, Whole]:
@@ -177,20 +163,12 @@ def cells_at(
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Evidence:
-    """score: nats (R, C); count: sides; misfit: squared distance from the prediction, cells^2, 0
-    where unknown; weight: of the prediction; at_x, at_y: the prediction; x, y: the node, px."""
+    """Of each node, (R, C): score, nats; x, y: its position, px; steps."""
 
     score: Real
-    count: Whole
-    misfit: Real
-    weight: Real
-    at_x: Real
-    at_y: Real
     x: Real
     y: Real
     steps: Steps
-    side: list[Real]
-    quality: Real
 
 
 def evidence(
@@ -221,18 +199,11 @@ def evidence(
     known = there & steps.known
     share = _usual(np.where(known, contrast, 0), known)
 
-    if new is None:
-        right, down = side_sums(plane, x, y, parity, k)
-        sums = [right, down, shifted(right, 0, -1, 0), shifted(down, -1, 0, 0)]
-    else:
-        sums = _sides_to(plane, (own_x, own_y), x, y, parity, k)
-    sides, count, all_sides = np.zeros(x.shape, np.float32), np.zeros(x.shape, np.int64), []
-    for (r, c), each in zip(FOUR, sums, strict=True):
+    sides = np.zeros(x.shape, np.float32)
+    for (r, c), each in zip(FOUR, _sides_to(plane, (own_x, own_y), x, y, parity, k), strict=True):
         seen = ~np.isnan(shifted(own_x, r, c, np.nan)) & ~np.isnan(x)
         whole = np.clip((each.astype(np.float32) * share) * F(1 / len(k.side_points)), F(-1), F(1))
         sides = np.where(seen, sides + whole, sides)
-        all_sides.append(np.where(seen, whole, F(np.nan)))
-        count = count + seen
     cells = np.clip(quality.astype(np.float32) * share, F(-1), F(1))
     at_x, at_y, weight = prediction
     dx, dy = np.nan_to_num(seen_x) - at_x, np.nan_to_num(seen_y) - at_y
@@ -247,16 +218,9 @@ def evidence(
     score = np.where(inside, score, F(-np.inf))
     return Evidence(
         score=np.where(np.isnan(x), F(np.nan), score),
-        count=count,
-        misfit=misfit,
-        weight=weight,
-        at_x=at_x,
-        at_y=at_y,
         x=x,
         y=y,
         steps=steps,
-        side=all_sides,
-        quality=cells,
     )
 
 
@@ -280,8 +244,9 @@ def _sides_to(
     parity: Whole,
     k: LatticeConstants,
 ) -> list[Whole]:
-    """Return the sides from new positions to the board's own neighbours; sampled from the upper or
-    the left end, as `side_sums`."""
+    """Return the evidence of the four sides from positions to the board's own neighbours, (R, C)
+    each, as sums of five differences in sixteenths of a grey level, read from the upper or the left
+    end; 0 where one is missing."""
     sums = []
     for r, c in FOUR:
         ox, oy = shifted(own[0], r, c, np.nan), shifted(own[1], r, c, np.nan)
@@ -378,7 +343,7 @@ def dropped(plane: Plane, board: Board, k: LatticeConstants) -> Board:
             for j in range(-1, 2):
                 worst = np.fmin(worst, shifted(score, i, j, np.nan))
         low = score < F(k.stay_nats)
-        bad = there & ((now.count == 0) | (low & ((score <= worst) | (score < 0))))
+        bad = there & low & ((score <= worst) | (score < 0))
         if not bad.any():
             return board
         board = Board(

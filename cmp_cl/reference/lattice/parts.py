@@ -30,15 +30,13 @@ class Parts:
     """Closed faces and the parts that they form, all (4 N,) by half-edge.
 
     twin: the half-edge at the other end of its link, -1 without one. face: the least half-edge of
-    its closed face, -1 without one. agree: its face and that of its twin agree. cut: how often the
-    tolerance of its face was lowered. root: the least half-edge of its part, -1 without one.
-    column, row: number of its corner from that of the root. direction: of the half-edge in the
-    lattice, 0 to 3. contradicted: its part has no numbers.
+    its closed face, -1 without one. cut: how often the tolerance of its face was lowered. root: the
+    least half-edge of its part, -1 without one. column, row: number of its corner from that of the
+    root. direction: of the half-edge in the lattice, 0 to 3. contradicted: its part has no numbers.
     """
 
     twin: Whole
     face: Whole
-    agree: Mask
     cut: Whole
     root: Whole
     column: Whole
@@ -299,7 +297,6 @@ def parts_of(corners: Directed, torn: Mask, twin: Whole, constants: LatticeConst
     return Parts(
         twin=twin,
         face=face,
-        agree=agree,
         cut=cut,
         root=root,
         column=column,
