@@ -129,10 +129,30 @@ void meet_behind(__global const REAL *left, __global const REAL *right, const RE
   for (int k = 0; k < 3; ++k) point[k] += from_one[k];
 }
 #else
-/* turned: the second one in that frame. */
-void meet(__global const REAL *camera, const REAL *one, const REAL *turned, REAL *point) {
-  const REAL centre[3] = {CENTRE[0], CENTRE[1], CENTRE[2]};
-  between(one, turned, centre, point);
+/* Sampson's step moves them onto each other's epipolar lines first. */
+void meet(__global const REAL *camera, const REAL *one, const REAL *two, REAL *point) {
+  REAL essential[9], line_one[3], line_two[3], moved[3], centre[3];
+  for (int j = 0; j < 3; ++j) {
+    const int next = (j + 1) % 3, last = (j + 2) % 3; /* row j of the matrix of the cross product */
+    for (int k = 0; k < 3; ++k)
+      essential[3 * j + k] =
+          TRANSLATION[next] * ROTATION[3 * last + k] - TRANSLATION[last] * ROTATION[3 * next + k];
+  }
+  for (int j = 0; j < 3; ++j) {
+    line_one[j] = two[0] * essential[j] + two[1] * essential[3 + j] + essential[6 + j];
+    line_two[j] =
+        essential[3 * j] * one[0] + essential[3 * j + 1] * one[1] + essential[3 * j + 2];
+  }
+  const REAL square = line_one[0] * line_one[0] + line_one[1] * line_one[1] +
+                      line_two[0] * line_two[0] + line_two[1] * line_two[1];
+  const REAL step = dot_3(line_one, one) / (square > TINY ? square : TINY);
+  const REAL first[3] = {one[0] - step * line_one[0], one[1] - step * line_one[1], 1};
+  const REAL second[3] = {two[0] - step * line_two[0], two[1] - step * line_two[1], 1};
+  for (int k = 0; k < 3; ++k) {
+    moved[k] = second[0] * ROTATION[k] + second[1] * ROTATION[3 + k] + second[2] * ROTATION[6 + k];
+    centre[k] = CENTRE[k];
+  }
+  between(first, moved, centre, point);
 }
 #endif
 
@@ -185,7 +205,7 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
   const REAL depth_right =
       project_behind(right, point, tangents[1], passed + PASSED, seen + 2, jacobian + 6);
 #else
-  meet(right, one, turned, point);
+  meet(right, one, two, point);
   const REAL depth_left = project(left, point, seen, jacobian);
   const REAL depth_right = project(right, point, seen + 2, jacobian + 6);
 #endif

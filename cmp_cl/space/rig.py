@@ -35,6 +35,7 @@ from cmp_cl.space.triangulation import (
     between,
     inverse_symmetric,
     rays_through,
+    triangulate_points,
     undistort,
 )
 from cmp_cl.space.window import WINDOW, Window
@@ -261,14 +262,15 @@ class StereoRig:
         one, two = rays_through(left), rays_through(right) @ self.R
         sine = np.linalg.norm(np.cross(one, two), axis=1)
         sine /= np.linalg.norm(one, axis=1) * np.linalg.norm(two, axis=1)
-        from_one, from_two = np.zeros(3), self._centre
-        if self.window is not None:
-            from_one, one = self.window.refracted(from_one, one)
-            from_two, two = self.window.refracted(from_two, two)
-        xyz = from_one + between(one, two, from_two - from_one)
         if self.window is None:
+            xyz = triangulate_points(self.R, self.T, left, right)
             depth = np.minimum(xyz[:, 2], (xyz @ self.R.T + self.T)[:, 2])
         else:
+            (from_one, one), (from_two, two) = (
+                self.window.refracted(centre, rays)
+                for centre, rays in ((np.zeros(3), one), (self._centre, two))
+            )
+            xyz = from_one + between(one, two, from_two - from_one)
             depth = xyz @ self.window.normal - self.window.distance - self.window.thickness
         focal = (self.K1[0, 0] + self.K1[1, 1] + self.K2[0, 0] + self.K2[1, 1]) / 4
 

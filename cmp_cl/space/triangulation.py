@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 # Px: largest distance of a pixel from itself after undistortion and distortion.
 _MAX_ROUND_TRIP = 0.01
+_TINY = 1e-300
 _UNDISTORT = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 Array = NDArray[np.float64]
 
@@ -26,6 +27,29 @@ def undistort(points: Array, matrix: Array, distortion: Array) -> tuple[Array, N
     back, _ = cv2.projectPoints(rays_through(ideal), np.zeros(3), np.zeros(3), matrix, distortion)
     error = np.linalg.norm(back.reshape(-1, 2) - measured.reshape(-1, 2), axis=1)
     return ideal, error < _MAX_ROUND_TRIP
+
+
+def triangulate_points(rotation: Array, translation: Array, left: Array, right: Array) -> Array:
+    """Triangulate from two views.
+
+    Sampson's step moves the image points onto each other's epipolar lines. The result is the middle
+    of the shortest segment between their rays, which has the least reprojection error to first
+    order.
+
+    rotation: (3, 3), translation: (3,): X_right = R X_left + T. left, right: (N, 2) float64, in
+    the planes at distance 1. Returns (N, 3) float64 in the frame of the left camera, NaN where the
+    rays are parallel.
+    """
+    essential = np.cross(np.eye(3), translation) @ rotation
+    one, two = rays_through(left), rays_through(right)
+    line_one, line_two = two @ essential, one @ essential.T
+    square = np.square(line_one[:, :2]).sum(axis=1) + np.square(line_two[:, :2]).sum(axis=1)
+    step = ((line_one * one).sum(axis=1) / np.maximum(square, _TINY))[:, None]
+    one[:, :2] -= step * line_one[:, :2]
+    two[:, :2] -= step * line_two[:, :2]
+    two = two @ rotation
+    centre = -translation @ rotation
+    return between(one, two, centre)
 
 
 def between(one: Array, two: Array, centre: Array) -> Array:

@@ -5,15 +5,19 @@ plane.
    r = x^2 + y^2 and g = (1 + k1 r + k2 r^2 + k3 r^3) / (1 + k4 r + k5 r^2 + k6 r^3), the lens maps
    (x, y) to u = f (x g + 2 p1 x y + p2 (r + 2 x^2) + s1 r + s2 r^2) + c, and to v alike with p1 and
    p2 exchanged and s3, s4.
-2. The point is the middle of the shortest segment between the rays.
-3. Behind a window of flat layers the rays bend at each face, by Snell's law: with the normal w, a
+2. Sampson's step moves the points p and q of both views onto each other's epipolar lines: with
+   E = [t]x R, p -= e (q' E) / n and q -= e (E p) / n in x and y, e = q' E p, n the sum of the
+   squares of the four components.
+3. The point is the middle of the shortest segment between the rays.
+4. Behind a window of flat layers the rays bend at each face, by Snell's law: with the normal w, a
    unit direction v, i = w . v and r the ratio of the indices before and after, v becomes
-   r v + (sqrt(1 - r^2 (1 - i^2)) - r i) w. A pixel shows a point at the lateral
-   distance L from the axis w of the camera where the sum of d_k s / sqrt(n_k^2 - s^2) is L, over
-   the depths d_k and the indices n_k of all media; s is the sine of the ray in air.
-4. One Gauss-Newton step of the reprojection error, weighted by 1 / sigma^2. Its normal matrix is
+   r v + (sqrt(1 - r^2 (1 - i^2)) - r i) w. Then no Sampson's step is made, and the point is the
+   middle between these rays. A pixel shows a point at the lateral distance L from the axis w of the
+   camera where the sum of d_k s / sqrt(n_k^2 - s^2) is L, over the depths d_k and the indices n_k
+   of all media; s is the sine of the ray in air.
+5. One Gauss-Newton step of the reprojection error, weighted by 1 / sigma^2. Its normal matrix is
    the inverse of the covariance. Shifts by bent edges move the point like errors of the pixels.
-5. A node is PARALLEL if the rays in air enclose less than 1 px of the mean focal length, BEHIND if
+6. A node is PARALLEL if the rays in air enclose less than 1 px of the mean focal length, BEHIND if
    it is behind a camera or in front of the last face of the window, INCONSISTENT if the lens has no
    inverse there or the reprojection error is above 3 px.
 """
@@ -149,6 +153,7 @@ def points(
     there = shown[0] & shown[1]
     shape = there.shape
     left, right = cameras
+    essential = np.cross(np.eye(3), right.move) @ right.rotation
     centre = -right.move @ right.rotation
     least_sine = LEAST_PARALLAX / np.mean([left.focal, right.focal])
     bends = [
@@ -166,7 +171,11 @@ def points(
         sine = np.linalg.norm(np.cross(p, turned))
         sine /= np.linalg.norm(p) * np.linalg.norm(turned)
         if window is None:
-            point = _meeting((np.zeros(3), p), (centre, turned))
+            line_p, line_q = q @ essential, essential @ p
+            size = np.square([*line_p[:2], *line_q[:2]]).sum()
+            step = (line_p @ p) / max(size, 1e-300)
+            p[:2], q[:2] = p[:2] - step * line_p[:2], q[:2] - step * line_q[:2]
+            point = _meeting((np.zeros(3), p), (centre, q @ right.rotation))
             depth = min(point[2], (right.rotation @ point + right.move)[2])
         else:
             rays = window.behind(np.zeros(3), p), window.behind(centre, turned)
