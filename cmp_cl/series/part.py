@@ -3,14 +3,13 @@
 import io
 import json
 import shutil
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.files import check_memory
 from cmp_cl.series.base import Arrays
 
 _CONSTANTS = "constants"  # the folder for them
@@ -91,7 +90,7 @@ class _Column:
 
 class Stored(NamedTuple):
     """The whole frames of a part. about: the units and the entries of `Description`. arrays: (F,
-    ...) of all frames by name, in the order of the names, not read before they are used."""
+    ...) of all frames by name, in the order of the names. Neither is read before it is used."""
 
     about: Mapping[str, Any]
     constants: Arrays
@@ -99,9 +98,12 @@ class Stored(NamedTuple):
 
     @classmethod
     def of(cls, path: Path) -> Self:
-        constants = {file.stem: np.load(file) for file in (path / _CONSTANTS).glob("*.npy")}
+        """Open a part; `index` counts its whole frames."""
+        constants = _opened(path / _CONSTANTS)
+        arrays = _opened(path)
+        count = len(arrays["index"])
         about = json.loads(str(constants["about"]))
-        return cls(about, constants, _frames(path, sorted(path.glob("*.npy")), "r"))
+        return cls(about, constants, {name: each[:count] for name, each in arrays.items()})
 
     def frames(self) -> Iterator[tuple[int, float, Arrays]]:
         """Yield the number, the time and the arrays of each frame."""
@@ -110,19 +112,6 @@ class Stored(NamedTuple):
             yield int(index), float(time), {name: each[place] for name, each in others.items()}
 
 
-def read_part(path: Path, wanted: Collection[str] | None) -> dict[str, NDArray[Any]]:
-    """Read the arrays of those names, and the constants, from a part; None means all.
-
-    Raises ValueError if they do not fit into the memory that is free.
-    """
-    files = [*path.glob("*.npy"), *(path / _CONSTANTS).glob("*.npy")]
-    files = [file for file in files if wanted is None or file.stem in wanted]
-    check_memory(sum(file.stat().st_size for file in files))
-    constants = {file.stem: np.load(file) for file in files if file.parent != path}
-    return constants | _frames(path, [file for file in files if file.parent == path])
-
-
-def _frames(path: Path, files: Collection[Path], mode: Any = None) -> dict[str, NDArray[Any]]:
-    """Return the arrays of the whole frames in such files of a part, which `index` counts."""
-    count = len(np.load(path / "index.npy"))
-    return {file.stem: np.load(file, mmap_mode=mode)[:count] for file in files}
+def _opened(folder: Path) -> dict[str, NDArray[Any]]:
+    """Return the arrays in a folder by name, not read before they are used."""
+    return {file.stem: np.load(file, mmap_mode="r") for file in sorted(folder.glob("*.npy"))}

@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.files import check_memory, check_path, read_npz, suffix_of
 from cmp_cl.series.formats import h5py_module
-from cmp_cl.series.part import read_part
+from cmp_cl.series.part import Stored
 
 _LARGEST = np.float64(1e100)  # of a number; the square of a larger one has no float
 _LONGEST = 40  # characters of a unit
@@ -56,12 +56,13 @@ def read_series(
     wanted = None if names is None else {"index", *names}
     try:
         if part:
-            found = read_part(Path(path), wanted)
-            _check_shapes(found)
+            stored = Stored.of(Path(path))
+            found = _loaded({**stored.constants, **stored.arrays}, wanted)
         elif suffix == ".npz":
             found = read_npz(path, wanted, _check_shapes)
         else:
-            found = _hdf5(Path(path), wanted)
+            with h5py_module().File(path, "r") as file:
+                found = _loaded(file, wanted)
         _check_values(found)
     except ConfigError:
         raise
@@ -104,12 +105,12 @@ def _check_values(found: _Found) -> None:
         raise ValueError("unit must be a short text")
 
 
-def _hdf5(path: Path, wanted: set[str] | None) -> _Found:
-    with h5py_module().File(path, "r") as file:
-        datasets = {name: file[name] for name in file if wanted is None or name in wanted}
-        _check_shapes(datasets)
-        check_memory(sum(dataset.nbytes for dataset in datasets.values()))
-        arrays = {name: np.asarray(dataset[()]) for name, dataset in datasets.items()}
+def _loaded(stored: Mapping[str, Any], wanted: set[str] | None) -> _Found:
+    """Read arrays of which so far only the shape and the type are known."""
+    chosen = {name: stored[name] for name in stored if wanted is None or name in wanted}
+    _check_shapes(chosen)
+    check_memory(sum(each.nbytes for each in chosen.values()))
+    arrays = {name: np.array(each[()]) for name, each in chosen.items()}
     return {
         name: np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array
         for name, array in arrays.items()
