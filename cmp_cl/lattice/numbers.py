@@ -185,11 +185,14 @@ def _of_ends(
     here, there: the first and the last line, now and at rest.
 
     Two borders on one line agree. Else the pattern did not end where it seemed to, at rest or now,
-    and an object hid its rest.
+    and an object hid its rest. That an object left as many lines as at rest would be chance.
     """
     nats_now, nats_rest = now.nats(k), rest.nats(k)
     total = np.zeros(len(first))
     beyond = (there[0] - (first + here[0]), first + here[1] - there[1])  # lines, outwards
+    if (now.ends & rest.ends)[side : side + 2].all():
+        alike = (beyond[0] == 0) & (beyond[1] == 0)
+        total += math.log(there[1] - there[0] + 1) * alike
     for n, lines in zip((side, side + 1), beyond, strict=True):
         unlike = abs(now.reach[n] - rest.reach[n]) > k.border_step_cells
         unlike |= abs(now.past[n] - rest.past[n]) > k.passing
