@@ -33,8 +33,6 @@ class Settings(NamedTuple):
         leaves the check out. around: px. aligned: neighbours opposed or alike that suffice; `askew`
         times as many opposed as askew are needed. opposed: least number, if any is aligned, that
         suffices beside octave 1. cosine: least one of opposed directions. seen: px of octave 1.
-        noisy: how many strong maxima one weak lone one outweighs, and how many of these a weak one
-        with neighbours does; 0 asks the weak alone.
     """
 
     share: int = 24
@@ -50,7 +48,6 @@ class Settings(NamedTuple):
     askew: float = 2
     cosine: float = 0.816
     seen: float = 1.5
-    noisy: int = 8
 
 
 class Maxima(NamedTuple):
@@ -121,13 +118,8 @@ def decided(board: Listed, chosen: Settings) -> np.ndarray:
     level = level or harmonic.reference(fine.response)
     fine = fine.of(128 * fine.response >= (5 * chosen.share + 1) // 3 * level)
     every = Maxima(*map(np.concatenate, zip(frame, fine, strict=True)))
-    weak, fine_weak = (128 * each.response < chosen.strong * level for each in (frame, fine))
-    alone = lone(frame, weak, every, board, chosen, level)
-    outweighed = np.count_nonzero(~weak) + chosen.noisy**2 * np.count_nonzero(weak & ~alone)
-    noisy = chosen.noisy * np.count_nonzero(alone) > outweighed
-    xy = frame.xy[~lone(frame, weak | noisy, every, board, chosen, level)]
-    fine_lone = lone(fine, fine_weak | noisy, every, board, chosen, level)
-    xy = far(fine.xy[~fine_lone], xy, RADIUS)
+    xy = frame.xy[~lone(frame, every, board, chosen, level)]
+    xy = far(fine.xy[~lone(fine, every, board, chosen, level)], xy, RADIUS)
     for n, octave in enumerate(board.octaves[1:], 1):
         least = chosen.octave_share * (level if chosen.one else references[n])
         strong = 128 * octave.response >= least
@@ -136,21 +128,14 @@ def decided(board: Listed, chosen: Settings) -> np.ndarray:
     return xy
 
 
-def lone(
-    maxima: Maxima,
-    asked: np.ndarray,
-    every: Maxima,
-    board: Listed,
-    chosen: Settings,
-    level: int,
-) -> np.ndarray:
-    """Return which maxima are asked, and neither alternate nor are seen in octave 1."""
+def lone(maxima: Maxima, every: Maxima, board: Listed, chosen: Settings, level: int) -> np.ndarray:
+    """Return which maxima of the frame are weak, and neither alternate nor are seen in octave 1."""
     found = np.zeros(len(maxima.xy), np.bool_)
     if not chosen.strong or len(board.octaves) < 2:
         return found
     half = board.octaves[1]
     half = half.of(128 * half.response >= chosen.share * level)
-    for n in np.flatnonzero(asked):
+    for n in np.flatnonzero(128 * maxima.response < chosen.strong * level):
         apart = np.abs(every.xy - maxima.xy[n]).max(axis=1)
         near = every.direction[(apart > RADIUS) & (apart <= chosen.around)]
         cosine = (near * np.conj(maxima.direction[n])).real
@@ -184,7 +169,6 @@ VARIED = [
     *({"around": n} for n in (16, 20, 32)),
     *({"aligned": n} for n in (4, 5, 6, 8)),
     *({"opposed": n} for n in (0, 1, 3)),
-    *({"noisy": n} for n in (0, 4, 16)),
     *({"askew": n} for n in (0.5, 1, 3)),
     *({"cosine": n} for n in (0.71, 0.89, 0.95)),
     *({"seen": n} for n in (1, 1.5, 3)),

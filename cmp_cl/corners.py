@@ -88,8 +88,7 @@ class Corners:
 
         The line is empty if nothing speaks against them. It says that there is no corner although
         there are strong edges, or that neighbouring corners do not alternate as those of a
-        checkerboard do, or have no edges: most are then noise or texture. image: (H, W), which
-        they are of.
+        checkerboard do: most are then noise or texture. image: (H, W), which they are of.
         """
         if not len(self) and _has_edges(image):
             return (
@@ -98,7 +97,7 @@ class Corners:
             )
         if self._alternation() > ALTERNATE:
             return (
-                f"most of the {len(self)} corners are noise or texture, because they do not "
+                f"most of the {len(self)} corners are noise or texture, because neighbours do not "
                 "alternate as in a checkerboard: give more light, the mean of some frames, or the "
                 "part of the image that shows the pattern"
             )
@@ -106,15 +105,14 @@ class Corners:
 
     def _alternation(self) -> float:
         """Return the mean cosine of twice the angle between the black sectors of a corner and those
-        of its nearest neighbour; -1 if only few corners have boundaries, but 0 if EDGE_STEP found
-        none at more than a quarter of them.
+        of its nearest neighbour; -1 if only few corners have boundaries.
 
         It is -1 in a checkerboard, sheared or not: the mean directions of black are perpendicular.
         """
         known = np.isfinite(self.edges).all(axis=1)
         xy = self.xy[known]
         if len(xy) < 20:
-            return 0.0 if 4 * len(xy) < 3 * len(self) and np.isfinite(self.edge_radius) else -1.0
+            return -1.0
         first, second, third, fourth = np.exp(1j * self.edges[known]).T
         angle = np.angle(first + second - third - fourth)
         asked = np.unique(np.linspace(0, len(xy) - 1, ASKED).astype(int))

@@ -264,7 +264,6 @@ __kernel void clear_maxima(const uint rows, const uint step, SEEN_ARGUMENT
 typedef struct {
   int bound[2]; /* the least responses that the noise allows */
   int kind, reference;
-  int noisy; /* of octave 1: above 0 if the frame is noise, see ask_weak */
 } Decision;
 
 int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
@@ -384,8 +383,8 @@ __kernel void see_octave(__global const int *restrict lists, __global const uint
   atomic_or(seen + word, 1u << x % 32);
 }
 
-/* Count the maxima of the frame around one of them. Others may mark theirs as KEPT meanwhile, or no
- * longer, which changes no bit that is read here. */
+/* Count the maxima of the frame around one of them. Others may mark theirs as KEPT meanwhile, which
+ * changes no bit that is read here. */
 Around around_maximum(__global const int *lists, __global const uint *counts, const size_t p,
                       const Decision decision, __global const int *entry, const uint capacity,
                       const int coarse_share, const int fine_share) {
@@ -410,10 +409,12 @@ Around around_maximum(__global const int *lists, __global const uint *counts, co
   return around;
 }
 
-/* A maximum of octave 1 is seen within 1 px of the pixel of that octave. */
+/* A corner of the frame is strong, or not lone. A maximum of octave 1 is seen within 1 px of the
+ * pixel of that octave. */
 bool is_lone(__global const int *lists, __global const uint *counts, __global const uint *seen,
              const size_t p, const Decision decision, __global const int *entry, const uint rows,
              const uint step, const uint capacity, const int coarse_share, const int fine_share) {
+  if (2 * entry[2 * capacity] >= decision.reference) return false;
   const Around around =
       around_maximum(lists, counts, p, decision, entry, capacity, coarse_share, fine_share);
   const int x = (PAD + entry[0]) & ~1, y = entry[capacity] & ~1;
@@ -421,29 +422,13 @@ bool is_lone(__global const int *lists, __global const uint *counts, __global co
 }
 #define IS_LONE                                                                     \
   is_lone(lists, counts, seen, p, decision, entry, rows, step, capacity, coarse_share, fine_share)
-#define IS_WEAK (2 * r < decision.reference)
-
-/* Keep the coarse candidates, but for weak ones that are lone. A frame is noise to its strongest
- * maxima if these outweigh the rest: one of them 8 strong ones, one weak with neighbours 8 of them.
- * One work-item per maximum. */
-__kernel void ask_weak(__global int *lists, __global const uint *restrict counts,
-                       __global Decision *found, const uint rows, const uint step,
-                       const uint capacity, const int coarse_share, const int fine_share,
-                       __global const uint *restrict seen) {
-  OF_FRAME
-  ENTRY(0)
-  const Decision decision = DECISION(p, 0);
-  const int r = entry[2 * capacity], marks = entry[3 * capacity];
-  if (!is_candidate(decision, false, r, marks, coarse_share, fine_share)) return;
-  const bool lone = IS_WEAK && IS_LONE;
-  atomic_add(&DECISION(p, 1).noisy, lone ? 8 : IS_WEAK ? -64 : -1);
-  if (!lone) entry[3 * capacity] |= KEPT;
-}
+#else
+#define IS_LONE false
 #endif
 
 /* Keep the coarse corners: their response is above the noise bound and not below a share of the
- * reference, or half of that share if it is clean, and they are not lone. Strong ones are asked in
- * noisy frames alone. Each marks the window around it as taken. One work-item per maximum. */
+ * reference, or half of that share if it is clean, and they are not lone. Each marks the window
+ * around it as taken. One work-item per maximum. */
 __kernel void keep_coarse(__global int *lists, __global const uint *restrict counts,
                           __global const Decision *restrict found, const uint rows,
                           const uint step, const uint capacity, const int coarse_share,
@@ -453,16 +438,8 @@ __kernel void keep_coarse(__global int *lists, __global const uint *restrict cou
   ENTRY(0)
   const Decision decision = DECISION(p, 0);
   const int r = entry[2 * capacity], marks = entry[3 * capacity];
-#if OCTAVES
-  if (!(marks & KEPT)) return;
-  if (DECISION(p, 1).noisy > 0 && !IS_WEAK && IS_LONE) {
-    entry[3 * capacity] &= ~KEPT;
-    return;
-  }
-#else
-  if (!is_candidate(decision, false, r, marks, coarse_share, fine_share)) return;
+  if (!is_candidate(decision, false, r, marks, coarse_share, fine_share) || IS_LONE) return;
   entry[3 * capacity] |= KEPT;
-#endif
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);
   const int left = x - NMS_RADIUS;
@@ -488,10 +465,7 @@ __kernel void keep_fine(__global int *lists, __global const uint *restrict count
   const Decision decision = DECISION(p, 0);
   const int r = entry[2 * capacity], marks = entry[3 * capacity];
   if (taken[word] >> x % 32 & 1) return;
-  if (!is_candidate(decision, true, r, marks, coarse_share, fine_share)) return;
-#if OCTAVES
-  if ((DECISION(p, 1).noisy > 0 || IS_WEAK) && IS_LONE) return;
-#endif
+  if (!is_candidate(decision, true, r, marks, coarse_share, fine_share) || IS_LONE) return;
   entry[3 * capacity] |= KEPT;
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);

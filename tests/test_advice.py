@@ -13,8 +13,8 @@ SHAPE = (240, 320)
 
 
 def grain(smooth):
-    """Return grey of VGA size with noise of 8 grey levels, smoothed over that many px."""
-    noise = np.random.default_rng(1).normal(size=(480, 640))
+    """Return grey with noise of 8 grey levels, smoothed over that many px."""
+    noise = np.random.default_rng(1).normal(size=SHAPE)
     noise = cv2.GaussianBlur(noise, (0, 0), smooth) if smooth else noise
     return np.clip(128 + 8 * noise / noise.std(), 0, 255).astype(np.uint8)
 
@@ -26,9 +26,8 @@ def advice(image) -> str:
 
 
 @pytest.mark.parametrize("smooth", [0.7, 1, 1.5, 2, 3])
-def test_the_corners_of_coarse_noise_are_said_to_be_noise_or_are_few(smooth):
-    image = grain(smooth)
-    assert len(detect(image)) * 1e6 < 10 * image.size or "noise" in advice(image)
+def test_the_corners_of_coarse_noise_are_said_to_be_noise(smooth):
+    assert "noise" in advice(grain(smooth))
 
 
 def test_strong_edges_without_a_corner_are_spoken_of():

@@ -36,7 +36,6 @@ OCTAVE_APART = 5  # px of the halved frame: nearer to a corner found before it i
 STRONG = 2  # a response of half the reference needs nothing beside it
 NEIGHBOURS = 24  # px in x and y: the corners of narrower cells have neighbours in there
 ALIGNED = 7  # of them that are opposed or alike suffice
-NOISY = 8  # strong candidates outweigh one that is weak and lone, one weak with neighbours as many
 OPPOSED = 2  # of them, or no aligned one, beside one that the frame halved once has too
 SEEN = 1  # px of the frame halved once
 UNIT = 15  # of a direction, about
@@ -142,15 +141,18 @@ def corners(
         direction = direction_of(harmonics(frame.once, y, x, FINE))
         rings.append((Candidates(x, y, fine_response[y, x], direction), fine_response))
     every = Candidates(*map(np.concatenate, zip(*(found for found, _ in rings), strict=True)))
-    lone = [np.zeros(len(each.x), np.bool_) for each, _ in rings]
-    if len(octaves) > 1:
-        lone = lone_ones([each for each, _ in rings], every, octaves[1], rule, nms_radius, level)
 
     kept = np.zeros(image.shape, np.bool_)
     found = []
     for is_fine, (each, response) in enumerate(rings):
         free = nms.largest_within(kept.astype(np.int64), nms_radius)[each.y, each.x] == 0
-        free &= ~lone[is_fine]
+        if len(octaves) > 1:
+            weak = free & (STRONG * each.response < level)
+            asked = Candidates(*(of[weak] for of in each))
+            opposed, aligned, askew = around(asked, every, nms_radius)
+            seen = is_seen(asked, octaves[1], rule, level)
+            seen &= (aligned == 0) | (opposed >= OPPOSED)
+            free[weak] = (opposed >= 2 * askew) & (seen | (aligned >= ALIGNED))
         x, y = each.x[free], each.y[free]
         kept[y, x] = True
         found.append((x, y, frame, response, bool(is_fine)))
@@ -261,35 +263,6 @@ def of_octave(octave: Octave, level: int) -> NDArray[np.bool_]:
     response = octave.levels()
     strong: NDArray[np.bool_] = 128 * response >= OCTAVE_SHARE * level
     return strong & (4 * wide_response(octave) >= response)
-
-
-def lone_ones(
-    rings: list[Candidates],
-    every: Candidates,
-    half: Octave,
-    rule: RingHarmonic,
-    nms_radius: int,
-    level: int,
-) -> list[NDArray[np.bool_]]:
-    """Return (N,) for each ring: which candidates are lone.
-
-    The weak ones are asked. If of those of the 5 px ring far more are lone than not, and these are
-    not few beside the strong ones, the frame is noise to its strongest maxima, and all are asked.
-    """
-
-    def lone_among(candidates: Candidates, asked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        lone = asked.copy()
-        some = Candidates(*(of[asked] for of in candidates))
-        opposed, aligned, askew = around(some, every, nms_radius)
-        seen = is_seen(some, half, rule, level) & ((aligned == 0) | (opposed >= OPPOSED))
-        lone[asked] = (opposed < 2 * askew) | ((aligned < ALIGNED) & ~seen)
-        return lone
-
-    weak = [STRONG * each.response < level for each in rings]
-    lone = np.count_nonzero(lone_among(rings[0], weak[0]))
-    strong, known = np.count_nonzero(~weak[0]), np.count_nonzero(weak[0]) - lone
-    noisy = NOISY * lone > strong + NOISY**2 * known
-    return [lone_among(each, asked | noisy) for each, asked in zip(rings, weak, strict=True)]
 
 
 def is_seen(asked: Candidates, half: Octave, rule: RingHarmonic, level: int) -> NDArray[np.bool_]:

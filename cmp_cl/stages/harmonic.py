@@ -64,7 +64,7 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
         **({"seen": _bits(plan)} if plan.octaves else {}),
         "row_counts": 4 * rows,
         "row_starts": 4 * rows,
-        "decision": 20 * frames * (1 + plan.octaves),
+        "decision": 16 * frames * (1 + plan.octaves),
     }
     return [noise.scratch(plan), dict.fromkeys(("fine", "coarse", "response"), plane), decided]
 
@@ -224,7 +224,6 @@ def _decide(plan: PlanBase) -> list[Launch]:
     shares = {**coarse, "fine_share": np.int32(rule.fine_share)}
     if plan.octaves:
         stages.append(of_maxima("see_octave", **limits, **coarse, **seen))
-        stages.append(of_maxima("ask_weak", **limits, **shares, **seen))
     stages.append(of_maxima("keep_coarse", **limits, **shares, **seen, **kept, taken=taken))
     if rule.fine:
         stages.append(of_maxima("keep_fine", taken=taken, **limits, **shares, **seen, **kept))

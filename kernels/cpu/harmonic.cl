@@ -454,7 +454,7 @@ uint first_from(__global const int *rows, const uint count, const int y) {
   return first;
 }
 
-/* Whether a maximum of the frame is lone. `marks` holds the maxima of octave 1. */
+/* Whether a weak maximum of the frame is lone. `marks` holds the maxima of octave 1. */
 int is_lone(__global const int *lists, __global const uint2 *spans, const uint bands,
             const uint capacity, const int x, const int y, const int own,
             __global const uint *marks, const Octave smaller) {
@@ -473,25 +473,10 @@ int is_lone(__global const int *lists, __global const uint2 *spans, const uint b
   return IS_LONE_IN(
       around, is_marked(marks, x >> 1, y >> 1, 1, 1, (int)smaller.rows - 1, smaller.step / 32));
 }
-
-/* Mark the lone ones of the weak maxima of a kind, or of the strong ones. Return by how much they
- * outweigh the rest: one of them 8 strong ones, one weak with neighbours 8 of them. */
-int mark_lone(__global int *lists, __global const uint2 *spans, const uint kind, const int weak,
-               const uint bands, const uint capacity, const int reference,
-               __global const uint *marks, const Octave smaller) {
-  int noisy = 0;
-  for (uint band = 0; band < bands; ++band) {
-    __global int *list = LIST_OF(band, kind);
-    for (uint n = 0; n < SPAN_OF(band, kind).y; ++n) {
-      const int x = list[n], y = list[capacity + n], own = list[3 * capacity + n];
-      const int asked = (2 * list[2 * capacity + n] < reference) == weak && !(own & LONE);
-      const int lone = asked && is_lone(lists, spans, bands, capacity, x, y, own, marks, smaller);
-      noisy += lone ? 8 : asked ? -64 : -1;
-      if (lone) list[3 * capacity + n] |= LONE;
-    }
-  }
-  return noisy;
-}
+#define IS_LONE(list, n)                                                            \
+  (2 * list[2 * capacity + (n)] < reference &&                                      \
+   is_lone(lists, spans, bands, capacity, list[n], list[capacity + (n)],            \
+           list[3 * capacity + (n)], marks, smaller))
 
 /* Add the corners of octave n to those of the frame and of the octaves before. Return how many
  * there are then. `marks` has room for the bits of the octave. */
@@ -624,31 +609,29 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
   const Octave smaller = octave_of(1, rows, columns, step, 1);
   mark_octave(smaller, lists, spans, bands_of(1, rows, bands), capacity, bounds[1],
               coarse_share * reference, marks);
-#define MARK_LONE(kind, weak)                                                       \
-  mark_lone(lists, spans, kind, weak, bands, capacity, reference, marks, smaller)
-  const int noisy = MARK_LONE(0, 1) > 0; /* to its strongest maxima */
-  if (noisy) MARK_LONE(0, 0);
+#else
+#define IS_LONE(list, n) 0
 #endif
 #if FINE
   for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
+#endif
   for (uint band = 0; band < bands; ++band) {
-    __global const int *list = LIST_OF(band, 0);
+    __global int *list = LIST_OF(band, 0);
     for (uint n = 0; n < SPAN_OF(band, 0).y; ++n) {
       const uint x = (uint)list[n] + PAD;
-      if (list[3 * capacity + n] & LONE) continue;
-      maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
+      if (IS_LONE(list, n)) list[3 * capacity + n] |= LONE;
+#if FINE
+      else maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
+#endif
     }
   }
+#if FINE
   for (uint band = 0; band < bands; ++band) {
     __global int *list = LIST_OF(band, 1);
     for (uint n = 0; n < SPAN_OF(band, 1).y; ++n)
-      if (any_near(maxima, list[n] + PAD, list[capacity + n], (int)rows, width))
+      if (any_near(maxima, list[n] + PAD, list[capacity + n], (int)rows, width) || IS_LONE(list, n))
         list[3 * capacity + n] |= LONE;
   }
-#if OCTAVES
-  MARK_LONE(1, 1);
-  if (noisy) MARK_LONE(1, 0);
-#endif
 #endif
   for (uint kind = 0; kind <= FINE; ++kind) remove_lone(lists, spans, kind, bands, capacity);
   for (uint band = 0; band < bands; ++band) {

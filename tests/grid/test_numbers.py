@@ -75,6 +75,14 @@ def test_every_number_is_right_or_the_grid_says_so(name):
     assert score.false <= SCENES[name].false, score
 
 
+@pytest.mark.parametrize("name", ["board with dots", "board with codes of 0.75"])
+def test_marks_in_cells_take_no_corner_away(name):
+    """Most of their own maxima are lone, as those of noise are."""
+    view, corners = seen(name)
+    apart = np.linalg.norm(corners.xy[:, None] - view.corners[:, :2], axis=2)
+    assert (apart.min(axis=0) < 1).all()
+
+
 @pytest.mark.parametrize("name", ["gel, severity 1.5", "board", "gel, cut at left", "16 bits"])
 def test_a_grid_says_where_its_corners_are(name):
     view, corners = seen(name)

@@ -262,7 +262,7 @@ def test_frames_of_a_batch_do_not_see_each_other(detector_in_form, config):
 def test_more_maxima_than_the_capacity_are_counted_and_found_all_the_same(device_in_form):
     """Noise has more maxima in windows of 3 x 3 than the list can hold."""
     image = noise((600, 200), seed=3)
-    config = harmonic(1, noise=0, relative=0, octaves=0).replace(max_corners=1)
+    config = DENSE.replace(max_corners=1)
     with Detector(shape=image.shape, config=config, device=device_in_form) as detector:
         capacity, memory = detector._plans.lend().list_capacity, detector.memory
         corners = assert_corners_equal(detector, image)

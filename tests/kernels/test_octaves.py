@@ -73,16 +73,6 @@ def test_noise_between_wide_cells_is_no_corner(detector_in_form, smooth):
     assert len(assert_corners_equal(detector_in_form(image, none), image)) > len(found) + 2
 
 
-@pytest.mark.parametrize("smooth", [0.7, 2, 4])
-def test_nothing_but_noise_has_few_corners(detector_in_form, smooth):
-    """Most of its maxima are strong beside one another, so these are asked for neighbours too."""
-    noise = cv2.GaussianBlur(np.random.default_rng(3).normal(size=SHAPE), (0, 0), smooth)
-    image = (128 + 8 * noise / noise.std()).round().astype(np.uint8)
-    found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
-    none = DetectorConfig(detection=RingHarmonic(octaves=0))
-    assert np.count_nonzero(found.octave == 0) < 0.1 * len(detector_in_form(image, none)(image))
-
-
 @pytest.mark.parametrize("cell", [8, 12, 17])
 def test_a_faint_pattern_of_small_cells_beside_wide_ones_is_found(detector_in_form, cell):
     image, _ = images.board(*SHAPE, 60, angle=0.3, blur=0.7)
