@@ -32,6 +32,7 @@ from cmp_cl.opencl import caches
 from cmp_cl.opencl.device import check_process, is_pocl
 
 _OPTIONS = ("-cl-std=CL1.2", "-cl-kernel-arg-info")
+_ROUNDED = "-cl-fp32-correctly-rounded-divide-sqrt"  # as the host's; cards have faster ones
 _INCLUDE = re.compile(r'#include "(.+)"')
 _NO_CACHE_VARIABLE = "PYOPENCL_NO_CACHE"
 _WARNINGS = threading.Lock()  # the whole process shares the filters of warnings
@@ -142,8 +143,15 @@ class Programs:
         named = [f"-D{name}={value}" for name, value in defines.items() if _names(text, name)]
         key = (text, *named)
         if key not in self._compiled:
-            self._compiled[key] = _compiled(self.context, stage, text, [*_OPTIONS, *named])
+            options = [*_OPTIONS, *_rounded(self.context), *named]
+            self._compiled[key] = _compiled(self.context, stage, text, options)
         return self._compiled[key]
+
+
+def _rounded(context: cl.Context) -> list[str]:
+    """Return the option that rounds quotients and roots correctly, if all devices have it."""
+    exact = cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
+    return [_ROUNDED] if all(each.single_fp_config & exact for each in context.devices) else []
 
 
 def programs_of(device: cl.Device) -> Programs:
