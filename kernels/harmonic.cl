@@ -443,7 +443,7 @@ __kernel void keep_coarse(__global int *lists, __global const uint *restrict cou
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);
   const int left = x - NMS_RADIUS;
-  const ulong reach = (ulong)(uint)((2 << 2 * NMS_RADIUS) - 1) << left % 32;
+  const ulong reach = ((2ul << 2 * NMS_RADIUS) - 1) << left % 32;
   for (int j = max(y - NMS_RADIUS, 0); j <= min(y + NMS_RADIUS, (int)rows - 1); ++j) {
     __global uint *own = taken + (p * rows + j) * (step / 32) + left / 32;
     atomic_or(own, (uint)reach);
