@@ -51,7 +51,8 @@ int middle_of(const int angle, const int other) {
 
 __kernel void direct_corners(__global const float *restrict corners, const uint capacity,
                              LEVELS_OF_IMAGE, __global const float *restrict circle,
-                             const float radius, __global float4 *restrict lines, __global int *restrict contrast) {
+                             const float radius, __global float4 *restrict lines,
+                             __global int *restrict contrast) {
   const uint i = get_global_id(0);
   if (i >= COUNT(corners)) return;
   const float2 at = POSITIONS(corners)[i];

@@ -213,8 +213,9 @@ bool has_room(__global const float2 *nodes, __global const int *owner, const int
   return 2 * inside > known;
 }
 
-/* How far pairs of squares reach, twice the sum of their shares; UNSEEN if the medians of both halves
- * of a side differ by over a step, as along an oblique edge. A single pair of a longer side shows nothing. */
+/* How far pairs of squares reach, twice the sum of their shares; UNSEEN if the medians of both
+ * halves of a side differ by over a step, as along an oblique edge. A single pair of a longer side
+ * shows nothing. */
 int common_reach(__local const int *reach, const int count, const int length) {
   if (count < LARGER(SMALLER(2, length - 2), 1)) return UNSEEN;
   const int common = doubled_median(reach, count), part = (count + 1) / 2;

@@ -86,6 +86,23 @@ def test_a_frame_is_tracked_or_numbered_anew_and_the_result_is_the_same(film):
             assert_same(values, other.arrays[name], name)
 
 
+def test_sigma_of_an_enlarged_frame_is_the_same_tracked_or_numbered():
+    """No corner of it looks like its model, by which the least percentile of residuals shows."""
+    rest, now = (
+        pressed(severity).left.image.repeat(3, axis=0).repeat(3, axis=1) for severity in FILM[:2]
+    )
+    with measure.OneView(rest, shape=NODES) as following:
+        following(rest)
+        tracked = following(now)
+    with measure.OneView(rest, shape=NODES) as alone:
+        anew = alone(now)
+    assert tracked.tracked
+    assert not anew.tracked
+    (one,), (other,) = tracked.grids, anew.grids
+    assert np.nanmedian(one.image_sigma) > 0.2
+    assert_same(one.image_sigma, other.image_sigma)
+
+
 def test_a_call_within_a_stream_changes_no_result_of_it(film):
     with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
         alone = [following(frame).field.displacement for frame in film]

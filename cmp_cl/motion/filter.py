@@ -371,12 +371,7 @@ class LatticeFilter:
             self._of_rows(
                 "noise",
                 (1 if self._is_cpu else eights,),
-                "near",
-                "sums",
-                "size",
-                *pilots,
-                *bounds,
-                *noise,
+                *("near", "sums", "size", *pilots, *bounds, *noise),
             ),
             _bound(self._kernels, self.parts, "settle", (group,), (group,), settle),
         ]
