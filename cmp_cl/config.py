@@ -5,10 +5,14 @@ Section numbers in the docstrings are those of docs/algorithm.md.
 
 import dataclasses
 import enum
+import json
 import math
+import re
+import types
+import typing
 from collections.abc import Mapping
 from os import PathLike
-from typing import Any, Self, TypeVar
+from typing import Annotated, Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 
@@ -16,7 +20,7 @@ from cmp_cl.errors import ConfigError, check_range
 from cmp_cl.files import check_path, read_toml, write_text
 from cmp_cl.image import check_dtype
 
-Part = TypeVar("Part")
+Part = TypeVar("Part", bound="_Settings")
 
 
 class Fit(enum.Enum):
@@ -26,24 +30,66 @@ class Fit(enum.Enum):
     QUADRATIC = "quadratic"
 
 
+class _Range(NamedTuple):
+    """The bounds of a number, both allowed."""
+
+    low: float
+    high: float
+    odd: bool = False
+
+
+class _Settings:
+    """A base of dataclasses whose fields are checked by their types.
+
+    A field is a number with a `_Range`, a bool, an enumeration, or another such dataclass; it may
+    be one of several of these, or None.
+    """
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+            name, value = f"{type(self).__name__}.{field.name}", getattr(self, field.name)
+            kinds, limits = _kinds_of(field)
+            if limits is not None and (value is not None or types.NoneType not in kinds):
+                kind = int if int in kinds else float
+                check_range(name, value, limits.low, limits.high, kind=kind, odd=limits.odd)
+            elif limits is None and not isinstance(value, kinds):
+                raise ConfigError(f"{name} must be {_named(kinds)}, not {value!r}")
+
+
+def _kinds_of(field: "dataclasses.Field[Any]") -> tuple[tuple[type, ...], _Range | None]:
+    """Return the types that a field may have, and the range of a number."""
+    kind, limits = field.type, None
+    if typing.get_origin(kind) is Annotated:
+        kind, limits = typing.get_args(kind)
+    return typing.get_args(kind) or (typing.cast(type, kind),), limits
+
+
+def _named(kinds: tuple[type, ...]) -> str:
+    """Return what a value of these types can be, as text."""
+    names: list[str] = []
+    for kind in kinds:
+        if issubclass(kind, enum.Enum):
+            names += map(str, kind)
+        else:
+            known = {bool: "True or False", types.NoneType: "None"}
+            names.append(known.get(kind, kind.__name__))
+    return " or ".join(names)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class AdaptiveMean:
+class AdaptiveMean(_Settings):
     """Binarization against the mean of a window (section 1).
 
     window: side of the square window, px, odd, 3 to 255.
     offset: C, grey levels of the image as given, 0 to 65535; black iff I + C < mean.
     """
 
-    window: int = 21
-    offset: int = 0
-
-    def __post_init__(self) -> None:
-        check_range("AdaptiveMean.window", self.window, 3, 255, kind=int, odd=True)
-        check_range("AdaptiveMean.offset", self.offset, 0, 65535, kind=int)
+    window: Annotated[int, _Range(3, 255, odd=True)] = 21
+    offset: Annotated[int, _Range(0, 65535)] = 0
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class RapidCriteria:
+class RapidCriteria(_Settings):
     """The four integer criteria (section 3a, Eqs. 18 to 23), each with a strict bound.
 
     sector_threshold: bound of the sector difference d2, 1 to 16; also sets the response.
@@ -51,18 +97,13 @@ class RapidCriteria:
     corrosion_threshold: bound of Cd, -4 to 17; None leaves the criterion out.
     """
 
-    sector_threshold: int = 5
-    ring_threshold: int = 5
-    corrosion_threshold: int | None = 6
-
-    def __post_init__(self) -> None:
-        check_range("RapidCriteria.sector_threshold", self.sector_threshold, 1, 16, kind=int)
-        check_range("RapidCriteria.ring_threshold", self.ring_threshold, 1, 17, kind=int)
-        _check_corrosion("RapidCriteria", self.corrosion_threshold)
+    sector_threshold: Annotated[int, _Range(1, 16)] = 5
+    ring_threshold: Annotated[int, _Range(1, 17)] = 5
+    corrosion_threshold: Annotated[int | None, _Range(-4, 17)] = 6
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SpectralCriteria:
+class SpectralCriteria(_Settings):
     """The four spectral criteria (section 3b, Eqs. 13 and 17).
 
     correlation: bound of the normalised circular cross-correlation, 0 to 1, strict.
@@ -70,23 +111,13 @@ class SpectralCriteria:
     corrosion_threshold: bound of Cd, -4 to 17; None leaves the criterion out.
     """
 
-    correlation: float = 0.75
-    phase: float = math.radians(20)
-    corrosion_threshold: int | None = 6
-
-    def __post_init__(self) -> None:
-        check_range("SpectralCriteria.correlation", self.correlation, 0, 1)
-        check_range("SpectralCriteria.phase", self.phase, 0, math.pi)
-        _check_corrosion("SpectralCriteria", self.corrosion_threshold)
-
-
-def _check_corrosion(part: str, value: object) -> None:
-    if value is not None:
-        check_range(f"{part}.corrosion_threshold", value, -4, 17, kind=int)
+    correlation: Annotated[float, _Range(0, 1)] = 0.75
+    phase: Annotated[float, _Range(0, math.pi)] = math.radians(20)
+    corrosion_threshold: Annotated[int | None, _Range(-4, 17)] = 6
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SectorContrast:
+class SectorContrast(_Settings):
     """The contrast gate (section 4).
 
     minimum: least contrast of a candidate, in 1/255 of full scale, 0 to 255.
@@ -94,18 +125,13 @@ class SectorContrast:
     noise: least difference of the sector means, standard deviations of the noise, 0 to 100.
     """
 
-    minimum: float = 20
-    relative: float = 0.2
-    noise: float = 2.5
-
-    def __post_init__(self) -> None:
-        check_range("SectorContrast.minimum", self.minimum, 0, 255)
-        check_range("SectorContrast.relative", self.relative, 0, 1)
-        check_range("SectorContrast.noise", self.noise, 0, 100)
+    minimum: Annotated[float, _Range(0, 255)] = 20
+    relative: Annotated[float, _Range(0, 1)] = 0.2
+    noise: Annotated[float, _Range(0, 100)] = 2.5
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class RingHarmonic:
+class RingHarmonic(_Settings):
     """Corners by the second harmonic of the grey levels on a ring of eight samples.
 
     The rule has no binary image and needs no cell size.
@@ -121,17 +147,10 @@ class RingHarmonic:
         under 20 px lose nothing.
     """
 
-    noise: float = 2.0
-    relative: float = 0.1875
+    noise: Annotated[float, _Range(0, 100)] = 2.0
+    relative: Annotated[float, _Range(0, 1)] = 0.1875
     fine: bool = True
-    octaves: int = 3
-
-    def __post_init__(self) -> None:
-        check_range("RingHarmonic.noise", self.noise, 0, 100)
-        check_range("RingHarmonic.relative", self.relative, 0, 1)
-        if type(self.fine) is not bool:
-            raise ConfigError(f"RingHarmonic.fine must be True or False, not {self.fine!r}")
-        check_range("RingHarmonic.octaves", self.octaves, 0, 3, kind=int)
+    octaves: Annotated[int, _Range(0, 3)] = 3
 
     @property
     def coarse_noise(self) -> int:
@@ -153,7 +172,7 @@ class RingHarmonic:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class BinaryRings:
+class BinaryRings(_Settings):
     """Corners by the paper's criteria on a binary image.
 
     threshold: binarization.
@@ -163,33 +182,23 @@ class BinaryRings:
     """
 
     threshold: AdaptiveMean = AdaptiveMean()
-    outer_radius: int = 5
+    outer_radius: Annotated[int, _Range(4, 5)] = 5
     criteria: RapidCriteria | SpectralCriteria = RapidCriteria()
     contrast: SectorContrast | None = SectorContrast()
 
-    def __post_init__(self) -> None:
-        _check_part("BinaryRings", "threshold", self.threshold, AdaptiveMean)
-        _check_part("BinaryRings", "criteria", self.criteria, RapidCriteria, SpectralCriteria)
-        _check_part("BinaryRings", "contrast", self.contrast, SectorContrast, type(None))
-        if type(self.outer_radius) is not int or self.outer_radius not in (4, 5):
-            raise ConfigError(f"BinaryRings.outer_radius must be 4 or 5, not {self.outer_radius!r}")
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class EdgeLines:
+class EdgeLines(_Settings):
     """Refinement by the intersection of the two edge lines (section 6, EDGE_LINES).
 
     max_shift: largest distance from the rounded centroid, px, 0 to 5.
     """
 
-    max_shift: float = 2.0
-
-    def __post_init__(self) -> None:
-        check_range("EdgeLines.max_shift", self.max_shift, 0, 5)
+    max_shift: Annotated[float, _Range(0, 5)] = 2.0
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class EdgeStep:
+class EdgeStep(_Settings):
     """EDGE_LINES, then one least-squares step of a corner model in uneven light (section 6,
     EDGE_STEP).
 
@@ -199,14 +208,11 @@ class EdgeStep:
         the right size.
     """
 
-    cell: float = 8.6
-
-    def __post_init__(self) -> None:
-        check_range("EdgeStep.cell", self.cell, 4, 1000)
+    cell: Annotated[float, _Range(4, 1000)] = 8.6
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Midlines:
+class Midlines(_Settings):
     """Refinement by the centrelines of the black sectors (section 6, MIDLINE and CUSP).
 
     fit: straight or quadratic centrelines.
@@ -214,27 +220,15 @@ class Midlines:
     """
 
     fit: Fit = Fit.LINEAR
-    max_shift: float = 2.0
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.fit, Fit):
-            raise ConfigError(f"Midlines.fit must be Fit.LINEAR or Fit.QUADRATIC, not {self.fit!r}")
-        check_range("Midlines.max_shift", self.max_shift, 0, 5)
+    max_shift: Annotated[float, _Range(0, 5)] = 2.0
 
 
 _TABLE_2_WINDOWS = {20: 41, 30: 31, 40: 21}
 _WIDE_CELL = 20  # px; wider cells are not squeezed under 6 px
-_PARTS: dict[str, dict[str, type]] = {  # of each field that has parts, by the key `kind`
-    "detection": {"ring_harmonic": RingHarmonic, "binary_rings": BinaryRings},
-    "threshold": {"adaptive_mean": AdaptiveMean},
-    "criteria": {"rapid": RapidCriteria, "spectral": SpectralCriteria},
-    "contrast": {"sector_contrast": SectorContrast},
-    "refinement": {"edge_step": EdgeStep, "edge_lines": EdgeLines, "midlines": Midlines},
-}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class DetectorConfig:
+class DetectorConfig(_Settings):
     """All settings that decide which corners are found in an image.
 
     detection: the detection rule, RingHarmonic or BinaryRings.
@@ -247,28 +241,20 @@ class DetectorConfig:
     """
 
     detection: RingHarmonic | BinaryRings = RingHarmonic()
-    nms_radius: int = 3
+    nms_radius: Annotated[int, _Range(1, 15)] = 3
     refinement: EdgeStep | EdgeLines | Midlines | None = EdgeStep()
-    scale: float | None = None
-    full_scale: int | None = None
-    max_corners: int = 65536
+    scale: Annotated[float | None, _Range(0.05, 4)] = None
+    full_scale: Annotated[int | None, _Range(1, 65535)] = None
+    max_corners: Annotated[int, _Range(1, 2**26)] = 65536
 
     def __post_init__(self) -> None:
-        part = "DetectorConfig"
-        _check_part(part, "detection", self.detection, RingHarmonic, BinaryRings)
-        _check_part(part, "refinement", self.refinement, EdgeStep, EdgeLines, Midlines, type(None))
-        check_range(f"{part}.nms_radius", self.nms_radius, 1, 15, kind=int)
-        if self.scale is not None:
-            check_range(f"{part}.scale", self.scale, 0.05, 4)
-            octaves = isinstance(self.detection, RingHarmonic) and self.detection.octaves
-            if octaves and self.scale != 1:
-                raise ConfigError(
-                    f"{part}.scale is for BinaryRings, or for RingHarmonic(octaves=0): octaves see "
-                    f"cells of every size, not {self.scale!r}"
-                )
-        if self.full_scale is not None:
-            check_range(f"{part}.full_scale", self.full_scale, 1, 65535, kind=int)
-        check_range(f"{part}.max_corners", self.max_corners, 1, 2**26, kind=int)
+        super().__post_init__()
+        octaves = isinstance(self.detection, RingHarmonic) and self.detection.octaves
+        if octaves and self.scale not in (None, 1):
+            raise ConfigError(
+                "DetectorConfig.scale is for BinaryRings, or for RingHarmonic(octaves=0): octaves "
+                f"see cells of every size, not {self.scale!r}"
+            )
 
     @classmethod
     def for_cell(cls, cell: float) -> Self:
@@ -320,8 +306,8 @@ class DetectorConfig:
         return int(np.iinfo(known).max) if self.full_scale is None else self.full_scale
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the configuration as TOML, whole or not at all; raises OSError."""
-        write_text(path, to_toml(self))
+        """Write the configuration as TOML, None as false, whole or not at all; raises OSError."""
+        write_text(path, "\n".join(_table(self, "")) + "\n")
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Self:
@@ -339,87 +325,56 @@ class DetectorConfig:
         except ValueError as error:
             raise ConfigError(f"cannot read the configuration {str(path)!r}: {error}") from error
         try:
-            return _made("configuration", data, cls)
+            return _made(data, cls)
         except ValueError as error:
             raise ConfigError(f"{path}: {error}") from error
 
 
-def _check_part(part: str, field: str, value: object, *kinds: type) -> None:
-    if not isinstance(value, kinds):
-        names = " or ".join("None" if kind is type(None) else kind.__name__ for kind in kinds)
-        raise ConfigError(f"{part}.{field} must be {names}, not {value!r}")
+def _made(table: Mapping[str, Any], kind: type[Part]) -> Part:
+    """Return the settings of a kind that a table of TOML describes."""
+    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    for key in table:
+        if key not in fields:
+            raise ConfigError(
+                f"unknown key {key!r} for {kind.__name__}; known: {', '.join(fields)}"
+            )
+    return kind(**{key: _read(key, value, fields[key]) for key, value in table.items()})
 
 
-def _known(data: Mapping[str, Any], kind: type) -> dict[str, Any]:
-    """Return the entries of a TOML table as field values; false means None unless the field is a
-    bool."""
-    types = {field.name: field.type for field in dataclasses.fields(kind)}
-    for key in data:
-        if key not in types:
-            raise ConfigError(f"unknown key {key!r} for {kind.__name__}; known: {', '.join(types)}")
-    return {
-        key: None if value is False and types[key] is not bool else value
-        for key, value in data.items()
-    }
-
-
-def _part(field: str, value: object) -> Any:
-    """Return the part that a table describes, None for false; of several kinds of a field, the key
-    `kind` names one."""
-    if value is None or value is False:
+def _read(name: str, value: object, field: "dataclasses.Field[Any]") -> object:
+    """Return the value of a field: of TOML's, false is None unless the field is a bool, a text is
+    a member of an enumeration, and a table makes a part; its key `kind` says which of several."""
+    kinds, _ = _kinds_of(field)
+    if value is False and bool not in kinds:
         return None
-    kinds = _PARTS[field]
-    choice = f" whose key kind is one of {list(kinds)}" if len(kinds) > 1 else ""
+    parts = {_key(kind): kind for kind in kinds if issubclass(kind, _Settings)}
+    if not parts:
+        return kinds[0](value) if issubclass(kinds[0], enum.Enum) else value
+    choice = f" whose key kind is one of {list(parts)}" if len(parts) > 1 else ""
     table = dict(value) if isinstance(value, Mapping) else {}
-    kind = table.pop("kind", None) if choice else next(iter(kinds))
-    if not isinstance(value, Mapping) or kind not in list(kinds):
-        raise ConfigError(f"{field} must be a table{choice}, not {value!r}")
-    return _made(field, table, kinds[kind])
+    key = table.pop("kind", None) if choice else next(iter(parts))
+    if not isinstance(value, Mapping) or key not in list(parts):
+        raise ConfigError(f"{name} must be a table{choice}, not {value!r}")
+    return _made(table, parts[key])
 
 
-def _made(field: str, table: Mapping[str, Any], kind: type[Part]) -> Part:
-    """Return the dataclass of a kind that a table of its fields describes."""
-    values = {
-        name: _part(name, value) if name in _PARTS else value
-        for name, value in _known(table, kind).items()
-    }
-    if "fit" in values:
-        fits = [fit.value for fit in Fit]
-        if values["fit"] not in fits:
-            raise ConfigError(f"Midlines.fit must be one of {fits}, not {values['fit']!r}")
-        values["fit"] = Fit(values["fit"])
-    try:
-        return kind(**values)
-    except TypeError as error:
-        raise ConfigError(f"{field}: {error}") from error
+def _key(kind: type) -> str:
+    """Return how TOML calls a kind of part: edge_step for EdgeStep, rapid for RapidCriteria."""
+    return re.sub(r"\B([A-Z])", r"_\1", kind.__name__.removesuffix("Criteria")).lower()
 
 
-def to_toml(config: DetectorConfig) -> str:
-    """Return the configuration as TOML text; None is written as false."""
-    return "\n".join(_table(config, "")) + "\n"
-
-
-def _table(part: Any, name: str) -> list[str]:
-    """Return the lines of a part: its values, then the tables of its own parts."""
-    several = [kinds for kinds in _PARTS.values() if len(kinds) > 1]
-    known = {made: kind for kinds in several for kind, made in kinds.items()}
-    lines = [f'kind = "{known[type(part)]}"'] if type(part) in known else []
+def _table(part: _Settings, name: str) -> list[str]:
+    """Return the lines of TOML of a part: its values, then the tables of its own parts."""
+    lines: list[str] = []
     tables: list[str] = []
-    for field in dataclasses.fields(part):
+    for field in dataclasses.fields(part):  # type: ignore[arg-type]
         value = getattr(part, field.name)
-        if dataclasses.is_dataclass(value):
-            inner = f"{name}.{field.name}" if name else field.name
-            tables += [f"\n[{inner}]", *_table(value, inner)]
+        if isinstance(value, _Settings):
+            inner = f"{name}.{field.name}".removeprefix(".")
+            several = sum(issubclass(kind, _Settings) for kind in _kinds_of(field)[0]) > 1
+            tables += [f"\n[{inner}]"] + [f'kind = "{_key(type(value))}"'] * several
+            tables += _table(value, inner)
         else:
-            lines.append(f"{field.name} = {_toml(value)}")
+            value = value.value if isinstance(value, enum.Enum) else value
+            lines.append(f"{field.name} = {json.dumps(False if value is None else value)}")
     return lines + tables
-
-
-def _toml(value: object) -> str:
-    if value is None:
-        return "false"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, Fit):
-        return f'"{value.value}"'
-    return repr(float(value)) if isinstance(value, float) else repr(value)
