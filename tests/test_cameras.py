@@ -84,7 +84,7 @@ class Capture:
 @pytest.mark.parametrize("name", ["7", "/dev/video3", "rtsp://camera/stream"])
 def test_cameras_and_addresses_are_live_and_lose_no_frame(monkeypatch, name):
     monkeypatch.setattr("cmp_cl.media.cameras.cv2.VideoCapture", Capture)
-    source = Source(name, {"width": 6, "height": 4, "fps": 50})
+    source = Source(name, {"frame_width": 6, "frame_height": 4, "fps": "50"})
     frames = list(source.frames())
     assert source.live
     assert source.period_ms == 20
@@ -100,7 +100,7 @@ def test_frames_that_a_camera_misses_are_counted_and_have_no_image(monkeypatch):
             return read and self.left not in (9, 6, 5), image
 
     monkeypatch.setattr("cmp_cl.media.cameras.cv2.VideoCapture", Missing)
-    frames = list(Source("7", from_start=True).frames())
+    frames = list(Source("7").frames())
     assert [frame.index for frame in frames] == list(range(10))
     missed = [frame.index for frame in frames if frame.image is None]
     assert missed == [0, 3, 4]
@@ -137,8 +137,8 @@ def test_what_a_camera_does_not_do_is_reported(monkeypatch):
         next(Source("0", {"exposure": 3}).frames())
     with pytest.raises(ConfigError, match="not a camera"):
         Source(__file__, {"fps": 50})
-    for wrong in ({"rate": 50}, {"fps": "50"}):
-        with pytest.raises(ConfigError, match="fps"):
+    for wrong in ({"rate": 50}, {"fps": "fast"}, {"fourcc": "MJ"}):
+        with pytest.raises(ConfigError, match=r"frame_width and fps|a number|four letters"):
             Source("0", wrong)
     with pytest.raises(FileNotFoundError):
         Source("gone.mp4")

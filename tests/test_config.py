@@ -67,7 +67,10 @@ def test_bounds_are_allowed_and_a_step_beyond_is_not(part, field, low, high, ste
         (lambda: AdaptiveMean(window=20), "AdaptiveMean.window must be an odd integer in [3, 255]"),
         (lambda: Midlines(fit="linear"), "Midlines.fit must be Fit.LINEAR or Fit.QUADRATIC"),
         (lambda: RingHarmonic(fine=1), "RingHarmonic.fine must be True or False, not 1"),
-        (lambda: BinaryRings(outer_radius=3), "BinaryRings.outer_radius must be an integer in [4, 5]"),
+        (
+            lambda: BinaryRings(outer_radius=3),
+            "BinaryRings.outer_radius must be an integer in [4, 5]",
+        ),
         (lambda: DetectorConfig().replace(window=21), "DetectorConfig has no field 'window'"),
         (lambda: DetectorConfig.paper(0), "20, 30 or 40 markers a side, not 0"),
         (lambda: DetectorConfig.for_cell(3), "for_cell(cell) must be a number in [4, 1000], not 3"),

@@ -46,7 +46,6 @@ def all_frames(sensor):
         while True:
             sensor.waitForFrame(timeout=60)
             found.append(sensor.getFrame())
-    sensor._thread.join(60)
     with pytest.raises(ImageError, match="has ended"):
         sensor.waitForFrame()
     return found
@@ -118,8 +117,14 @@ def test_a_series_that_begins_after_calibrate_has_the_new_rest(video, tmp_path, 
 
 
 def test_of_frames_that_nobody_takes_the_newest_stay(video):
-    with Sensor(video, RIG, shape=NODES, maxQSize=2) as sensor:
-        sensor._thread.join(60)
+    last = threading.Event()
+
+    def receive(frame, _):
+        if frame["index"] == 2:
+            last.set()
+
+    with Sensor(video, RIG, shape=NODES, maxQSize=2, recvCallback=receive) as sensor:
+        assert last.wait(60)
         assert [sensor.getFrame()["index"] for _ in range(2)] == [1, 2]
         assert sensor.getFrame() is None
 
@@ -129,10 +134,10 @@ def test_errors_reach_the_caller(video, tmp_path):
         raise RuntimeError("the user's")
 
     with Sensor(video, RIG, recvCallback=fail) as sensor:
-        sensor._thread.join(60)
+        sensor.waitForFrame(timeout=60)
         sensor.getFrame()
         with pytest.raises(RuntimeError, match="user's"):
-            sensor.getFrame()
+            sensor.waitForFrame(timeout=60)
     with Sensor(video, RIG, shape=(13, 40)) as sensor, pytest.raises(GridError):
         sensor.waitForFrame(timeout=60)
     with pytest.raises(ConfigError, match="maxQSize must be 1 or more"):

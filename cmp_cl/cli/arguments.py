@@ -1,27 +1,22 @@
-"""Arguments that commands share, and the views and regions of a frame that follow from them."""
+"""Arguments that commands share, and what follows from them."""
 
 import argparse
 import contextlib
-import itertools
 import math
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
-from cmp_cl import media
 from cmp_cl.cli.messages import shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.files import check_target
 from cmp_cl.grid.limits import MOST_NODES
-from cmp_cl.image import GreyImage
-from cmp_cl.measure import Region
 from cmp_cl.space import BinocularSplit
 
 _BOX = r"\d+,\d+,\d+,\d+"
 
 Box = tuple[int, int, int, int]  # x, y, width, height, px
-View = tuple[Box, bool]  # its rectangle in the frame, and whether it is mirrored
 
 
 def check_files(inputs: Iterable[str | Path | None], outputs: Iterable[str | Path | None]) -> None:
@@ -55,30 +50,6 @@ def check_suffix(option: str, path: str | None, *suffixes: str) -> None:
         raise ConfigError(f"{option} {shown(path)} must end in {endings}")
 
 
-def unit_name(text: str) -> str:
-    """Return the name of a unit; raises ArgumentTypeError if the text is none."""
-    if not text.strip() or not text.isprintable():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a unit such as mm")
-    return text
-
-
-def distinct_inputs(*groups: Sequence[str]) -> list[list[Path]]:
-    """Return the files of each group, as `media.find_inputs` does.
-
-    Raises ConfigError if a file is given twice.
-
-    A view that counts twice makes a calibration look more certain than it is.
-    """
-    found = [media.find_inputs(names) for names in groups]
-    read = set()
-    for path in itertools.chain.from_iterable(found):
-        real = os.path.realpath(path)
-        if real in read:
-            raise ConfigError(f"{shown(path)} is given twice")
-        read.add(real)
-    return found
-
-
 def add_device(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--device",
@@ -98,17 +69,19 @@ def add_full_scale(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def add_split(parser: argparse._ActionsContainer, *, help_: str) -> None:
-    parser.add_argument("--split", metavar="WHERE", help=help_)
+def add_split(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument(
+        "--split",
+        metavar="BOX:BOX",
+        type=_two_boxes,
+        help="where the left and the right view are in a frame that shows both: two rectangles of "
+        "one size, X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, px; default: the two halves",
+    )
     parser.add_argument(
         "--mirror",
         choices=("left", "right", "both"),
         help="the views that are seen through an odd number of mirrors, and so reversed",
     )
-
-
-def add_region(parser: argparse._ActionsContainer, *, help_: str) -> None:
-    parser.add_argument("--region", metavar="WHERE", type=boxes, help=help_)
 
 
 def positive_number(text: str) -> float:
@@ -130,74 +103,22 @@ def grid_shape(text: str) -> tuple[int, int]:
     return rows, columns
 
 
-def boxes(text: str) -> tuple[Box, ...]:
-    """Parse one or two rectangles from a text such as 0,0,320,480 or 0,0,320,480:400,0,320,480.
-
-    Raises ArgumentTypeError.
-    """
-    numbers = [tuple(map(int, re.findall(r"\d+", box))) for box in text.split(":")]
-    if not re.fullmatch(f"{_BOX}(:{_BOX})?", text) or min(min(box[2:]) for box in numbers) < 1:
+def _two_boxes(text: str) -> tuple[Box, Box]:
+    """Parse two rectangles such as 0,0,320,480:400,0,320,480; raises ArgumentTypeError."""
+    if re.fullmatch(f"{_BOX}:{_BOX}", text) is None:
         raise argparse.ArgumentTypeError(
-            f"{text!r} is neither a rectangle X,Y,WIDTH,HEIGHT in px nor two of them with a colon "
-            "between"
+            f"{text!r} is not two rectangles X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, px"
         )
-    return tuple((x, y, width, height) for x, y, width, height in numbers)
+    x, y, width, height, *other = map(int, re.findall(r"\d+", text))
+    return (x, y, width, height), (other[0], other[1], other[2], other[3])
 
 
-def regions_in(chosen: Sequence[Box] | None, *views: View) -> tuple[Region | None, ...]:
-    """Return the region that --region chooses in each view; all are None without the option.
-
-    Raises ConfigError if there are not as many rectangles as views, or one lies outside.
-    """
-    if chosen is None:
-        return (None,) * len(views)
-    if len(chosen) != len(views):
-        raise ConfigError(
-            f"--region needs one rectangle per view, separated by a colon: {len(views)} here, not "
-            f"{len(chosen)}"
-        )
-    return tuple(map(_region_in, views, chosen))
-
-
-def _region_in(seen: View, box: Box) -> Region:
-    """Map a rectangle from the frame to a view that was cut from it."""
-    (x, y, width, height), mirrored = seen
-    x0, y0 = box[0] - x, box[1] - y
-    x1, y1 = x0 + box[2], y0 + box[3]
-    if not (x1 > 0 and y1 > 0 and x0 < width and y0 < height):
-        raise ConfigError(
-            f"--region {','.join(map(str, box))} lies outside the view, which is "
-            f"{x},{y},{width},{height} of the frame (X,Y,WIDTH,HEIGHT)"
-        )
-    if mirrored:
-        x0, x1 = width - x1, width - x0
-    return x0 - 0.5, y0 - 0.5, x1 - 0.5, y1 - 0.5
-
-
-def whole(image: GreyImage) -> View:
-    """Return the view that covers the whole frame."""
-    return (0, 0, image.shape[1], image.shape[0]), False
-
-
-def views_of(split: BinocularSplit) -> tuple[View, View]:
-    """Return the left and the right view of a split."""
-    return (split.left, split.mirror_left), (split.right, split.mirror_right)
-
-
-def split_of(where: str, mirror: str | None, shape: tuple[int, ...]) -> BinocularSplit:
+def split_of(arguments: argparse.Namespace, shape: tuple[int, ...]) -> BinocularSplit:
     """Return the split that --split and --mirror describe, for frames of that shape.
 
-    Raises ConfigError for a text that is neither halves nor two rectangles.
+    Raises ConfigError if its rectangles differ in size.
     """
-    mirrored = mirror in ("left", "both"), mirror in ("right", "both")
-    if where == "halves":
-        halves = BinocularSplit.halves(shape[1], shape[0])
-        return BinocularSplit(halves.left, halves.right, *mirrored)
-    try:
-        left, right = boxes(where)
-    except (argparse.ArgumentTypeError, ValueError) as error:
-        raise ConfigError(
-            f"--split {where!r} is neither halves nor two rectangles X,Y,WIDTH,HEIGHT:"
-            "X,Y,WIDTH,HEIGHT in px, left and right"
-        ) from error
-    return BinocularSplit(left, right, *mirrored)
+    halves = BinocularSplit.halves(shape[1], shape[0])
+    left, right = arguments.split or (halves.left, halves.right)
+    mirror = arguments.mirror
+    return BinocularSplit(left, right, mirror in ("left", "both"), mirror in ("right", "both"))

@@ -12,25 +12,19 @@ from cmp_cl import media
 from cmp_cl.cli.arguments import (
     add_device,
     add_full_scale,
-    add_region,
     add_split,
     check_files,
     check_suffix,
-    distinct_inputs,
     grid_shape,
     positive_number,
-    regions_in,
     split_of,
-    unit_name,
-    views_of,
-    whole,
 )
 from cmp_cl.cli.messages import Progress, counted, one_line, shown, tell
 from cmp_cl.cli.window import add_window, through_window, window_files
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
-from cmp_cl.measure import Region, find_board, square_sides, trusted
+from cmp_cl.measure import find_board, square_sides, trusted
 from cmp_cl.opencl.device import select_device
 from cmp_cl.space import Calibration, Lens, MisfitError, calibrate
 from cmp_cl.space.calibration.advice import advice
@@ -76,14 +70,11 @@ def add_parser(commands: Any) -> None:
         help="inner corners of the board, either number first",
     )
     board.add_argument(
-        "--square", metavar="LENGTH", type=positive_number, required=True, help="side of a square"
-    )
-    board.add_argument(
-        "--unit",
-        metavar="UNIT",
-        type=unit_name,
-        default="mm",
-        help="unit of --square and of the result; default: mm",
+        "--square",
+        metavar="LENGTH",
+        type=positive_number,
+        required=True,
+        help="side of a square, mm",
     )
     board.add_argument(
         "--free-board",
@@ -108,16 +99,7 @@ def add_parser(commands: Any) -> None:
         default=Lens.PINHOLE.value,
         help="model of the lenses; default: pinhole; rational and fisheye are for wide ones",
     )
-    add_split(
-        rare,
-        help_="where the views are in a frame that shows both: halves (the default), or "
-        "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, of one size, px",
-    )
-    add_region(
-        rare,
-        help_="which of several patterns to use: X,Y,WIDTH,HEIGHT, px, and after a colon that in "
-        "the view of the second camera; corners outside are left out in all views",
-    )
+    add_split(rare)
     add_full_scale(rare)
     add_device(rare)
     parser.set_defaults(run=run)
@@ -144,7 +126,6 @@ def run(arguments: argparse.Namespace) -> int:
             spacing=arguments.square,
             sizes=boards.sizes,
             lens=Lens(arguments.lens),
-            unit=arguments.unit,
             free_board=arguments.free_board,
         )
     except CalibrationError as error:
@@ -186,7 +167,7 @@ def _files(arguments: argparse.Namespace) -> dict[str, list[Path]]:
             "NAME=IMAGE... for each of several"
         )
     if arguments.images:
-        (files,) = distinct_inputs(arguments.images)
+        files = media.find_inputs(arguments.images)
         return {"left": files, "right": files} if arguments.stereo else {"camera": files}
     if arguments.stereo:
         raise ConfigError("--stereo is for IMAGE..., each of which shows two views")
@@ -204,7 +185,7 @@ def _files(arguments: argparse.Namespace) -> dict[str, list[Path]]:
             names[name] = [path, *others]
     elif not (arguments.left and arguments.right):
         raise ConfigError("--left and --right need each other; for one camera give IMAGE... alone")
-    found = dict(zip(names, distinct_inputs(*names.values()), strict=True))
+    found = {name: media.find_inputs(paths) for name, paths in names.items()}
     if len({len(paths) for paths in found.values()}) > 1:
         counts = " and ".join(f"{len(paths)} of {name}" for name, paths in found.items())
         raise ConfigError(f"each camera needs a view of each moment, but there are {counts}")
@@ -219,11 +200,6 @@ def _names(files: Mapping[str, list[Path]]) -> dict[str, list[str]]:
 def _check(arguments: argparse.Namespace, files: Mapping[str, list[Path]], picture: Path) -> None:
     if (arguments.split or arguments.mirror) and not arguments.stereo:
         raise ConfigError("--split and --mirror need --stereo: frames that show two views")
-    if arguments.region is not None and len(arguments.region) != len(files):
-        raise ConfigError(
-            f"--region needs one rectangle per camera, separated by a colon: {len(files)} here, "
-            f"not {len(arguments.region)}"
-        )
     if arguments.free_board and sum(arguments.board) % 2 == 0:
         rows, columns = arguments.board
         raise ConfigError(
@@ -247,16 +223,12 @@ def _boards(arguments: argparse.Namespace, files: Mapping[str, list[Path]], devi
             for side, (name, path) in enumerate(zip(files, paths, strict=True)):
                 grid = None
                 try:
-                    image, region = _view(path, side, arguments)
+                    image = _view(path, side, arguments)
                     size = (image.shape[1], image.shape[0])
                     if found.sizes.get(name, size) != size:
                         raise ImageError(f"it has {size} px, earlier views {found.sizes[name]}")
                     board = find_board(
-                        image,
-                        arguments.board,
-                        full_scale=arguments.full_scale,
-                        region=region,
-                        device=device,
+                        image, arguments.board, full_scale=arguments.full_scale, device=device
                     )
                     grid, found.sizes[name] = trusted(board, device=device), size
                 except (GridError, ImageError) as error:
@@ -270,14 +242,10 @@ def _boards(arguments: argparse.Namespace, files: Mapping[str, list[Path]], devi
     return found
 
 
-def _view(path: Path, side: int, arguments: argparse.Namespace) -> tuple[GreyImage, Region | None]:
-    """Return the view of a camera and the region to use; side: its number among the cameras."""
+def _view(path: Path, side: int, arguments: argparse.Namespace) -> GreyImage:
+    """Return the view of a camera in a file; side: its number among the cameras."""
     image = media.read_image(path)
-    place = whole(image)
-    if arguments.stereo:
-        split = split_of(arguments.split or "halves", arguments.mirror, image.shape)
-        image, place = split(image)[side], views_of(split)[side]
-    return image, regions_in(arguments.region and arguments.region[side : side + 1], place)[0]
+    return split_of(arguments, image.shape)(image)[side] if arguments.stereo else image
 
 
 def _unseen(
@@ -365,7 +333,7 @@ def _report_board(found: Calibration, arguments: argparse.Namespace) -> None:
     off -= np.nanmean(off, axis=(0, 1))
     inside, height = np.linalg.norm(off[..., :2], axis=2), np.abs(off[..., 2])
     print(
-        f"the board: its nodes lie up to {np.nanmax(height):.3f} {arguments.unit} off its plane "
+        f"the board: its nodes lie up to {np.nanmax(height):.3f} mm off its plane "
         f"({np.sqrt(np.nanmean(height**2)):.3f} RMS), and up to {np.nanmax(inside):.3f} off their "
         f"nominal places in it ({np.sqrt(np.nanmean(inside**2)):.3f} RMS)"
     )

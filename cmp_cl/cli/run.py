@@ -10,14 +10,10 @@ from typing import Any
 from cmp_cl.cli.arguments import (
     add_device,
     add_full_scale,
-    add_region,
     add_split,
     check_files,
     grid_shape,
-    regions_in,
     split_of,
-    views_of,
-    whole,
 )
 from cmp_cl.cli.messages import Progress, counted, one_line, shown, tell
 from cmp_cl.cli.running import results, sources
@@ -63,11 +59,6 @@ def add_parser(commands: Any) -> None:
         type=grid_shape,
         help="rows and columns of its corners; default: those seen at rest",
     )
-    add_region(
-        group,
-        help_="which of several patterns: X,Y,WIDTH,HEIGHT, px of the frame; with --stereo two "
-        "of them with a colon between, left and right",
-    )
     group.add_argument(
         "--track",
         action="store_true",
@@ -76,18 +67,11 @@ def add_parser(commands: Any) -> None:
         "first one",
     )
     results.add_arguments(parser.add_argument_group("output"))
-    group = parser.add_argument_group("speed")
-    add_device(group)
-    group = parser.add_argument_group("settings of a camera, a device or an address")
-    sources.add_camera_arguments(group)
     group = parser.add_argument_group("rarely needed")
-    add_split(
-        group,
-        help_="where the two views are in the frame: halves (the default), or "
-        "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, of one size, px",
-    )
+    add_split(group)
     group.add_argument("--config", metavar="TOML", help="settings of the detector")
     add_full_scale(group)
+    add_device(group)
     parser.epilog = "docs/formats.md lists the arrays of a series."
     parser.set_defaults(run=run)
 
@@ -186,17 +170,9 @@ def _measurement(
     }
     try:
         if rig is None:
-            hint = "; --region picks one of several patterns; frames of two views need --stereo"
-            (region,) = regions_in(arguments.region, whole(rest))
-            if arguments.cell is not None:
-                search |= {"cell": arguments.cell, "unit": arguments.unit or "mm"}
-            return OneView(rest, region=region, **search)
-        split = split_of(arguments.split or "halves", arguments.mirror, rest.shape)
-        one, two = views_of(split)
-        if isinstance(source, Pairs):  # regions are in the two frames
-            two = ((0, 0, *two[0][2:]), two[1])
-        left, right = regions_in(arguments.region, one, two)
-        return TwoViews(rest, rig, split, regions=(left, right), **search)
+            hint = "; frames of two views need --stereo"
+            return OneView(rest, cell=arguments.cell, **search)
+        return TwoViews(rest, rig, split_of(arguments, rest.shape), **search)
     except GridError as error:
         at_rest = f"frame {arguments.rest_frame}, the frame at rest"
         raise GridError(f"{at_rest}: {error}{hint}") from error

@@ -13,7 +13,7 @@ from cmp_cl.cli.messages import one_line, shown
 from cmp_cl.errors import CalibrationError, ConfigError, GridError
 from cmp_cl.grid import Grid, align
 from cmp_cl.image import GreyImage
-from cmp_cl.measure import Region, find_pattern, square_sides
+from cmp_cl.measure import find_pattern, square_sides
 from cmp_cl.measure.patterns import align_views
 from cmp_cl.space import Lens, StereoRig, calibrate_window
 
@@ -30,7 +30,7 @@ def add_window(parser: argparse.ArgumentParser) -> None:
         "--window",
         metavar="LENGTH:INDEX,...",
         type=media,
-        help="thickness, in --unit, and refractive index of each layer, from the cameras to the "
+        help="thickness, mm, and refractive index of each layer, from the cameras to the "
         "pattern, as in 5:1.49,20:1.41; the last one holds it. The views of the board are in air",
     )
     window.add_argument(
@@ -47,19 +47,11 @@ def add_window(parser: argparse.ArgumentParser) -> None:
         "--pitch", metavar="LENGTH", type=positive_number, help="side of its squares"
     )
     window.add_argument(
-        "--index-sigma",
-        metavar="NUMBER",
-        type=positive_number,
-        default=0.01,
-        help="standard deviation of the last layer's index, if no --step measures it; default: "
-        "0.01",
-    )
-    window.add_argument(
         "--step",
         nargs="+",
         metavar=("LENGTH", "IMAGE"),
         help="the pattern when a flat punch has moved by a known length, as in --step 1.0 "
-        "step.png; the index of the last layer is then measured too",
+        "step.png; the index of the last layer, known to 0.01 without it, is then measured too",
     )
 
 
@@ -114,23 +106,20 @@ def window_files(arguments: argparse.Namespace, cameras: Sequence[str]) -> list[
 def through_window(
     rig: StereoRig,
     arguments: argparse.Namespace,
-    view: Callable[[Path, int], tuple[GreyImage, Region | None]],
+    view: Callable[[Path, int], GreyImage],
     device: Any,
 ) -> StereoRig:
     """Return a rig with the window of the options.
 
-    view: returns the view of a camera in a file, by its number, and the region to use. device: that
-    finds the corners. Raises CalibrationError if a view does not show the pattern, or the views do
-    not fix the window.
+    view: returns the view of a camera in a file, by its number. device: that finds the corners.
+    Raises CalibrationError if a view does not show the pattern, or the views do not fix the window.
     """
 
     def seen(path: str, side: int) -> Grid:
-        image, region = view(Path(path), side)
         try:
             _, grid = find_pattern(
-                image,
+                view(Path(path), side),
                 shape=arguments.grid,
-                region=region,
                 full_scale=arguments.full_scale,
                 device=device,
             )
@@ -152,7 +141,6 @@ def through_window(
         rest,
         pitch=arguments.pitch,
         media=arguments.window,
-        index_sigma=arguments.index_sigma,
         stepped=stepped,
         step=step,
     )

@@ -1,16 +1,16 @@
 """A gel and its cameras as a sensor: frames arrive in a thread, with the calls of PyTac3D."""
 
-import collections
 import contextlib
 import math
 import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from os import PathLike
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError, ImageError, check_kind
@@ -19,6 +19,7 @@ from cmp_cl.image import GreyImage
 from cmp_cl.measure.measured import Measured
 from cmp_cl.measure.two_views import TwoViews
 from cmp_cl.media.cameras import Source
+from cmp_cl.media.newest import Newest
 from cmp_cl.series import SeriesWriter, read_series
 from cmp_cl.space import BinocularSplit, StereoRig
 
@@ -26,11 +27,16 @@ Frame = dict[str, Any]
 Callback = Callable[[Frame, Any], object]
 
 
-class _Loop(Closing):
-    """Frames of a thread, of which the newest few wait to be taken."""
+class Frames(Closing):
+    """Frames of a thread, of which the newest few wait to be taken, with the calls of PyTac3D.
+
+    frames: makes them. recvCallback: is called in the thread with each frame and `callbackParam`.
+    maxQSize: how many frames wait; older ones are dropped. Raises ConfigError if that is under 1.
+    """
 
     def __init__(
         self,
+        frames: Generator[Frame, None, None],
         recvCallback: Callback | None = None,
         maxQSize: int = 5,
         callbackParam: Any = None,
@@ -38,12 +44,15 @@ class _Loop(Closing):
         check_kind("maxQSize", maxQSize, int, ConfigError)
         if maxQSize < 1:
             raise ConfigError(f"maxQSize must be 1 or more, not {maxQSize}")
-        self._callback, self._parameter = recvCallback, callbackParam
-        self._waiting: collections.deque[Frame] = collections.deque(maxlen=maxQSize)
-        self._changed = threading.Condition()
-        self._closed = threading.Event()
-        self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name="cmp_cl sensor", daemon=True)
+
+        def told() -> Generator[Frame, None, None]:
+            with contextlib.closing(frames):
+                for frame in frames:
+                    yield frame
+                    if recvCallback is not None:
+                        recvCallback(frame, callbackParam)
+
+        self._newest = Newest(told(), maxQSize)
 
     def getFrame(self, SN: str = "") -> Frame | None:
         """Return the oldest frame that waits, None if none does; raise what ended the loop.
@@ -51,12 +60,7 @@ class _Loop(Closing):
         The dictionary is that of `DisplacementField.as_pytac3d`. SN: ignored; a sensor is one.
         """
         del SN
-        with self._changed:
-            if self._waiting:
-                return self._waiting.popleft()
-            if self._error is not None:
-                raise self._error
-            return None
+        return self._newest.take() if self._newest.wait(0) else None
 
     def waitForFrame(self, SN: str = "", timeout: float = math.inf) -> None:
         """Wait until a frame is there, as long as `timeout`, s.
@@ -64,45 +68,17 @@ class _Loop(Closing):
         SN: ignored. Raises ImageError if none came or will come, or what ended the loop.
         """
         del SN
-        end = time.monotonic() + timeout
-        with self._changed:
-            while not self._waiting:
-                if self._error is not None:
-                    raise self._error
-                if not self._thread.is_alive():
-                    raise ImageError("the source has ended: there are no further frames")
-                left = end - time.monotonic()
-                if left <= 0:
-                    raise ImageError(f"no frame came within {timeout:g} s")
-                self._changed.wait(min(left, 0.1))
+        if not self._newest.wait(timeout):
+            if self._newest.ended:
+                raise ImageError("the source has ended: there are no further frames")
+            raise ImageError(f"no frame came within {timeout:g} s")
 
     def close(self) -> None:
         """End the loop and wait for it."""
-        self._closed.set()
-        if self._thread.is_alive() and self._thread is not threading.current_thread():
-            self._thread.join()
-
-    def _frames(self) -> Generator[Frame, None, None]:
-        raise NotImplementedError
-
-    def _run(self) -> None:
-        try:
-            with contextlib.closing(self._frames()) as frames:
-                for frame in frames:
-                    with self._changed:
-                        self._waiting.append(frame)
-                        self._changed.notify_all()
-                    if self._callback is not None:
-                        self._callback(frame, self._parameter)
-                    if self._closed.is_set():
-                        return
-        except BaseException as error:
-            with self._changed:
-                self._error = error
-                self._changed.notify_all()
+        self._newest.close()
 
 
-class Sensor(_Loop):
+class Sensor(Frames):
     """Measures the frames of a source in a thread, against its first frame or a later one.
 
     source: a camera's number, a device, an address or a video, see `cmp_cl.media.cameras.Source`,
@@ -110,9 +86,7 @@ class Sensor(_Loop):
     rig: the cameras, or the path of their file. split: the two views in a frame; None is halves.
     shape: (rows, columns) of the pattern's corners; None takes what is seen at rest.
     serial: the name of the sensor in its frames.
-    recvCallback: is called in the thread with each frame and `callbackParam`.
-    maxQSize: how many frames wait for `getFrame`; older ones are dropped.
-    device: as for `Detector`.
+    device: as for `Detector`. The others are those of `Frames`.
 
     Raises ConfigError, FileNotFoundError or ImageError for a source or a rig that cannot be opened.
     What happens in the thread is raised by `getFrame` and `waitForFrame`: GridError if the frame at
@@ -136,8 +110,7 @@ class Sensor(_Loop):
         callbackParam: Any = None,
         device: str | None = None,
     ) -> None:
-        super().__init__(recvCallback, maxQSize, callbackParam)
-        self._source = Source(source, from_start=True)
+        self._source = Source(source)
         self._rig = rig if isinstance(rig, StereoRig) else StereoRig.load(rig)
         self._split, self._shape, self._device = split, shape, device
         self._serial = serial
@@ -145,7 +118,7 @@ class Sensor(_Loop):
         self._new_rest = True
         self._series: SeriesWriter | None = None
         self._path: str | PathLike[str] | None = None
-        self._thread.start()
+        super().__init__(self._frames(), recvCallback, maxQSize, callbackParam)
 
     def calibrate(self, SN: str = "") -> None:
         """Take the next frame as the one at rest: nothing may touch the gel then.
@@ -172,13 +145,16 @@ class Sensor(_Loop):
             self._path = path
 
     @staticmethod
-    def replay(path: str | PathLike[str], *, serial: str = "", **settings: Any) -> "Replay":
-        """Return a sensor that gives the frames of a series, .npz or .h5, at their times.
+    def replay(path: str | PathLike[str], *, serial: str = "", **settings: Any) -> Frames:
+        """Return the frames of a series, .npz or .h5, at their times.
 
         settings: recvCallback, maxQSize and callbackParam. Raises FieldError if the file is no
         series in space.
         """
-        return Replay(path, serial, **settings)
+        series = read_series(path, ("rest", "displacement", "time_ms", "unit"))
+        if not {"rest", "displacement"} <= series.keys() or series["rest"].shape[2] != 3:
+            raise FieldError(f"{str(path)!r}: a sensor replays a series in space, of two views")
+        return Frames(_replayed(series, serial), **settings)
 
     def close(self) -> None:
         """End the loop, complete the series, and release the device."""
@@ -190,8 +166,6 @@ class Sensor(_Loop):
         measure: TwoViews | None = None
         with contextlib.closing(self._source.frames()) as frames, contextlib.ExitStack() as opened:
             for frame in frames:
-                if self._closed.is_set():
-                    return
                 if frame.image is None:
                     continue
                 with self._lock:
@@ -227,36 +201,22 @@ class Sensor(_Loop):
             series.close()
 
 
-class Replay(_Loop):
-    """Gives the frames of a recorded series as a `Sensor` does, see `Sensor.replay`."""
-
-    def __init__(self, path: str | PathLike[str], serial: str, **settings: Any) -> None:
-        super().__init__(**settings)
-        self._serial = serial
-        self._series = read_series(path, ("rest", "displacement", "time_ms", "unit"))
-        if (
-            not {"rest", "displacement"} <= self._series.keys()
-            or self._series["rest"].shape[2] != 3
-        ):
-            raise FieldError(f"{str(path)!r}: a sensor replays a series in space, of two views")
-        self._thread.start()
-
-    def _frames(self) -> Generator[Frame, None, None]:
-        start = time.monotonic()
-        series = self._series
-        for index, time_ms, moved in zip(
-            series["index"], series["time_ms"], series["displacement"], strict=True
-        ):
-            if np.isfinite(time_ms):
-                self._closed.wait(max(0.0, start + float(time_ms) / 1e3 - time.monotonic()))
-            yield frame_of_pytac3d(
-                series["rest"],
-                moved,
-                str(series["unit"]),
-                serial=self._serial,
-                index=int(index),
-                time_s=float(time_ms) / 1e3,
-            )
+def _replayed(series: Mapping[str, NDArray[Any]], serial: str) -> Generator[Frame, None, None]:
+    """Yield the frames of a series at their times."""
+    start = time.monotonic()
+    for index, time_ms, moved in zip(
+        series["index"], series["time_ms"], series["displacement"], strict=True
+    ):
+        if np.isfinite(time_ms):
+            time.sleep(max(0.0, start + float(time_ms) / 1e3 - time.monotonic()))
+        yield frame_of_pytac3d(
+            series["rest"],
+            moved,
+            str(series["unit"]),
+            serial=serial,
+            index=int(index),
+            time_s=float(time_ms) / 1e3,
+        )
 
 
 def pytac3d(source: str, rig: StereoRig | str | PathLike[str], **settings: Any) -> SimpleNamespace:

@@ -5,14 +5,12 @@ its arrival: a thread reads a camera, so that frames do not wait in the driver.
 """
 
 import contextlib
+import dataclasses
 import itertools
 import math
-import queue
 import re
-import threading
 import time
-from collections.abc import Generator, Iterator, Mapping
-from numbers import Real
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -23,25 +21,13 @@ from numpy.typing import NDArray
 from cmp_cl.errors import ConfigError, ImageError, check_kind
 from cmp_cl.image import GreyImage
 from cmp_cl.media.images import find_inputs
+from cmp_cl.media.newest import Newest
 from cmp_cl.media.videos import LONGEST_GAP, Frame, VideoInfo, read_frames, video_info
 
 _WAITING = 64  # the most frames of a camera that wait to be measured
 _LONGEST_WAIT = 10.0  # s, the longest wait for a frame of a camera
 _PAIR_WITHIN = 20.0  # ms, between frames that are paired if their interval is unknown
 _DEVICES = Path("/dev")  # where Linux has its cameras
-
-_Queue = queue.Queue[Frame | ImageError | None]
-
-
-# What can be asked of a camera, each a number.
-SETTINGS = {
-    "pixel format": cv2.CAP_PROP_FOURCC,
-    "width": cv2.CAP_PROP_FRAME_WIDTH,
-    "height": cv2.CAP_PROP_FRAME_HEIGHT,
-    "fps": cv2.CAP_PROP_FPS,
-    "exposure": cv2.CAP_PROP_EXPOSURE,
-}
-_RAW = {cv2.VideoWriter.fourcc(*name) for name in ("Y16 ", "GREY")}  # formats left as they come
 
 
 def is_live(name: str) -> bool:
@@ -60,51 +46,43 @@ class Source:
     name: a file, a folder of images, the number of a camera, a device such as
     /dev/video0, or an address such as rtsp://camera/stream.
 
-    settings: numbers to request of a camera, by the names in SETTINGS; the exposure is in the
-        driver's unit.
+    settings: what to ask of a camera, by OpenCV's names of properties: fps is CAP_PROP_FPS. A value
+        is a number, or a text of one; fourcc, the format of pixels, is four letters such as MJPG.
     live: whether it is a camera or a stream, whose frames arrive whether or not they are read.
     paths: the files, () of a live source. period_ms: time between frames, NaN if unknown.
     full_scale: largest grey level, None if unknown. total: how many frames, or how many files if
     there are several; None if unknown.
-    from_start: whether times of a camera count from its first frame; else two of them
-        have one clock, and can be paired.
-
     Raises ConfigError for a name of another type, or settings for a file; FileNotFoundError and
     ImageError as `cmp_cl.media` does.
     """
 
-    def __init__(
-        self,
-        name: str,
-        settings: Mapping[str, float] | None = None,
-        *,
-        from_start: bool = False,
-    ) -> None:
+    def __init__(self, name: str, settings: Mapping[str, float | str] | None = None) -> None:
         self.name = name
-        self._from_start = from_start
-        self._settings = dict(settings or {})
         self.live = is_live(name)
+        asked = {what.lower(): value for what, value in (settings or {}).items()}
+        self._settings = {what: _asked(what, value) for what, value in asked.items()}
         if self._settings and not self.live:
             raise ConfigError(f"{name!r} is not a camera, so it takes no camera settings")
-        for what, value in self._settings.items():
-            if what not in SETTINGS:
-                raise ConfigError(f"a camera has {', '.join(SETTINGS)}, and no {what!r}")
-            check_kind(what, value, Real, ConfigError)
         self._opened_as: int | str = int(name) if self.live and name.isdigit() else name
         self.paths = () if self.live else tuple(find_inputs([name]))
-        info = VideoInfo(rate=self._settings.get("fps")) if self.live else VideoInfo()
-        if len(self.paths) == 1:
-            info = video_info(self.paths[0])
+        info = video_info(self.paths[0]) if len(self.paths) == 1 else VideoInfo()
         self.full_scale = info.full_scale
         self.total = len(self.paths) if len(self.paths) > 1 else info.frames
-        self.period_ms = 1e3 / info.rate if info.rate else math.nan
+        rate = self._settings["fps"][1] if "fps" in self._settings else info.rate
+        self.period_ms = 1e3 / rate if rate else math.nan
 
     def frames(self) -> Generator[Frame, None, None]:
         """Yield all frames in turn, those that cannot be read or are missed without an image.
 
-        A live source ends after 10 s, or 250 reads, without a frame. Frames of several videos have
-        no times. Raises ImageError if the source cannot be read.
+        Times of a live source count from its first frame; it ends after 10 s, or 250 reads, without
+        a frame. Frames of several videos have no times. Raises ImageError if the source cannot be
+        read.
         """
+        with contextlib.closing(self.timed()) as frames:
+            yield from _from_first(frames) if self.live else frames
+
+    def timed(self) -> Generator[Frame, None, None]:
+        """Yield the frames as `frames` does, but those of all live sources with one clock."""
         return self._live_frames() if self.live else self._file_frames()
 
     def _file_frames(self) -> Generator[Frame, None, None]:
@@ -120,32 +98,14 @@ class Source:
                 yield Frame(next(numbers), None, why=str(error))
 
     def _live_frames(self) -> Generator[Frame, None, None]:
-        capture = self._capture()
-        waiting: _Queue = queue.Queue(_WAITING)
-        done = threading.Event()
-        thread = threading.Thread(target=_read, args=(capture, waiting, done), daemon=True)
-        thread.start()
-        index, zero = 0, None if self._from_start else 0.0
-        try:
-            while True:
-                try:
-                    frame = waiting.get(timeout=_LONGEST_WAIT)
-                except queue.Empty:
-                    return
-                if isinstance(frame, ImageError):
-                    raise frame
-                if frame is None:
-                    return
+        index = 0
+        with Newest(_captured(self._capture()), _WAITING) as waiting:
+            while waiting.wait(_LONGEST_WAIT):
+                frame = waiting.take()
                 for missed in range(index, frame.index):
                     yield Frame(missed, None)
-                zero = frame.time_ms if zero is None else zero
-                yield Frame(frame.index, frame.image, frame.time_ms - zero)
+                yield frame
                 index = frame.index + 1
-        finally:
-            done.set()
-            thread.join(timeout=_LONGEST_WAIT)
-            if not thread.is_alive():
-                capture.release()
 
     def _capture(self) -> Any:
         capture = cv2.VideoCapture(self._opened_as)
@@ -153,40 +113,48 @@ class Source:
             raise ImageError(
                 f"there is no camera {self.name} that OpenCV can open; {_cameras_here()}"
             )
-        asked = [(SETTINGS[what], value, what) for what, value in self._settings.items()]
-        if self._settings.get("pixel format") in _RAW:
-            asked.append((cv2.CAP_PROP_CONVERT_RGB, 0.0, "raw pixels"))
-        for key, value, what in asked:
+        for what, (key, value) in self._settings.items():
             if not capture.set(key, value):
                 capture.release()
-                raise ImageError(f"the camera {self.name!r} does not take this {what}: {value:g}")
+                raise ImageError(f"the camera {self.name!r} does not take {what}={value:g}")
         return capture
 
 
-def _read(capture: Any, waiting: _Queue, done: threading.Event) -> None:
-    """Queue every frame of a camera as it arrives; an error or None marks the end.
+def _asked(what: str, value: float | str) -> tuple[int, float]:
+    """Return a setting as OpenCV takes it; raises ConfigError."""
+    key = getattr(cv2, f"CAP_PROP_{what.upper()}", None)
+    if key is None:
+        raise ConfigError(f"a camera has no setting {what!r}; frame_width and fps are some")
+    if what == "fourcc" and isinstance(value, str) and len(value) == 4:
+        return key, cv2.VideoWriter.fourcc(*value)
+    try:
+        return key, float(value)
+    except (TypeError, ValueError) as error:
+        expected = "four letters, such as MJPG" if what == "fourcc" else "a number"
+        raise ConfigError(f"{what} must be {expected}, not {value!r}") from error
 
-    The number of a read without a frame is missing; if too many wait, so is that of the oldest.
-    """
+
+def _captured(capture: Any) -> Generator[Frame, None, None]:
+    """Yield every frame of a camera as it arrives; the number of a read without one is missing."""
     index = gap = 0
-    end: ImageError | None = None
-    while not done.is_set() and gap < LONGEST_GAP and end is None:
-        read, picture = capture.read()
-        now = time.monotonic() * 1e3
-        gap = 0 if read else gap + 1
-        if read:
-            if waiting.full():
-                with contextlib.suppress(queue.Empty):
-                    waiting.get_nowait()
-            try:
-                waiting.put(Frame(index, grey_of(picture), now))
-            except ImageError as error:
-                end = error
-        index += 1
-    while not done.is_set():
-        with contextlib.suppress(queue.Full):
-            waiting.put(end, timeout=0.1)
-            return
+    try:
+        while gap < LONGEST_GAP:
+            read, picture = capture.read()
+            now = time.monotonic() * 1e3
+            if read:
+                yield Frame(index, grey_of(picture), now)
+            gap = 0 if read else gap + 1
+            index += 1
+    finally:
+        capture.release()
+
+
+def _from_first(frames: Iterable[Frame]) -> Iterator[Frame]:
+    """Yield frames with times from the first one that has an image."""
+    start = math.nan
+    for frame in frames:
+        start = frame.time_ms if math.isnan(start) else start
+        yield dataclasses.replace(frame, time_ms=frame.time_ms - start)
 
 
 def grey_of(frame: NDArray[Any]) -> GreyImage:
@@ -262,22 +230,21 @@ class Pairs:
         of a pair differ in size.
         """
         self.alone = [0, 0]
-        number, start = 0, None
         with contextlib.ExitStack() as stack:
-            sides = [stack.enter_context(contextlib.closing(s.frames())) for s in self._sides]
-            left_frames, right_frames = (
-                (each for each in side if each.image is not None or not self.live) for side in sides
-            )
-            for left, right in paired(
-                left_frames, right_frames, tolerance_ms=self._within, endless=self.live
-            ):
-                if left is None or right is None:
-                    self.alone[left is None] += 1
-                    continue
-                start = left.time_ms if start is None else start
-                both = _side_by_side(left.image, right.image)
-                yield Frame(number, both, left.time_ms - start)
-                number += 1
+            sides = [stack.enter_context(contextlib.closing(s.timed())) for s in self._sides]
+            yield from _from_first(self._paired(*sides))
+
+    def _paired(self, left: Iterator[Frame], right: Iterator[Frame]) -> Iterator[Frame]:
+        number = itertools.count()
+        left, right = (
+            (each for each in side if each.image is not None or not self.live)
+            for side in (left, right)
+        )
+        for one, two in paired(left, right, tolerance_ms=self._within, endless=self.live):
+            if one is None or two is None:
+                self.alone[one is None] += 1
+            else:
+                yield Frame(next(number), _side_by_side(one.image, two.image), one.time_ms)
 
 
 def _side_by_side(left: GreyImage | None, right: GreyImage | None) -> GreyImage | None:

@@ -92,30 +92,6 @@ def test_calibrate_finds_the_cameras_again(run, boards):
     assert float(out.split("all views: ")[1].split()[0]) < 0.1
 
 
-def test_a_rectangle_in_each_view_selects_one_of_two_boards(run, boards):
-    left, right = [], []
-    for number, views in enumerate(boards):
-        other = boards[number - 1][0]
-        left.append(f"l{number}.png")
-        right.append(f"r{number}.png")
-        cv2.imwrite(left[-1], np.hstack([other, views[0]]))
-        cv2.imwrite(right[-1], np.hstack([views[1], other]))
-        cv2.imwrite(f"{number}.png", np.hstack([other, *views, other]))
-    frames = [f"{number}.png" for number in range(4)]
-    fails_in_one_line(run("calibrate", "--stereo", *frames, *BOARD), "two patterns")
-    wide, high = VIEW[1], VIEW[0]
-    boxes = f"{wide},0,{wide},{high}:{2 * wide},0,{wide},{high}"
-    assert run("calibrate", "--stereo", *frames, *BOARD, "--region", boxes)[0] == 0
-    of_frames = StereoRig.load("rig.yaml")
-    assert of_frames.K1[0, 2] == pytest.approx(RIG.K1[0, 2] + wide, abs=3)
-    assert of_frames.K2[0, 2] == pytest.approx(RIG.K2[0, 2], abs=3)
-    assert np.linalg.norm(of_frames.T) == pytest.approx(np.linalg.norm(RIG.T), rel=0.02)
-    files = "--left", *left, "--right", *right
-    boxes = f"{wide},0,{wide},{high}:0,0,{wide},{high}"
-    assert run("calibrate", *files, *BOARD, "--region", boxes)[0] == 0
-    np.testing.assert_allclose(StereoRig.load("rig.yaml").K1, of_frames.K1, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -125,9 +101,11 @@ def test_a_rectangle_in_each_view_selects_one_of_two_boards(run, boards):
         (["plain.png"], ["no view shows a board of 7 x 7 corners", "--stereo"]),
         (["--stereo", "--left", "0.png", "--right", "1.png"], ["--stereo is for IMAGE"]),
         (["none.png"], ["none.png"]),
-        (["0.png", "1.png", "./0.png"], ["0.png", "given twice"]),
         (["0.png", "--free-board"], ["7 x 7", "half a turn"]),
-        (["--stereo", "0.png", "--region", "0,0,9,9:0,0,9,9"], ["0,0,9,9", "outside"]),
+        (
+            ["--stereo", "0.png", "--split", "0,0,9,9:0,0,9,8"],
+            ["left and right must have one size"],
+        ),
     ],
 )
 def test_a_wrong_argument_of_calibrate_is_one_line_and_no_file(
@@ -207,7 +185,7 @@ def test_named_cameras_make_a_rig_that_run_takes(run, opencv_views):
         (["--camera", "noname.png"], "NAME=IMAGE"),
         ([*cameras, "--camera", f"third={opencv_views[0][4]}"], "1 of third"),
         ([*cameras, "--camera", f"left={left[0]}"], "twice"),
-        ([*cameras, "--split", "halves"], "--split"),
+        ([*cameras, "--mirror", "left"], "--split"),
         ([*cameras, "--corners", "c.mat"], "c.mat"),
     ):
         fails_in_one_line(run("calibrate", *wrong, *CHESSBOARD, "--out", "rig.yaml"), why)

@@ -7,15 +7,12 @@ import time
 from collections import deque
 from typing import Any
 
-import numpy as np
-
-from cmp_cl.cli.arguments import check_suffix, positive_number, unit_name
+from cmp_cl.cli.arguments import check_suffix, positive_number
 from cmp_cl.cli.messages import counted, shown, tell
 from cmp_cl.closing import Closing
 from cmp_cl.errors import CmpClError, ConfigError
 from cmp_cl.measure import Measured, OneView, TwoViews
 from cmp_cl.media import Frame
-from cmp_cl.motion import contact_of
 from cmp_cl.series import SERIES_SUFFIXES, Description, SeriesWriter
 from cmp_cl.viz import Moment, save_figure, sheet_figure
 from cmp_cl.viz.live import LiveView
@@ -41,22 +38,14 @@ def add_arguments(group: Any) -> None:
         "--cell",
         metavar="SIDE",
         type=positive_number,
-        help="for one view of a flat pattern: side of its cells at rest, in --unit; lengths are "
-        "then in that unit, in the plane of the pattern",
+        help="for one view of a flat pattern: side of its cells at rest, mm; lengths are then mm "
+        "in its plane",
     )
-    group.add_argument("--unit", metavar="UNIT", type=unit_name, help="unit of --cell; default: mm")
     group.add_argument(
         "--strain",
         action="store_true",
         help="add the Green-Lagrange strain of each node, the principal strains and their "
         "direction, each with its sigma; with one view in the plane, with two in the surface",
-    )
-    group.add_argument(
-        "--contact",
-        metavar="DEPTH",
-        type=positive_number,
-        help="with --stereo: add depth and normals of the nodes, and the area that is pressed in "
-        "deeper than this, in the unit of the calibration",
     )
     group.add_argument(
         "--plot",
@@ -79,12 +68,6 @@ def check(arguments: argparse.Namespace) -> None:
         raise ConfigError(
             "--cell is for one view; with --stereo, the calibration gives the unit of length"
         )
-    if arguments.unit is not None and arguments.cell is None:
-        raise ConfigError(
-            "--unit needs --cell: without it, lengths are in px or in the unit of the calibration"
-        )
-    if arguments.contact is not None and arguments.stereo is None:
-        raise ConfigError("--contact needs --stereo: one view shows no depth")
     if arguments.plot is not None:
         new_figure((1, 1))  # matplotlib is missed now, not after the recording
 
@@ -125,12 +108,11 @@ class Results(Closing):
             if arguments.plot is not None:
                 fps = _USUAL_RATE if math.isnan(period_ms) else 1e3 / period_ms
                 self._video = stack.enter_context(VideoFile(f"{arguments.plot}.mp4", fps=fps))
-            once = {} if arguments.contact is None else {"deeper_than": arguments.contact}
             self._series = stack.enter_context(
                 SeriesWriter(
                     arguments.out,
                     description=Description(units=_units(measure), settings=settings),
-                    **(measure.constants | once),
+                    **measure.constants,
                 )
             )
             if arguments.show:
@@ -145,19 +127,11 @@ class Results(Closing):
 
     def write(self, frame: Frame, measured: Measured) -> None:
         """Write a frame, then count it and draw it."""
-        arrays = measured.arrays
-        if self._arguments.contact is not None:
-            contact = contact_of(measured.field, deeper_than=self._arguments.contact)
-            arrays |= {
-                "depth": contact.depth,
-                "depth_sigma": contact.sigma,
-                "normal": contact.normal,
-                "contact": contact.inside,
-                "contact_area": np.array(contact.area),
-                "contact_depth": np.array(contact.deepest),
-            }
         self._series.append(
-            index=frame.index, time_ms=frame.time_ms, ambiguous=measured.ambiguous, **arrays
+            index=frame.index,
+            time_ms=frame.time_ms,
+            ambiguous=measured.ambiguous,
+            **measured.arrays,
         )
         self.frames += 1
         self._empty += not measured.nodes
@@ -165,14 +139,7 @@ class Results(Closing):
             self._nodes += measured.nodes
             self._fewest = min(self._fewest, measured.nodes)
             self.ambiguous += measured.ambiguous
-        moment = Moment(
-            rest=measured.field.position,
-            shift=arrays["displacement"],
-            sigma=arrays["sigma"],
-            unit=self._unit,
-            index=frame.index,
-            time_ms=frame.time_ms,
-        )
+        moment = Moment.of(measured.field, frame.index, frame.time_ms)
         self._summary.add(moment)
         self._draw(measured, moment)
 
@@ -253,10 +220,8 @@ def _units(measure: OneView | TwoViews) -> dict[str, str]:
     """Return the units of the arrays of a series."""
     unit, views = measure.unit, ("xy",) if isinstance(measure, OneView) else ("left", "right")
     lengths = [raw + name for raw in ("", "raw_") for name in ("rest", "displacement", "sigma")]
-    lengths += ["bias_sigma", "depth", "depth_sigma", "contact_depth", "deeper_than"]
     return {
-        **dict.fromkeys(lengths, unit),
+        **dict.fromkeys([*lengths, "bias_sigma"], unit),
         **dict.fromkeys((view + when for view in views for when in ("", "_rest")), "px"),
         **dict.fromkeys(("direction", "direction_sigma"), "rad"),
-        "contact_area": f"{unit}2",
     }

@@ -2,13 +2,9 @@
 
 import argparse
 import contextlib
-import re
 from collections.abc import Generator
 from typing import Any
 
-import cv2
-
-from cmp_cl.cli.arguments import positive_number
 from cmp_cl.cli.messages import counted, in_shell, shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.image import GreyImage
@@ -17,7 +13,7 @@ from cmp_cl.media.cameras import Pairs, Source
 
 
 def add_arguments(group: Any) -> None:
-    """Add SOURCE, --stereo, --left and --right to a group of an argparse parser."""
+    """Add the options of the source to a group of an argparse parser."""
     group.add_argument(
         "source",
         metavar="SOURCE",
@@ -34,38 +30,22 @@ def add_arguments(group: Any) -> None:
         "--left", metavar="SOURCE", help="with --stereo: the left view, in place of SOURCE"
     )
     group.add_argument("--right", metavar="SOURCE", help="the right view")
-
-
-def add_camera_arguments(group: Any) -> None:
-    """Add the settings of a camera to a group of an argparse parser."""
     group.add_argument(
-        "--camera-size", metavar="WIDTHxHEIGHT", type=_camera_size, help="size of the frames, px"
-    )
-    group.add_argument(
-        "--camera-fps", metavar="FPS", type=positive_number, help="frames per second"
-    )
-    group.add_argument(
-        "--exposure", metavar="VALUE", type=float, help="exposure time, in the driver's units"
-    )
-    group.add_argument(
-        "--pixel-format",
-        metavar="FOUR",
-        type=_pixel_format,
-        help="four letters, such as GREY, MJPG, YUYV",
+        "--set",
+        metavar="NAME=VALUE",
+        type=_setting,
+        action="append",
+        default=[],
+        help="a setting of the camera, given once for each, such as frame_width=1280, "
+        "frame_height=720, fps=60, fourcc=MJPG or exposure=50: a property CAP_PROP_NAME of OpenCV",
     )
 
 
-def _camera_size(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 1280x720")
-    return int(match[1]), int(match[2])
-
-
-def _pixel_format(text: str) -> float:
-    if len(text) != 4:
-        raise argparse.ArgumentTypeError(f"{text!r} has not four letters, such as MJPG")
-    return float(cv2.VideoWriter.fourcc(*text))
+def _setting(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not (name and equals and value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE such as fps=60")
+    return name, value
 
 
 def check(arguments: argparse.Namespace) -> None:
@@ -81,17 +61,10 @@ def check(arguments: argparse.Namespace) -> None:
 
 def opened(arguments: argparse.Namespace) -> Source | Pairs:
     """Open the source; raises ConfigError if camera settings are given for a file."""
-    asked: dict[str, float | None] = {
-        "pixel format": arguments.pixel_format,
-        "width": arguments.camera_size and arguments.camera_size[0],
-        "height": arguments.camera_size and arguments.camera_size[1],
-        "fps": arguments.camera_fps,
-        "exposure": arguments.exposure,
-    }
-    camera = {what: value for what, value in asked.items() if value is not None}
+    settings = dict(arguments.set)
     if arguments.left is None:
-        return Source(arguments.source, camera, from_start=True)
-    return Pairs(*(Source(name, camera) for name in (arguments.left, arguments.right)))
+        return Source(arguments.source, settings)
+    return Pairs(*(Source(name, settings) for name in (arguments.left, arguments.right)))
 
 
 def at_rest(source: Source | Pairs, number: int) -> tuple[GreyImage, Generator[Frame, None, None]]:

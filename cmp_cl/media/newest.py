@@ -1,0 +1,71 @@
+"""Items that a thread makes, of which the newest few wait to be taken."""
+
+import contextlib
+import threading
+from collections import deque
+from collections.abc import Generator
+from typing import Generic, TypeVar
+
+from cmp_cl.closing import Closing
+
+T = TypeVar("T")
+
+_LONGEST_END = 10.0  # s, for which closing waits for the thread, which may wait for a camera
+
+
+class Newest(Closing, Generic[T]):
+    """Makes items in a thread and lets the newest of them wait; older ones are dropped.
+
+    items: makes them; the thread closes it at the end. most: how many wait at most.
+    """
+
+    def __init__(self, items: Generator[T, None, None], most: int) -> None:
+        self._waiting: deque[T] = deque(maxlen=most)
+        self._changed = threading.Condition()
+        self._closed = False
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._make, args=(items,), daemon=True)
+        self._thread.start()
+
+    def _make(self, items: Generator[T, None, None]) -> None:
+        try:
+            with contextlib.closing(items):
+                for item in items:
+                    with self._changed:
+                        self._waiting.append(item)
+                        self._changed.notify_all()
+                    if self._closed:
+                        return
+        except BaseException as error:
+            self._error = error
+        finally:
+            with self._changed:
+                self._closed = True
+                self._changed.notify_all()
+
+    def wait(self, seconds: float) -> bool:
+        """Return whether an item waits now, or within that time; False at once at the end.
+
+        Raises what making an item raised, once those before it are taken.
+        """
+        with self._changed:
+            longest = min(seconds, threading.TIMEOUT_MAX)
+            self._changed.wait_for(lambda: self._waiting or self._closed, longest)
+            if not self._waiting and self._error is not None:
+                raise self._error
+            return bool(self._waiting)
+
+    def take(self) -> T:
+        """Return the oldest item that waits; raises IndexError if none does."""
+        return self._waiting.popleft()
+
+    @property
+    def ended(self) -> bool:
+        """Return whether no further item comes."""
+        return self._closed
+
+    def close(self) -> None:
+        """End the thread; the item that it is making is its last one."""
+        self._closed = True
+        if self._thread is not threading.current_thread():
+            self._thread.join(_LONGEST_END)
