@@ -29,10 +29,10 @@ __kernel void in_plane(__global const float2 *nodes, __global const uchar *seen_
   valid[i] = good;
   measured[i] = votes[i] = vote;
   if (!vote) atomic_inc(counts + HOLES);
-  const REAL x = nodes[i].x, y = nodes[i].y, w = h[6] * x + h[7] * y + h[8];
-  const REAL u = (h[0] * x + h[1] * y + h[2]) / w, v = (h[3] * x + h[4] * y + h[5]) / w;
-  const REAL slope[4] = {(h[0] - u * h[6]) / w, (h[1] - u * h[7]) / w, (h[3] - v * h[6]) / w,
-                         (h[4] - v * h[7]) / w};
+  const REAL x = nodes[i].x, y = nodes[i].y, share = 1 / (h[6] * x + h[7] * y + h[8]);
+  const REAL u = share * (h[0] * x + h[1] * y + h[2]), v = share * (h[3] * x + h[4] * y + h[5]);
+  const REAL slope[4] = {share * (h[0] - u * h[6]), share * (h[1] - u * h[7]),
+                         share * (h[3] - v * h[6]), share * (h[4] - v * h[7])};
   const float2 bend = bend_of(nodes, seen_status, i / COLUMNS, i % COLUMNS, bend_down, bend_along,
                               radius);
   const REAL grown = (slope[0] * slope[0] + slope[1] * slope[1] + slope[2] * slope[2] +

@@ -57,8 +57,8 @@
 
 /* The bin of a place, held inside the grid of bins. */
 #define HELD(n, count) ((n) < 0 ? 0 : (n) < (count) ? (n) : (count) - 1)
-#define BIN_COLUMN(x) HELD((int)((x) / bin), bin_columns)
-#define BIN_ROW(y) HELD((int)((y) / bin), bin_rows)
+#define BIN_COLUMN(x) HELD((int)((x) * bins_per_px), bin_columns)
+#define BIN_ROW(y) HELD((int)((y) * bins_per_px), bin_rows)
 
 /* The steps to the next column and to the next row around node i of its view. */
 #define STEPS(at)                                                                   \
@@ -119,12 +119,15 @@ uint ordered(const float v) {
 }
 
 /* The 5th, 40th and 50th percentile of the residual's autocorrelation of the corners that EDGE_STEP
- * accepted, for each view and octave, byte by byte from the first; infinite if there are none. One
- * work-group for each. */
+ * accepted, for each view and octave, byte by byte from the first; infinite if there are none. The
+ * bins of the view are emptied too. One work-group for each. */
 __kernel void quantiles(__global const float *result, const uint stride, const uint room,
-                        __global float4 *quantile) {
+                        const int bin_rows, const int bin_columns, __global float4 *quantile,
+                        __global int *first_of_bin) {
   const int view = get_group_id(1) / LEVELS, octave = get_group_id(1) % LEVELS;
   const int first = get_local_id(0), items = get_local_size(0);
+  for (int b = first; octave == 0 && b < bin_rows * bin_columns; b += items)
+    first_of_bin[BINS + b] = NONE;
   RESULT_OF_VIEW(result, stride, room)
   __local uint bins[3][256], prefix[3], rank[3], all;
   for (int shift = 24; shift >= 0; shift -= 8) {
@@ -170,7 +173,7 @@ __kernel void quantiles(__global const float *result, const uint stride, const u
  * that of all corners by the range of the least. Corners outside the region of a view, (x0, y0, x1,
  * y1), take no part. One work-item a corner or a node. */
 __kernel void place(__global const float *result, const uint stride, const uint room,
-                    __global const float4 *quantile, __global const float4 *regions, const float bin,
+                    __global const float4 *quantile, __global const float4 *regions, const float bins_per_px,
                     const int bin_rows, const int bin_columns, __global const float2 *nodes,
                     __global float4 *corners, __global float2 *last, __global float2 *predicted,
                     __global int *first_of_bin, __global int *next, __global int *claims,
@@ -220,7 +223,7 @@ __kernel void place(__global const float *result, const uint stride, const uint 
 
 /* The corner of each node: the one at its prediction, if it has the node's colour. One work-item a
  * node. */
-__kernel void match(__global const float4 *corners, const float bin, const int bin_rows,
+__kernel void match(__global const float4 *corners, const float bins_per_px, const int bin_rows,
                     const int bin_columns, __global const int *first_of_bin,
                     __global const int *next, __global const float2 *last,
                     __global const float2 *predicted, __global const int *colour,
@@ -292,7 +295,7 @@ __kernel void agree(__global const float4 *corners, __global const float2 *last,
  * the weights of nodes around, and how far away they are in the list of nodes, for each of 16 x 16
  * distances from the sides, 0 to 3 above, below, before and behind; a weight of 0 ends them, and is
  * the first where too few nodes predict. One work-item a node. */
-__kernel void check(__global const float4 *corners, const float bin, const int bin_rows,
+__kernel void check(__global const float4 *corners, const float bins_per_px, const int bin_rows,
                     const int bin_columns, __global const int *first_of_bin,
                     __global const int *next, __global const int *claims,
                     __global const int *nearest, __global const int *kept,
@@ -357,7 +360,7 @@ __kernel void check(__global const float4 *corners, const float bin, const int b
  * neighbours. `result`: of the looks. One work-item a node. */
 __kernel void enter(__global const float *result, const uint stride,
                     __global const float4 *quantile, __global const float4 *corners,
-                    const float bin, const int bin_rows, const int bin_columns,
+                    const float bins_per_px, const int bin_rows, const int bin_columns,
                     __global const int *first_of_bin, __global const int *next,
                     __global const int *claims, __global const int *kept,
                     __global const int *look, __global const float2 *expected,

@@ -117,7 +117,7 @@ class Tracker:
         look_columns = CORNER_COLUMNS + (octaves > 0)
         self._first_count = len(views) * lists
         self._bin = max(_LEAST_BIN, _BIN * min(_step(grid) for grid, _ in views))
-        self._bins = tuple(int(max(size) // self._bin) + 1 for size in zip(*sizes, strict=True))
+        self._bins = tuple(int(max(size) / self._bin) + 1 for size in zip(*sizes, strict=True))
         nodes, corners = (self._count, rows, columns), (self._count, self.capacity)
         self._work = Memory(
             queue,
@@ -194,13 +194,17 @@ class Tracker:
 
     def _listed(self) -> list[Launch]:
         nodes = self.shape[0] * self.shape[1]
-        bins = np.float32(self._bin), np.int32(self._bins[0]), np.int32(self._bins[1])
+        rows_and_columns = np.int32(self._bins[0]), np.int32(self._bins[1])
+        bins = np.float32(1 / self._bin), *rows_and_columns
         chains = *bins, "first_of_bin", "next"
         look_counts = "look_counts", np.uint32(self._first_count)
         group = 1 if self._device.kind is DeviceKind.CPU else QUANTILE_GROUP
         return [
             self._bound(
-                "quantiles", (group, self._count * self._levels), (group, 1), *_RESULT, "quantile"
+                "quantiles",
+                (group, self._count * self._levels),
+                (group, 1),
+                *(*_RESULT, *rows_and_columns, "quantile", "first_of_bin"),
             ),
             self._of_nodes(
                 "place",
@@ -262,8 +266,6 @@ class Tracker:
             launch.kernel.set_arg(0, result)
             launch.kernel.set_arg(1, np.uint32(_stride(room)))
             launch.kernel.set_arg(2, np.uint32(room))
-        bins = self._parts["first_of_bin"]
-        cl.enqueue_fill_buffer(self._queue, bins, np.array([-1], np.int32), 0, bins.size)
         return [
             (
                 each.stage,
@@ -301,14 +303,14 @@ class Tracker:
         """Return what was found in each view. arrays: of the frame, see `FieldPlan.read`."""
         return [
             Tracked(
-                lost=int(numbers[0]),
-                crossed=int(numbers[1]),
-                astray=int(numbers[2]),
-                beyond=tuple(numbers[3:7].tolist()),
-                gone=tuple(numbers[7:11].tolist()),
-                adrift=int(numbers[11]),
+                lost=counts[0],
+                crossed=counts[1],
+                astray=counts[2],
+                beyond=tuple(counts[3:7]),
+                gone=tuple(counts[7:11]),
+                adrift=counts[11],
             )
-            for numbers in arrays["tracked"]
+            for counts in arrays["tracked"].tolist()
         ]
 
 
