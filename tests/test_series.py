@@ -26,14 +26,15 @@ from stereo_data import grid_of
 
 from cmp_cl import Grid, SeriesWriter
 from cmp_cl.errors import ConfigError, FieldError, GridError
-from cmp_cl.series import SERIES_SUFFIXES, Description, complete, read_series
+from cmp_cl.series import SERIES_SUFFIXES, complete, read_series
 
-PACKAGES = {".h5": "h5py", ".hdf5": "h5py", ".mcap": "mcap_ros2"}
-FORMATS = [suffix for suffix in SERIES_SUFFIXES if suffix != ".hdf5"]
+PACKAGES = {".h5": "h5py", ".mcap": "mcap_ros2"}
+FORMATS = SERIES_SUFFIXES
 READABLE = [".npz", ".h5"]
-ABOUT = Description(
-    units={"displacement": "mm", "sigma": "mm", "rest": "mm"}, settings={"configuration": "nms = 3"}
-)
+ABOUT = {
+    "units": {"displacement": "mm", "sigma": "mm", "rest": "mm"},
+    "settings": {"configuration": "nms = 3"},
+}
 SHAPE = (12, 15)
 
 
@@ -64,7 +65,7 @@ def frame(number):
 
 
 def write(path, frames=3):
-    with SeriesWriter(path, description=ABOUT, rest=rest(), unit="mm") as series:
+    with SeriesWriter(path, **ABOUT, rest=rest(), unit="mm") as series:
         for number in range(frames):
             series.append(index=10 + number, time_ms=20.0 * number, **frame(number))
     return path
@@ -120,7 +121,7 @@ def test_rosbags_reads_an_mcap(tmp_path):
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_a_series_can_be_read_while_it_is_written_and_has_its_name_at_the_end(tmp_path, suffix):
     path, part = tmp_path / f"a press{suffix}", tmp_path / f"a press{suffix}.part"
-    with SeriesWriter(path, description=ABOUT, rest=rest(), unit="mm") as series:
+    with SeriesWriter(path, **ABOUT, rest=rest(), unit="mm") as series:
         for number in range(4):
             series.append(index=number, time_ms=np.nan, **frame(number))
             assert shown_in(part) == list(range(number + 1))
@@ -169,9 +170,9 @@ def test_hdf5_holds_units_version_time_and_configuration(tmp_path):
 
 
 def test_a_csv_has_a_row_for_each_node_and_metadata_beside_it(tmp_path):
-    about = Description(units={"displacement": "mm", "area": "mm2"}, settings={"nms": "3"})
+    about = {"units": {"displacement": "mm", "area": "mm2"}, "settings": {"nms": "3"}}
     arrays = frame(2) | {"strain": np.full((*SHAPE, 3), 0.5), "area": 7.5, "zoom": np.ones(2)}
-    with SeriesWriter(tmp_path / "press.csv", description=about, rest=rest()) as series:
+    with SeriesWriter(tmp_path / "press.csv", **about, rest=rest()) as series:
         series.append(index=12, time_ms=40.0, **arrays)
     rows = list(csv.DictReader((tmp_path / "press.csv").read_text().splitlines()))
     assert len(rows) == SHAPE[0] * SHAPE[1]
@@ -231,7 +232,7 @@ def test_what_a_series_cannot_hold_is_named_and_nothing_is_added(tmp_path, suffi
     for wrong in ({"a": object()}, {"a": [[1], [2, 3]]}, {"a/b": 1}):
         with pytest.raises(FieldError, match=r"^(a must be an array|the name of an array must be)"):
             SeriesWriter(path, **wrong)
-    with SeriesWriter(path, description=ABOUT, rest=rest(), unit="mm") as series:
+    with SeriesWriter(path, **ABOUT, rest=rest(), unit="mm") as series:
         if suffix in (".csv", ".pvd", ".mcap"):
             with pytest.raises(FieldError, match="needs"):
                 series.append(index=0, time_ms=0, area=2.5)
@@ -270,7 +271,7 @@ def test_an_older_file_is_replaced_at_the_end_and_gives_its_mode(tmp_path, suffi
     path = tmp_path / f"old{suffix}"
     path.write_bytes(b"old")
     path.chmod(0o600)
-    new = {"description": ABOUT, "rest": rest()}
+    new = {**ABOUT, "rest": rest()}
     with pytest.raises(KeyboardInterrupt), SeriesWriter(path, **new):
         raise KeyboardInterrupt
     assert list(tmp_path.iterdir()) == [path]
@@ -310,7 +311,7 @@ import sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from test_series import ABOUT, SeriesWriter, frame, rest
 try:
-    with SeriesWriter(sys.argv[1], description=ABOUT, rest=rest(), unit="mm") as series:
+    with SeriesWriter(sys.argv[1], **ABOUT, rest=rest(), unit="mm") as series:
         for number in range(int(sys.argv[2])):
             series.append(index=number, time_ms=number, **frame(number))
             print(number + 1, flush=True)
@@ -344,7 +345,7 @@ def test_a_kill_at_any_moment_loses_no_frame_that_was_told_as_written(tmp_path, 
     found = shown_in(part)
     assert found == list(range(len(found)))
     assert told <= len(found) <= told + 1
-    with SeriesWriter(path, description=ABOUT, rest=rest(), unit="mm") as series:
+    with SeriesWriter(path, **ABOUT, rest=rest(), unit="mm") as series:
         assert series.earlier == [part]
         series.append(index=0, time_ms=0, **frame(0))
     assert shown_in(path) == [0]

@@ -118,9 +118,8 @@ def record(path, *, views, frames=5):
             if views == 2:
                 shift[4, 5, 2] = -0.5 * number
             shift[2, 3] = np.nan
-            moved = {"xy": rest + shift} if views == 1 else {"displacement": shift}
             sigma = np.full((8, 10), 0.02)
-            series.append(index=3 + number, time_ms=40.0 * number, sigma=sigma, **moved)
+            series.append(index=3 + number, time_ms=40.0 * number, sigma=sigma, displacement=shift)
     return path
 
 
@@ -219,7 +218,7 @@ def test_the_command_writes_a_picture_or_says_why_not(tmp_path, capsys):
         assert err.count("\n") == 1
         assert (tmp_path / "press.png").read_bytes() == b"old"
     with SeriesWriter(tmp_path / "live.npz", rest=lattice()) as live:
-        live.append(index=0, time_ms=np.nan, xy=1.5 * lattice())
+        live.append(index=0, time_ms=np.nan, displacement=0.5 * lattice())
         assert main(["plot", str(tmp_path / "live.npz.part"), "--out", out]) == 0
 
 

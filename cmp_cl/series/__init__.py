@@ -1,7 +1,6 @@
 """Series of measured frames, written and read in the formats of other programs."""
 
-from cmp_cl.series.base import Description
 from cmp_cl.series.reading import read_series
 from cmp_cl.series.writer import SERIES_SUFFIXES, SeriesWriter, complete
 
-__all__ = ["SERIES_SUFFIXES", "Description", "SeriesWriter", "complete", "read_series"]
+__all__ = ["SERIES_SUFFIXES", "SeriesWriter", "complete", "read_series"]

@@ -13,12 +13,12 @@ from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cmp_cl.errors import extra
+from cmp_cl.errors import FieldError
 from cmp_cl.field.nodes import node_columns, surface
 from cmp_cl.files import csv_bytes, first_free, write_bytes, write_text
-from cmp_cl.series.base import moved_by, plain
-from cmp_cl.series.part import Stored
+from cmp_cl.series.part import Arrays, Stored
 
 _ROOM, _ROOM_OF_FRAME = 1 << 18, 64  # bytes that HDF5 needs beside the arrays, and for each frame
 
@@ -30,11 +30,28 @@ def write_npz(series: Stored, path: Path, _target: Path) -> None:
         np.savez(file, **series.constants, **series.arrays)  # type: ignore[arg-type]
 
 
-def h5py_module() -> Any:
-    """Return h5py; raises ConfigError without it."""
-    with extra("hdf5", "HDF5"):
-        import h5py
-    return h5py
+def moved_by(constants: Arrays, frame: Arrays) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the positions at rest and the displacement of a frame, (R, C, 2 or 3) each.
+
+    Raises FieldError if there are none.
+    """
+    rest, shift = constants.get("rest"), frame.get("displacement")
+    if rest is None or shift is None or rest.ndim != 3 or shift.shape != rest.shape:
+        raise FieldError(
+            "this format needs the positions at rest and the displacement, (R, C, 2) or (R, C, 3)"
+        )
+    return rest, shift
+
+
+def plain(value: NDArray[Any]) -> Any:
+    """Return an array as nested lists for JSON, with None for NaN and infinity."""
+    if value.dtype.kind == "S":
+        value = np.char.decode(value, "utf-8")
+    if value.dtype.kind != "f" or np.isfinite(value).all():
+        return value.tolist()
+    numbers = value.astype(object)
+    numbers[~np.isfinite(value)] = None
+    return numbers.tolist()
 
 
 def write_hdf5(series: Stored, path: Path, _target: Path) -> None:
@@ -45,7 +62,8 @@ def write_hdf5(series: Stored, path: Path, _target: Path) -> None:
 
     HDF5 crashes if it cannot complete a file, so it begins only if there is room.
     """
-    h5py = h5py_module()
+    import h5py
+
     needed = sum(each.nbytes + _ROOM_OF_FRAME * len(each) for each in series.arrays.values())
     _check_room(path.parent, needed + _ROOM)
     units = {"time_ms": "ms", **series.about["units"]}

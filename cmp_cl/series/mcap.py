@@ -1,14 +1,12 @@
 """A series as MCAP, with the nodes as ROS 2 point clouds; it needs no ROS."""
 
-import importlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import extra
-from cmp_cl.series.base import moved_by
+from cmp_cl.series.formats import moved_by
 from cmp_cl.series.part import Stored
 
 TOPIC = "/cmp_cl/nodes"
@@ -87,22 +85,18 @@ def point_cloud(
     }
 
 
-def mcap_writer() -> Any:
-    """Return the writer of the package mcap-ros2-support; raises ConfigError without it."""
-    with extra("mcap", "MCAP"):
-        return importlib.import_module("mcap_ros2.writer")
-
-
 def write_mcap(series: Stored, path: Path, _target: Path) -> None:
     """MCAP with one PointCloud2 per frame on /cmp_cl/nodes, for ROS 2, Foxglove and rosbags.
 
     Lengths are in the series' unit, not in m. Stamps are the times of the frames; that of a frame
     without a time is its number in ms. The description is the metadata record `cmp_cl`.
     """
+    from mcap_ros2.writer import Writer
+
     texts = {name: text for name, text in series.about.items() if isinstance(text, str)}
     texts |= {f"unit of {name}": unit for name, unit in series.about["units"].items()}
     with open(path, "wb") as file:
-        writer = mcap_writer().Writer(file)
+        writer: Any = Writer(file)
         writer.add_metadata("cmp_cl", texts)
         schema = writer.register_msgdef("sensor_msgs/msg/PointCloud2", _POINT_CLOUD)
         for index, time_ms, frame in series.frames():

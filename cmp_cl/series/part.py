@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.series.base import Arrays
+Arrays = Mapping[str, NDArray[Any]]
 
 _CONSTANTS = "constants"  # the folder for them
 _OF_FRAMES = "index", "time_ms"  # what every series has of each frame
@@ -89,7 +89,8 @@ class _Column:
 
 
 class Stored(NamedTuple):
-    """The whole frames of a part. about: the units and the entries of `Description`. arrays: (F,
+    """The whole frames of a part. about: the units, the version, the time of
+    writing and the settings. arrays: (F,
     ...) of all frames by name, in the order of the names. Neither is read before it is used."""
 
     about: Mapping[str, Any]

@@ -10,19 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl.errors import ConfigError, FieldError, extra
 from cmp_cl.files import check_memory, check_path, read_npz, suffix_of
-from cmp_cl.series.formats import h5py_module
 from cmp_cl.series.part import Stored
 
 _LARGEST = np.float64(1e100)  # of a number; the square of a larger one has no float
 _LONGEST = 40  # characters of a unit
 # The axes of the arrays that are drawn and replayed: F frames, R rows, C columns, K = 2 or 3.
-_AXES: dict[str, tuple[str | int, ...]] = {
+_AXES: dict[str, tuple[str, ...]] = {
     "index": ("F",),
     "time_ms": ("F",),
     "rest": ("R", "C", "K"),
-    "xy": ("F", "R", "C", 2),
     "displacement": ("F", "R", "C", "K"),
     "sigma": ("F", "R", "C"),
     "unit": (),
@@ -48,8 +46,8 @@ def read_series(
     check_path(path, ConfigError)
     part = re.search(r"\.part(-\d+)?$", os.fspath(path)) is not None
     suffix = suffix_of(path, ConfigError)
-    if not (part or suffix in (".npz", ".h5", ".hdf5")):
-        raise ConfigError(f"{str(path)!r}: a series that is read ends in .npz, .h5, .hdf5 or .part")
+    if not (part or suffix in (".npz", ".h5")):
+        raise ConfigError(f"{str(path)!r}: a series that is read ends in .npz, .h5 or .part")
     if not os.access(path, os.R_OK):
         missing = "right to read" if os.path.exists(path) else "file"
         raise FieldError(f"there is no {missing} {str(path)!r}")
@@ -61,7 +59,9 @@ def read_series(
         elif suffix == ".npz":
             found = read_npz(path, wanted, _check_shapes)
         else:
-            with h5py_module().File(path, "r") as file:
+            with extra("hdf5", "HDF5"):
+                import h5py
+            with h5py.File(path, "r") as file:
                 found = _loaded(file, wanted)
         _check_values(found)
     except ConfigError:
@@ -75,7 +75,7 @@ def _check_shapes(found: _Found) -> None:
     """Raise ValueError if an array that this library writes has another shape or type."""
     if "index" not in found:
         raise ValueError("there is no array `index`")
-    sizes: dict[str | int, int] = {2: 2}
+    sizes: dict[str, int] = {}
     for name, axes in _AXES.items():
         if name not in found:
             continue

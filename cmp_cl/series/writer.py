@@ -1,5 +1,7 @@
 """Writes a series frame by frame, in the format of the suffix."""
 
+import datetime
+import importlib
 import json
 import os
 import re
@@ -9,38 +11,26 @@ from collections.abc import Callable, Mapping
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.closing import Closing
-from cmp_cl.errors import ConfigError, FieldError, check_kind
-from cmp_cl.field.nodes import node_columns
+from cmp_cl.errors import ConfigError, FieldError, check_kind, extra
 from cmp_cl.files import check_target, part_of, suffix_of, temporary_beside
 from cmp_cl.series import formats, mcap
-from cmp_cl.series.base import Arrays, Description, moved_by, plain
-from cmp_cl.series.part import Part, Stored
+from cmp_cl.series.part import Arrays, Part, Stored
 
-
-class _Format(NamedTuple):
-    """How a format is written. check: raises FieldError if the constants and the arrays of a frame
-    lack what it needs. package: raises ConfigError without its package."""
-
-    write: Callable[[Stored, Path, Path], None]
-    check: Callable[[Arrays, Arrays], object] = lambda constants, frame: None
-    package: Callable[[], object] = lambda: None
-
-
-_HDF5 = _Format(formats.write_hdf5, package=formats.h5py_module)
-_FORMATS = {
-    ".npz": _Format(formats.write_npz),
-    ".h5": _HDF5,
-    ".hdf5": _HDF5,
-    ".csv": _Format(formats.write_csv, lambda constants, frame: dict(node_columns(frame, {}))),
-    ".pvd": _Format(formats.write_pvd, moved_by),
-    ".mcap": _Format(mcap.write_mcap, moved_by, mcap.mcap_writer),
+_FORMATS: dict[str, Callable[[Stored, Path, Path], None]] = {
+    ".npz": formats.write_npz,
+    ".h5": formats.write_hdf5,
+    ".csv": formats.write_csv,
+    ".pvd": formats.write_pvd,
+    ".mcap": mcap.write_mcap,
 }
+_PACKAGES = {".h5": ("hdf5", "h5py"), ".mcap": ("mcap", "mcap_ros2.writer")}
+_OF_NODES = (".csv", ".pvd", ".mcap")  # these need what `formats.moved_by` returns
 SERIES_SUFFIXES = tuple(_FORMATS)
 
 
@@ -60,7 +50,7 @@ def complete(part: str | PathLike[str], target: str | PathLike[str]) -> None:
         raise FieldError(f"{str(part)!r} is damaged or no part of a series: {error}") from error
     temporary = temporary_beside(check_target(target), suffix)
     try:
-        _FORMATS[suffix].write(stored, temporary, Path(target))
+        _FORMATS[suffix](stored, temporary, Path(target))
         with open(temporary, "rb+") as file:
             os.fsync(file.fileno())  # the part goes, so a power cut must find the file
         os.replace(temporary, check_target(target))
@@ -77,7 +67,9 @@ class _Lines:
     """
 
     def __init__(self, about: Mapping[str, Any], constants: Arrays) -> None:
-        self._line({**about, "constants": {name: plain(each) for name, each in constants.items()}})
+        self._line(
+            {**about, "constants": {name: formats.plain(each) for name, each in constants.items()}}
+        )
 
     def _line(self, members: Mapping[str, Any]) -> None:
         sys.stdout.buffer.write(json.dumps(members).encode() + b"\n")
@@ -86,14 +78,15 @@ class _Lines:
     def append(self, _number: int, index: int, time_ms: float, frame: Arrays) -> None:
         """Write a frame."""
         arrays = {"time_ms": np.array(time_ms), **frame}
-        self._line({"frame": index, **{name: plain(each) for name, each in arrays.items()}})
+        self._line({"frame": index, **{name: formats.plain(each) for name, each in arrays.items()}})
 
 
 class SeriesWriter(Closing):
     """Writes a series frame by frame, in the format of the suffix; memory does not grow with it.
 
-    path: .npz, .h5, .csv, .pvd or .mcap, or `-` for JSON lines on standard output. description:
-    stored with the arrays, or None. constants: arrays that hold for all frames, such as the
+    path: .npz, .h5, .csv, .pvd or .mcap, or `-` for JSON lines on standard output. units: units of
+    the arrays, by name; arrays without an entry have none. settings: texts by name that are stored
+    too, such as the configuration. constants: arrays that hold for all frames, such as the
     positions at rest and the unit.
 
         with SeriesWriter("press.npz", rest=rest.xyz, unit="mm") as series:
@@ -110,8 +103,7 @@ class SeriesWriter(Closing):
     writes. They are kept; this one is then NAME.part-2.
 
     Raises ConfigError on another suffix or if the format's package is missing, FieldError if a
-    constant is no array or the format needs one that is not given, OSError if the folder is missing
-    or not writable.
+    constant is no array, OSError if the folder is missing or not writable.
     """
 
     def __init__(
@@ -119,25 +111,26 @@ class SeriesWriter(Closing):
         path: str | PathLike[str],
         /,
         *,
-        description: Description | None = None,
+        units: Mapping[str, str] | None = None,
+        settings: Mapping[str, str] | None = None,
         **constants: ArrayLike,
     ) -> None:
-        description = Description() if description is None else description
-        check_kind("description", description, Description, ConfigError)
+        from cmp_cl import __version__
+
         self._constants = {name: _array(name, value, "biufUS") for name, value in constants.items()}
         self._layout: dict[str, tuple[tuple[int, ...], str]] | None = None
         self._count = 0
         self._open = True
         self.earlier: list[Path] = []
+        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        about = {"units": dict(units or {}), "cmp_cl": __version__, "written": now}
+        about |= dict(settings or {})
         self._target = Path("-")
-        self._check: Callable[[Arrays, Arrays], object] = lambda constants, frame: None
-        about = description.about()
+        self._of_nodes = False
         if isinstance(path, str) and path == "-":
             self._sink: Part | _Lines = _Lines(about, self._constants)
             return
-        form = _FORMATS[_known_suffix(path)]
-        form.package()
-        self._check = form.check
+        self._of_nodes = _known_suffix(path) in _OF_NODES
         self._target = check_target(path)
         part, self.earlier = part_of(self._target)
         self._sink = Part(part, about, self._constants)
@@ -152,8 +145,9 @@ class SeriesWriter(Closing):
         index: its number. time_ms: its time stamp, ms, NaN if unknown. arrays: by name.
 
         Raises FieldError if index is not whole, time_ms is not a number, the names, shapes or types
-        differ from the first frame's, a name is one of the constants', or the series is closed;
-        OSError, for example if the disk is full. Then nothing is added.
+        differ from the first frame's, a name is one of the constants', the format needs `rest` and
+        `displacement` of nodes, or the series is closed; OSError, for example if the disk is full.
+        Then nothing is added.
         """
         if not self._open:
             raise FieldError("the series is closed")
@@ -166,8 +160,8 @@ class SeriesWriter(Closing):
         taken = sorted(layout.keys() & self._constants.keys())
         if taken:
             raise FieldError(f"the series already has constants of the names {taken}")
-        if self._layout is None:
-            self._check(self._constants, frame)
+        if self._of_nodes:
+            formats.moved_by(self._constants, frame)
         try:
             self._sink.append(self._count, int(index), float(time_ms), frame)
         except BrokenPipeError:
@@ -178,12 +172,7 @@ class SeriesWriter(Closing):
         self._count += 1
 
     def __exit__(self, *raised: object) -> None:
-        if (
-            raised[0] is not None
-            and self._open
-            and not self._count
-            and isinstance(self._sink, Part)
-        ):
+        if raised[0] is not None and not self._count and isinstance(self._sink, Part):
             self._open = False
             self._sink.discard()
         self.close()
@@ -193,10 +182,9 @@ class SeriesWriter(Closing):
 
         Raises OSError if the disk has no room for it; what was added is then at NAME.part.
         """
-        if not self._open or isinstance(self._sink, _Lines):
-            self._open = False
+        was_open, self._open = self._open, False
+        if not was_open or isinstance(self._sink, _Lines):
             return
-        self._open = False
         self._sink.close()
         try:
             complete(self._sink.path, self._target)
@@ -207,9 +195,14 @@ class SeriesWriter(Closing):
 
 
 def _known_suffix(path: str | PathLike[str]) -> str:
+    """Return the suffix of a path; raises ConfigError for an unknown one or without its package."""
     suffix = suffix_of(path, ConfigError)
     if suffix not in _FORMATS:
         raise ConfigError(f"{str(path)!r}: the suffix must be one of {', '.join(_FORMATS)}")
+    if suffix in _PACKAGES:
+        name, module = _PACKAGES[suffix]
+        with extra(name, f"a series in {suffix}"):
+            importlib.import_module(module)
     return suffix
 
 

@@ -15,7 +15,7 @@ from cmp_cl.field import DisplacementField, green_lagrange
 
 Array = NDArray[np.float64]
 
-NEEDED = "index", "time_ms", "rest", "displacement", "xy", "sigma", "unit"  # arrays of a series
+NEEDED = "index", "time_ms", "rest", "displacement", "sigma", "unit"  # arrays of a series
 _NARROWEST = 1e-5  # width of a surface over its length; a narrower one is a line
 
 
@@ -159,16 +159,12 @@ class Summary:
 def moments_of(series: Mapping[str, NDArray[Any]]) -> list[Moment]:
     """Return the frames of a series, from its arrays as `cmp_cl.series.read_series` checks them.
 
-    Raises FieldError without frames, rest or positions.
+    Raises FieldError without a frame, or without positions at rest and displacements.
     """
-    missing = [name for name in ("index", "time_ms", "rest") if name not in series]
-    if missing or not ("displacement" in series or "xy" in series):
-        what = missing or ["displacement or xy"]
-        raise FieldError(f"the series has no {' and no '.join(what)}")
-    if not len(series["index"]):
-        raise FieldError("the series has no frame")
-    rest = np.asarray(series["rest"], np.float64)
-    shift = series["displacement"] if "displacement" in series else series["xy"] - rest
+    missing = [name for name in NEEDED[:4] if name not in series]
+    if missing or not len(series["index"]):
+        raise FieldError(f"the series has no {' and no '.join(missing or ['frame'])}")
+    rest, shift = np.asarray(series["rest"], np.float64), series["displacement"]
     sigma = series.get("sigma", np.broadcast_to(np.nan, shift.shape[:3]))
     unit = str(series.get("unit", "px"))
     return [

@@ -22,7 +22,7 @@ NODES = np.stack(np.meshgrid(np.arange(5.0), np.arange(4.0)), axis=-1) * 10 + 5
 def write_series(path: Path) -> None:
     with SeriesWriter(path, rest=NODES, unit="px") as series:
         for number in range(3):
-            series.append(index=number, time_ms=40.0 * number, xy=NODES + number)
+            series.append(index=number, time_ms=40.0 * number, displacement=0 * NODES + number)
 
 
 def write_rig(path: Path) -> None:

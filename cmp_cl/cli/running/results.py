@@ -13,7 +13,7 @@ from cmp_cl.closing import Closing
 from cmp_cl.errors import CmpClError, ConfigError
 from cmp_cl.measure import Measured, OneView, TwoViews
 from cmp_cl.media import Frame
-from cmp_cl.series import SERIES_SUFFIXES, Description, SeriesWriter
+from cmp_cl.series import SERIES_SUFFIXES, SeriesWriter
 from cmp_cl.viz import Moment, save_figure, sheet_figure
 from cmp_cl.viz.live import LiveView
 from cmp_cl.viz.moments import Summary
@@ -111,7 +111,8 @@ class Results(Closing):
             self._series = stack.enter_context(
                 SeriesWriter(
                     arguments.out,
-                    description=Description(units=_units(measure), settings=settings),
+                    units=_units(measure),
+                    settings=settings,
                     **measure.constants,
                 )
             )
