@@ -27,9 +27,6 @@ class Points3D:
         INCONSISTENT nodes may keep it.
     covariance: (R, C, 3, 3) float64, of xyz, in `unit` squared. It propagates the corners'
         standard deviations alone; NaN where those are unknown.
-    calibration_covariance: (R, C, 3, 3) float64, of xyz, in `unit` squared, from the error of
-        the calibration. All nodes share that error, so that it nearly cancels in displacements.
-        None if the rig has no covariance.
     bend_shift: (R, C, 3) float64, in `unit`: the shift of the points by bent edges, see
         `cmp_cl.filter.bend_shift`. `displacement` subtracts it from the points that it
         filters. None if unknown.
@@ -44,7 +41,6 @@ class Points3D:
     status: NDArray[np.uint8]
     source: NDArray[np.uint8]
     unit: str
-    calibration_covariance: NDArray[np.float64] | None = None
     bend_shift: NDArray[np.float64] | None = None
 
     @property
@@ -54,13 +50,9 @@ class Points3D:
 
     @property
     def sigma(self) -> NDArray[np.float64]:
-        """Return the standard deviation along the most uncertain axis, (R, C) float64, in `unit`.
-
-        It includes the error of the calibration if that is known.
-        """
-        if self.calibration_covariance is None:
-            return largest_deviation(self.covariance)
-        return largest_deviation(self.covariance + self.calibration_covariance)
+        """Return the standard deviation along the most uncertain axis, (R, C) float64, in `unit`,
+        by the noise of the corners. What the rig errs by is in `cmp_cl.space.Bias`."""
+        return largest_deviation(self.covariance)
 
 
 def largest_deviation(covariance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -19,8 +19,7 @@ from stereo_data import (
 
 from cmp_cl.errors import CalibrationError, ConfigError, FieldError, ImageError
 from cmp_cl.grid import NodeStatus
-from cmp_cl.measure import square_sides
-from cmp_cl.points import largest_deviation
+from cmp_cl.points import largest_deviation, sides
 from cmp_cl.space import BinocularSplit, PointStatus, StereoRig
 
 K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
@@ -222,7 +221,7 @@ def test_the_bumblebee_pairs_show_squares_of_30_mm():
         points = rig.triangulate(left, right)
         assert points.valid.all()
         assert points.error.mean() < 0.1
-        found.append(square_sides(points))
+        found.append(sides(points.xyz))
     lengths = np.concatenate(found)
     assert lengths.mean() == pytest.approx(30, abs=0.05)
     assert lengths.std() < 0.14

@@ -24,8 +24,9 @@ from cmp_cl.cli.window import add_window, through_window, window_files
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
-from cmp_cl.measure import find_board, square_sides, trusted
+from cmp_cl.measure import find_board, trusted
 from cmp_cl.opencl.device import select_device
+from cmp_cl.points import sides
 from cmp_cl.space import Calibration, Lens, MisfitError, calibrate
 from cmp_cl.space.calibration.advice import advice
 from cmp_cl.space.exports import check_cameras, save_cameras, save_corners
@@ -97,7 +98,7 @@ def add_parser(commands: Any) -> None:
         "--lens",
         choices=[lens.value for lens in Lens],
         default=Lens.PINHOLE.value,
-        help="model of the lenses; default: pinhole; rational and fisheye are for wide ones",
+        help="model of the lenses; default: pinhole; rational is for wide ones",
     )
     add_split(rare)
     add_full_scale(rare)
@@ -310,13 +311,13 @@ def _report(
             f"{matrix[1, 2]:.1f}){pose}"
         )
     print(f"all views: {found.error:.3f} px")
-    if len(files) == 2 and arguments.lens != Lens.FISHEYE.value:
+    if len(files) == 2:
         rig = found.rig()
         pairs = [pair for pair in zip(*found.grids.values(), strict=True) if None not in pair]
-        sides = np.concatenate([square_sides(rig.triangulate(*pair)) for pair in pairs])
+        lengths = np.concatenate([sides(rig.triangulate(*pair).xyz) for pair in pairs])
         print(
-            f"the squares measure {sides.mean():.3f} {rig.unit} with a standard deviation of "
-            f"{sides.std():.3f}"
+            f"the squares measure {lengths.mean():.3f} {rig.unit} with a standard deviation of "
+            f"{lengths.std():.3f}"
         )
     if found.board is not None:
         _report_board(found, arguments)

@@ -13,9 +13,10 @@ from cmp_cl.cli.messages import one_line, shown
 from cmp_cl.errors import CalibrationError, ConfigError, GridError
 from cmp_cl.grid import Grid, align
 from cmp_cl.image import GreyImage
-from cmp_cl.measure import find_pattern, square_sides
+from cmp_cl.measure import find_pattern
 from cmp_cl.measure.patterns import align_views
-from cmp_cl.space import Lens, StereoRig, calibrate_window
+from cmp_cl.points import sides
+from cmp_cl.space import StereoRig, calibrate_window
 
 # Share by which the thickness of the last medium may differ from the given one without advice.
 _THICKNESS = 0.1
@@ -84,8 +85,8 @@ def window_files(arguments: argparse.Namespace, cameras: Sequence[str]) -> list[
         raise ConfigError(
             f"--window needs --rest IMAGE, --grid 40x40 and --pitch LENGTH: {missing}"
         )
-    if len(cameras) != 2 or arguments.lens == Lens.FISHEYE.value:
-        raise ConfigError("--window is for two cameras, neither of them a fisheye")
+    if len(cameras) != 2:
+        raise ConfigError("--window is for two cameras")
     images = [arguments.rest]
     if arguments.step:
         length, *views = arguments.step
@@ -127,13 +128,13 @@ def through_window(
             raise CalibrationError(f"{shown(path)}: {one_line(error)}") from error
         return grid
 
-    sides = (0, 0) if arguments.stereo else (0, 1)  # of the files
-    left, right = (seen(arguments.rest[file], side) for side, file in enumerate(sides))
+    files = (0, 0) if arguments.stereo else (0, 1)
+    left, right = (seen(arguments.rest[file], side) for side, file in enumerate(files))
     rest = left, align_views(left, right, rig.R)
     stepped, step = None, None
     if arguments.step:
         length, *paths = arguments.step
-        now = [seen(paths[file], side) for side, file in enumerate(sides)]
+        now = [seen(paths[file], side) for side, file in enumerate(files)]
         step = float(length)
         stepped = align([rest[0], now[0]])[1], align([rest[1], now[1]])[1]
     found = calibrate_window(
@@ -155,7 +156,7 @@ def _report(rig: StereoRig, rest: tuple[Grid, Grid], arguments: argparse.Namespa
     tilt, other, distance, index = np.sqrt(np.diag(covariance)[-4:])
     points = rig.triangulate(*rest)
     behind = points.xyz[points.valid] @ window.normal - window.distance - window.thickness
-    sides = square_sides(points)
+    lengths = sides(points.xyz)
     normal = ", ".join(f"{each:.4f}" for each in window.normal)
     print(
         f"window: normal ({normal}) (+- {np.degrees(max(tilt, other)):.2g} degrees), "
@@ -166,8 +167,8 @@ def _report(rig: StereoRig, rest: tuple[Grid, Grid], arguments: argparse.Namespa
     )
     print(
         f"the pattern at rest lies {behind.mean():.3f} {rig.unit} deep in the last layer; "
-        f"its squares measure {sides.mean():.4f} with a standard deviation "
-        f"of {sides.std():.4f}"
+        f"its squares measure {lengths.mean():.4f} with a standard deviation "
+        f"of {lengths.std():.4f}"
     )
     thickness = arguments.window[-1][0]
     if abs(behind.mean() - thickness) > _THICKNESS * thickness:

@@ -28,7 +28,6 @@ from cmp_cl.measure.patterns import (
     align_views,
     find_board,
     find_pattern,
-    square_sides,
     trusted,
 )
 from cmp_cl.measure.sensor import Sensor, pytac3d
@@ -47,6 +46,5 @@ __all__ = [
     "find_board",
     "find_pattern",
     "pytac3d",
-    "square_sides",
     "trusted",
 ]

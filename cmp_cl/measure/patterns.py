@@ -16,7 +16,6 @@ from cmp_cl.image import GreyImage
 from cmp_cl.motion import filter_positions
 from cmp_cl.opencl.device import Device
 from cmp_cl.points import sides
-from cmp_cl.space import Points3D
 
 Region: TypeAlias = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 
@@ -128,15 +127,6 @@ def check_two(name: str, values: object) -> None:
     """Raise ConfigError if an argument of that name is not a sequence of two."""
     if not (isinstance(values, Sequence) and len(values) == 2):
         raise ConfigError(f"{name} must be those of the left and the right view, not {values!r}")
-
-
-def square_sides(points: Points3D) -> NDArray[np.float64]:
-    """Return the distances between neighbouring valid points, (N,), in their unit.
-
-    Raises GridError if points is of another type.
-    """
-    check_kind("points", points, Points3D, GridError)
-    return sides(points.xyz)
 
 
 def align_views(left: Grid, right: Grid, rotation: NDArray[np.float64]) -> Grid:

@@ -4,7 +4,7 @@ Pixel coordinates are OpenCV's, with (0, 0) at the centre of the first pixel.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,9 @@ from cmp_cl.space.window import Window
 
 Array = NDArray[np.float64]
 Views = Mapping[str, Grid | None]
+
+_ROS_MODELS = {Lens.PINHOLE: "plumb_bob", Lens.RATIONAL: "rational_polynomial"}
+_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 
 
 # corners
@@ -74,119 +77,12 @@ def save_corners(path: str | PathLike[str], views: Views) -> None:
 
 # cameras
 
-
-def _check_cameras(cameras: Mapping[str, Camera]) -> None:
-    """Raise CalibrationError if cameras are not at least one `Camera` by name."""
-    check_kind("cameras", cameras, Mapping, CalibrationError)
-    for name, camera in cameras.items():
-        check_kind("each name of cameras", name, str, CalibrationError)
-        check_kind(f"cameras[{name!r}]", camera, Camera, CalibrationError)
-    if not cameras:
-        raise CalibrationError("cameras must be at least one")
-
-
-def _save_opencv(
-    path: Path,
-    cameras: Mapping[str, Camera],
-    covariance: Array | None,
-    window: Window | None,
-) -> None:
-    entries: dict[str, Any] = {}
-    for number, (name, camera) in enumerate(cameras.items(), 1):
-        pose = {f"R{number}": camera.R, f"T{number}": camera.T[:, None]}
-        entries |= {
-            f"name{number}": name,
-            f"lens{number}": camera.lens.value,
-            f"size{number}": np.array([camera.size], np.int32),
-            f"K{number}": camera.matrix,
-            f"D{number}": camera.distortion[None],
-        } | (pose if number > 1 else {})
-    *_, last = cameras.values()
-    if len(cameras) == 2 and Lens.FISHEYE not in {camera.lens for camera in cameras.values()}:
-        entries |= {"R": last.R, "T": last.T[:, None]}
-    if covariance is not None:
-        entries["covariance"] = covariance
-    save_storage(path, entries | window_entries(window) | {"unit": last.unit})
-
-
-def _save_ros(path: Path, camera: Camera, name: str) -> None:
-    model = {
-        Lens.PINHOLE: "plumb_bob",
-        Lens.RATIONAL: "rational_polynomial",
-        Lens.FISHEYE: "equidistant",
-    }[camera.lens]
-    projection = np.column_stack([camera.matrix, np.zeros(3)])
-    text = [
-        f"image_width: {camera.size[0]}",
-        f"image_height: {camera.size[1]}",
-        f"camera_name: {json.dumps(name)}",
-        *_ros_matrix("camera_matrix", camera.matrix),
-        f"distortion_model: {model}",
-        *_ros_matrix("distortion_coefficients", camera.distortion[None]),
-        *_ros_matrix("rectification_matrix", np.eye(3)),
-        *_ros_matrix("projection_matrix", projection),
-    ]
-    write_text(path, "\n".join(text) + "\n")
-
-
-def _ros_matrix(name: str, matrix: Array) -> list[str]:
-    return [
-        f"{name}:",
-        f"  rows: {matrix.shape[0]}",
-        f"  cols: {matrix.shape[1]}",
-        f"  data: {_numbers(matrix.ravel())}",
-    ]
-
-
-def _numbers(values: Sequence[float] | Array) -> str:
-    """Return numbers without exponents: YAML 1.1 takes 1e-05 for a word."""
-    return f"[{', '.join(np.format_float_positional(value, trim='0') for value in values)}]"
-
-
-def _save_kalibr(path: Path, cameras: Mapping[str, Camera]) -> None:
-    text, before = [], np.eye(4)
-    for number, (name, camera) in enumerate(cameras.items()):
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = camera.R, camera.T * _metres(camera)
-        k = camera.matrix
-        text += [
-            f"cam{number}:",
-            "  camera_model: pinhole",
-            f"  intrinsics: {_numbers([k[0, 0], k[1, 1], k[0, 2], k[1, 2]])}",
-            f"  distortion_model: {'equidistant' if camera.lens is Lens.FISHEYE else 'radtan'}",
-            f"  distortion_coeffs: {_numbers(_four(name, camera))}",
-            f"  resolution: [{camera.size[0]}, {camera.size[1]}]",
-            f"  rostopic: {json.dumps(f'/{name}/image_raw')}",
-        ]
-        if number:
-            step = pose @ np.linalg.inv(before)
-            text += ["  T_cn_cnm1:", *(f"  - {_numbers(row)}" for row in step)]
-        before = pose
-    write_text(path, "\n".join(text) + "\n")
-
-
-def _four(name: str, camera: Camera) -> Array:
-    """Return the four coefficients of radtan or equidistant."""
-    exact = camera.lens is not Lens.RATIONAL and not camera.distortion[4:].any()
-    if not exact:
-        raise CalibrationError(
-            f"{name}: Kalibr knows k1 k2 p1 p2 and equidistant lenses, this one is "
-            f"{camera.lens.value} with {len(camera.distortion)} coefficients; calibrate it as "
-            "a pinhole or fisheye"
-        )
-    return camera.distortion[:4]
-
-
-def _metres(camera: Camera) -> float:
-    lengths = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
-    if camera.unit not in lengths:
-        raise CalibrationError(f"the unit must be one of {', '.join(lengths)}, not {camera.unit}")
-    return lengths[camera.unit]
+Cameras = Mapping[str, Camera]
 
 
 def save_cameras(
     path: str | PathLike[str],
-    cameras: Mapping[str, Camera],
+    cameras: Cameras,
     *,
     covariance: Array | None = None,
     window: Window | None = None,
@@ -194,9 +90,9 @@ def save_cameras(
     """Write cameras in the format that the file name determines; return the files.
 
     A name in .yaml or .yml is OpenCV's FileStorage. The keys are numbered from 1: K1 D1 K2 D2 ...,
-    lens1, name1, size1; R2 T2 ... are the poses relative to the first camera. Two pinhole or
-    rational cameras also have R and T, and the `covariance` and the `window` of `StereoRig`, which
-    reads the file. The other formats have no place for them.
+    lens1, name1, size1; R2 T2 ... are the poses relative to the first camera. Two cameras also have
+    R and T, and the `covariance` and the `window` of `StereoRig`, which reads the file. The other
+    formats have no place for them.
 
     A name in .camchain.yaml is Kalibr's, with T_cn_cnm1 in m; the topic of each is /NAME/image_raw.
 
@@ -207,20 +103,27 @@ def save_cameras(
     other than 0) or the unit is not m, cm, mm or um, and OSError.
     """
     ending, target = check_cameras(path), Path(path)
-    _check_cameras(cameras)
+    check_kind("cameras", cameras, Mapping, CalibrationError)
+    for name, camera in cameras.items():
+        check_kind("each name of cameras", name, str, CalibrationError)
+        check_kind(f"cameras[{name!r}]", camera, Camera, CalibrationError)
+    if not cameras:
+        raise CalibrationError("cameras must be at least one")
+    if ending in (".yaml", ".yml"):
+        save_storage(target, _of_opencv(cameras, covariance, window))
+        return [target]
     if ending == ".camchain.yaml":
-        _save_kalibr(target, cameras)
-    elif ending == ".camera_info.yaml":
-        stem = target.name[: -len(ending)]
-        files = [target]
-        if len(cameras) > 1:
-            files = [target.with_name(f"{stem}-{each}{ending}") for each in cameras]
-        for file, (each, camera) in zip(files, cameras.items(), strict=True):
-            _save_ros(file, camera, each)
-        return files
+        files = {target: _of_kalibr(cameras)}
     else:
-        _save_opencv(target, cameras, covariance, window)
-    return [target]
+        stem = target.name[: -len(ending)]
+        single = len(cameras) == 1
+        files = {
+            target if single else target.with_name(f"{stem}-{name}{ending}"): _of_ros(name, camera)
+            for name, camera in cameras.items()
+        }
+    for file, entries in files.items():
+        write_text(file, "".join(f"{key}: {_flow(value)}\n" for key, value in entries.items()))
+    return list(files)
 
 
 def check_cameras(path: str | PathLike[str]) -> str:
@@ -234,3 +137,79 @@ def check_cameras(path: str | PathLike[str]) -> str:
         f"{str(path)!r}: the name must end in .yaml, .yml, .camera_info.yaml (ROS) or "
         ".camchain.yaml (Kalibr)"
     )
+
+
+def _of_opencv(cameras: Cameras, covariance: Array | None, window: Window | None) -> dict[str, Any]:
+    entries: dict[str, Any] = {}
+    for number, (name, camera) in enumerate(cameras.items(), 1):
+        pose = {f"R{number}": camera.R, f"T{number}": camera.T[:, None]}
+        entries |= {
+            f"name{number}": name,
+            f"lens{number}": camera.lens.value,
+            f"size{number}": np.array([camera.size], np.int32),
+            f"K{number}": camera.matrix,
+            f"D{number}": camera.distortion[None],
+        } | (pose if number > 1 else {})
+    *_, last = cameras.values()
+    if len(cameras) == 2:
+        entries |= {"R": last.R, "T": last.T[:, None]}
+    if covariance is not None:
+        entries["covariance"] = covariance
+    return entries | window_entries(window) | {"unit": last.unit}
+
+
+def _of_ros(name: str, camera: Camera) -> dict[str, Any]:
+    matrices = {
+        "camera_matrix": camera.matrix,
+        "distortion_coefficients": camera.distortion[None],
+        "rectification_matrix": np.eye(3),
+        "projection_matrix": np.column_stack([camera.matrix, np.zeros(3)]),
+    }
+    return {
+        "image_width": camera.size[0],
+        "image_height": camera.size[1],
+        "camera_name": name,
+        "distortion_model": _ROS_MODELS[camera.lens],
+    } | {
+        key: {"rows": matrix.shape[0], "cols": matrix.shape[1], "data": matrix.ravel()}
+        for key, matrix in matrices.items()
+    }
+
+
+def _of_kalibr(cameras: Cameras) -> dict[str, Any]:
+    entries: dict[str, Any] = {}
+    before = np.eye(4)
+    for number, (name, camera) in enumerate(cameras.items()):
+        if camera.lens is not Lens.PINHOLE or camera.distortion[4:].any():
+            raise CalibrationError(
+                f"{name}: Kalibr knows k1 k2 p1 p2, this lens is {camera.lens.value} with "
+                f"{len(camera.distortion)} coefficients; calibrate it as a pinhole"
+            )
+        if camera.unit not in _METRES:
+            raise CalibrationError(
+                f"the unit must be one of {', '.join(_METRES)}, not {camera.unit}"
+            )
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = camera.R, camera.T * _METRES[camera.unit]
+        entries[f"cam{number}"] = {
+            "camera_model": "pinhole",
+            "intrinsics": camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]],
+            "distortion_model": "radtan",
+            "distortion_coeffs": camera.distortion[:4],
+            "resolution": list(camera.size),
+            "rostopic": f"/{name}/image_raw",
+        } | ({"T_cn_cnm1": pose @ np.linalg.inv(before)} if number else {})
+        before = pose
+    return entries
+
+
+def _flow(value: Any) -> str:
+    """Return a value as YAML, in one line; numbers without exponents: YAML 1.1 takes 1e-05 for a
+    word."""
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{key}: {_flow(each)}' for key, each in value.items())}}}"
+    if isinstance(value, list | np.ndarray):
+        return f"[{', '.join(map(_flow, value))}]"
+    if isinstance(value, float):
+        return np.format_float_positional(value, trim="0")
+    return json.dumps(value)

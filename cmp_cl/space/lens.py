@@ -22,18 +22,16 @@ ESTIMATED = 8  # parameters of a pinhole that are estimated: fx fy cx cy k1 k2 p
 class Lens(enum.Enum):
     """The lens model of a camera, in OpenCV's terms.
 
-    PINHOLE: k1 k2 p1 p2 k3 with k3 = 0. RATIONAL: k1 k2 p1 p2 k3 k4 k5 k6. FISHEYE: the
-    equidistant model of cv2.fisheye, k1 k2 k3 k4.
+    PINHOLE: k1 k2 p1 p2 k3 with k3 = 0. RATIONAL: k1 k2 p1 p2 k3 k4 k5 k6, for wide lenses.
     """
 
     PINHOLE = "pinhole"
     RATIONAL = "rational"
-    FISHEYE = "fisheye"
 
     @property
     def coefficients(self) -> int:
         """Return the number of coefficients of distortion."""
-        return {Lens.PINHOLE: 5, Lens.RATIONAL: 8, Lens.FISHEYE: 4}[self]
+        return {Lens.PINHOLE: 5, Lens.RATIONAL: 8}[self]
 
 
 def camera_of(matrix: Array, distortion: Array, rotation: Array, translation: Array) -> Array:
@@ -59,30 +57,26 @@ def rotation_of(camera: Array) -> Array:
     return np.asarray(cv2.Rodrigues(camera[-POSE:-3])[0], np.float64)
 
 
-def unknowns(lens: Lens, cameras: int) -> NDArray[np.bool_]:
-    """Return which parameters of cameras are unknown, (C, P): not k3 of a pinhole, and not the pose
+def unknowns(cameras: Array) -> NDArray[np.bool_]:
+    """Return which parameters of cameras (C, P) are unknown: not k3 of a pinhole, and not the pose
     of the first camera."""
-    free = np.ones((cameras, 4 + lens.coefficients + POSE), bool)
-    if lens is Lens.PINHOLE:
+    free = np.ones(cameras.shape, np.bool_)
+    if cameras.shape[1] == 4 + Lens.PINHOLE.coefficients + POSE:
         free[:, ESTIMATED] = False
     free[0, -POSE:] = False
     return free
 
 
-def projected(lens: Lens, points: Array, camera: Array) -> tuple[Array, Array]:
+def projected(points: Array, camera: Array) -> tuple[Array, Array]:
     """Project points by a camera.
 
     points: (N, 3), in the frame of the first camera. camera: its parameters, (P,). Returns the
     pixels (N, 2), and their derivatives by the parameters, (N, 2, P).
     """
-    pose = camera[-POSE:-3, None], camera[-3:, None]
-    model = matrix_of(camera), distortion_of(camera)
-    if lens is Lens.FISHEYE:
-        seen, slopes = cv2.fisheye.projectPoints(points[:, None], *pose, *model)
-        by_camera = slopes[:, :-1]  # the last one is the skew
-    else:
-        seen, slopes = cv2.projectPoints(points[:, None], *pose, *model)
-        by_camera = np.hstack([slopes[:, POSE:], slopes[:, :POSE]])
+    seen, slopes = cv2.projectPoints(
+        points[:, None], camera[-POSE:-3], camera[-3:], matrix_of(camera), distortion_of(camera)
+    )
+    by_camera = np.hstack([slopes[:, POSE:], slopes[:, :POSE]])
     by_camera = np.asarray(by_camera, np.float64).reshape(len(points), 2, -1)
     return np.asarray(seen, np.float64).reshape(-1, 2), by_camera
 

@@ -6,7 +6,6 @@ import warnings
 from os import PathLike
 from typing import Any, Self
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,12 +16,14 @@ from cmp_cl.points import Points3D, PointStatus
 from cmp_cl.space.lens import (
     ESTIMATED,
     POSE,
-    Lens,
     camera_of,
     check_matrix,
     checked_array,
     checked_distortion,
+    distortion_of,
+    matrix_of,
     projected,
+    rotation_of,
 )
 from cmp_cl.space.storage import (
     open_storage,
@@ -31,18 +32,14 @@ from cmp_cl.space.storage import (
     save_storage,
     window_entries,
 )
-from cmp_cl.space.triangulation import (
-    between,
-    inverse_symmetric,
-    rays_through,
-    triangulate_points,
-    undistort,
-)
+from cmp_cl.space.triangulation import between, rays_through, undistort
 from cmp_cl.space.window import WINDOW, Window
 
 MIN_PARALLAX = 1.0  # px; with less parallax, depth is only noise
 MAX_ERROR = 3.0  # px, of the reprojection
 _COVARIANCE = "covariance"
+_LENGTHS = slice(2 * ESTIMATED + 3, 2 * ESTIMATED + POSE)  # the parameters that are the translation
+_STEP = 1e-5  # of differences by parameters; of lengths, times the distance of the cameras
 _ALIASES = {
     "K1": ("K1", "M1", "cameraMatrix1"),
     "D1": ("D1", "distCoeffs1"),
@@ -158,11 +155,6 @@ class StereoRig:
                     if name in found and not np.array_equal(found[name], value):
                         raise CalibrationError(f"{path}: {alias} contradicts an earlier {name}")
                     found[name] = value
-            if "fisheye" in (storage.getNode(name).string() for name in ("lens1", "lens2")):
-                raise CalibrationError(
-                    f"{path}: a camera is a fisheye, and a rig of two views takes none; calibrate "
-                    "it with --lens rational"
-                )
             kept = read_matrix(storage, _COVARIANCE, path)
             covariance = covariance if kept is None else kept
             window = read_window(storage, path) or window
@@ -222,7 +214,6 @@ class StereoRig:
         xyz, status = self._first_order(seen)
         error = np.full(len(seen), np.nan)
         covariance = np.full((len(seen), 3, 3), np.nan)
-        shared = covariance.copy()
         good = status == PointStatus.VALID
         # Unfiltered positions: a fiftieth of their noise is added, but a filter would take a
         # quarter of the time.
@@ -233,12 +224,13 @@ class StereoRig:
             ]
         )
         moved = np.zeros_like(xyz)
-        xyz[good], error[good], covariance[good], shared[good], moved[good] = self._refined(
-            xyz[good], seen[good], deviation[good], bent[good]
-        )
+        if good.any():
+            xyz[good], error[good], covariance[good], moved[good] = self._refined(
+                xyz[good], seen[good], deviation[good], bent[good]
+            )
         status[good & ~(error <= MAX_ERROR)] = PointStatus.INCONSISTENT
         bad = status != PointStatus.VALID
-        for values in (xyz, covariance, shared, moved):
+        for values in (xyz, covariance, moved):
             values[bad] = np.nan
         all_status = np.full(left.shape, PointStatus.MISSING, np.uint8)
         all_status[both] = status
@@ -251,19 +243,19 @@ class StereoRig:
                 np.uint8
             ),
             unit=self.unit,
-            calibration_covariance=None if self.covariance is None else spread(both, shared),
             bend_shift=spread(both, moved),
         )
 
     def _first_order(self, seen: Array) -> tuple[Array, NDArray[np.uint8]]:
-        """Triangulate (N, 4) px, left and right, to first order: (N, 3) points and (N,) status."""
+        """Triangulate (N, 4) px, left and right: the middles between their rays, (N, 3), and the
+        status, (N,)."""
         left, left_in_model = undistort(seen[:, :2], self.K1, self.D1)
         right, right_in_model = undistort(seen[:, 2:], self.K2, self.D2)
         one, two = rays_through(left), rays_through(right) @ self.R
         sine = np.linalg.norm(np.cross(one, two), axis=1)
         sine /= np.linalg.norm(one, axis=1) * np.linalg.norm(two, axis=1)
         if self.window is None:
-            xyz = triangulate_points(self.R, self.T, left, right)
+            xyz = between(one, two, self._centre)
             depth = np.minimum(xyz[:, 2], (xyz @ self.R.T + self.T)[:, 2])
         else:
             (from_one, one), (from_two, two) = (
@@ -282,34 +274,26 @@ class StereoRig:
 
     def _refined(
         self, xyz: Array, seen: Array, sigma: Array, bent: Array
-    ) -> tuple[Array, Array, Array, Array, Array]:
+    ) -> tuple[Array, Array, Array, Array]:
         """Take one Gauss-Newton step on the reprojection error, weighted by 1 / sigma^2.
 
         xyz: (N, 3). seen: (N, 4) px, left and right. sigma: (N, 2) px; NaN weights both alike.
         bent: (N, 4) px, shifts by bent edges. Returns the points (N, 3); the reprojection errors
-            (N,), px; two covariances (N, 3, 3), from the positions in the image and from the rig,
-            NaN if unknown; and the motion of the points by the shifts, (N, 3).
+            (N,), px; their covariances (N, 3, 3), NaN if unknown; and the motion of the points by
+            the shifts, (N, 3).
         """
-        if not len(xyz):
-            return xyz, np.empty(0), np.empty((0, 3, 3)), np.empty((0, 3, 3)), xyz
-        known_rig = self.covariance is not None
-        projected, jacobian, by_rig = self._projected(xyz, by_rig=known_rig)
+        projected, jacobian = self._projected(xyz)
         residual = seen - projected
         known = np.isfinite(sigma.sum(axis=1))
-        weight = np.repeat(1 / np.where(known[:, None], sigma, 1), 2, axis=1)
-        scaled = jacobian * weight[..., None]
-        inverse = inverse_symmetric(scaled.transpose(0, 2, 1) @ scaled)
-        by_image = inverse @ (scaled * weight[..., None]).transpose(0, 2, 1)
+        weight = np.repeat(1 / np.where(known[:, None], sigma, 1), 2, axis=1)[..., None]
+        scaled = jacobian * weight
+        inverse = np.linalg.inv(scaled.transpose(0, 2, 1) @ scaled)
+        by_image = inverse @ (scaled * weight).transpose(0, 2, 1)
         step = by_image @ residual[..., None]
         residual = residual - (jacobian @ step)[..., 0]
         error = np.sqrt(np.square(residual).sum(axis=1) / 2)
-        own = np.where(known[:, None, None], inverse, np.nan)
-        shared = np.full_like(own, np.nan)
-        if self.covariance is not None:
-            # derivatives of the points by the rig, at fixed positions in the image
-            by_rig = by_image @ by_rig
-            shared = by_rig @ self.covariance @ by_rig.transpose(0, 2, 1)
-        return xyz + step[..., 0], error, own, shared, (by_image @ bent[..., None])[..., 0]
+        covariance = np.where(known[:, None, None], inverse, np.nan)
+        return xyz + step[..., 0], error, covariance, (by_image @ bent[..., None])[..., 0]
 
     def project(self, xyz: Array) -> tuple[Array, Array]:
         """Project points to both views, (N, 2) px each.
@@ -320,55 +304,72 @@ class StereoRig:
         points = as_numbers("xyz", xyz, FieldError)
         if points.ndim != 2 or points.shape[1] != 3:
             raise FieldError(f"xyz must be (N, 3), not {points.shape}")
-        seen = self._projected(points, by_rig=False)[0]
+        seen = self._pixels(points)
         return seen[:, :2], seen[:, 2:]
 
     def slopes(self, xyz: Array) -> tuple[Array, Array]:
         """Return the derivatives of the pixels of both views, left and right.
 
         xyz: (N, 3), the points. They are by the point, (N, 4, 3), and by the P parameters of
-        `covariance`, (N, 4, P), px.
+        `covariance`, (N, 4, P), px. The latter are differences.
         """
-        return self._projected(xyz, by_rig=True)[1:]
+        seen, by_point = self._projected(xyz)
+        length = float(np.linalg.norm(self.T))
+        sizes = [1.0] * _LENGTHS.start + [length] * 3
+        if self.window is not None:
+            sizes += [1, 1, length, 1]
+        by_rig = [
+            (self._moved(step)._pixels(xyz) - seen) / step.sum()
+            for step in np.diag(_STEP * np.array(sizes))
+        ]
+        return by_point, np.stack(by_rig, axis=2)
 
-    def _projected(self, xyz: Array, *, by_rig: bool) -> tuple[Array, Array, Array]:
-        """Project points into both cameras.
-
-        Returns (N, 4) px, its derivatives with respect to the point, (N, 4, 3), and, if `by_rig`,
-        with respect to the P parameters of `covariance`, (N, 4, P), else (N, 4, 0).
-        """
-        one = camera_of(self.K1, self.D1, np.eye(3), np.zeros(3))
-        two = camera_of(self.K2, self.D2, self.R, self.T)
-        window, straight = self.window, (xyz, xyz)
-        if window is not None:
-            bent = window.apparent(np.zeros(3), xyz), window.apparent(self._centre, xyz)
-            straight = bent[0].points, bent[1].points
-        left, by_left = projected(Lens.PINHOLE, straight[0], one)
-        right, by_right = projected(Lens.PINHOLE, straight[1], two)
-        # By the translation, which is by the rotated point.
-        slopes = by_left[..., -3:], by_right[..., -3:] @ self.R
-        by_point = slopes
-        if window is not None:
-            by_point = slopes[0] @ bent[0].by_point, slopes[1] @ bent[1].by_point
-        jacobian = np.concatenate(by_point, axis=1)
-        by = np.zeros((len(xyz), 4, 0))
-        if by_rig:
-            by = np.zeros((len(xyz), 4, 2 * ESTIMATED + POSE))
-            by[:, :2, :ESTIMATED] = by_left[..., :ESTIMATED]
-            by[:, 2:, ESTIMATED : 2 * ESTIMATED] = by_right[..., :ESTIMATED]
-            by[:, 2:, 2 * ESTIMATED :] = by_right[..., -POSE:]
-            if window is not None:
-                by[:, 2:, 2 * ESTIMATED :] += slopes[1] @ bent[1].by_centre @ self._centre_by_pose
-                shown = [slope @ each.by_window for slope, each in zip(slopes, bent, strict=True)]
-                by = np.dstack([by, np.concatenate(shown, axis=1)])
-        return np.hstack([left, right]), jacobian, by
+    def _moved(self, step: Array) -> "StereoRig":
+        """Return the rig after a step of the parameters of `covariance`, (P,)."""
+        one, two = self._cameras
+        one[:ESTIMATED] += step[:ESTIMATED]
+        two[:ESTIMATED] += step[ESTIMATED : 2 * ESTIMATED]
+        two[-POSE:] += step[2 * ESTIMATED : _LENGTHS.stop]
+        return StereoRig(
+            matrix_of(one),
+            distortion_of(one),
+            matrix_of(two),
+            distortion_of(two),
+            rotation_of(two),
+            two[-3:],
+            window=None if self.window is None else self.window.moved(step[_LENGTHS.stop :]),
+        )
 
     @property
-    def _centre_by_pose(self) -> Array:
-        """Return the derivatives of `_centre` by the rotation and the translation, (3, 6)."""
-        turn, _ = cv2.Rodrigues(self.R)
-        by_turn = np.asarray(cv2.Rodrigues(turn)[1], np.float64).reshape(3, 3, 3)
-        return np.hstack([-np.einsum("kij,i->jk", by_turn, self.T), -self.R.T])
+    def _cameras(self) -> tuple[Array, Array]:
+        """Return the parameters of both cameras, see `cmp_cl.space.lens`."""
+        return (
+            camera_of(self.K1, self.D1, np.eye(3), np.zeros(3)),
+            camera_of(self.K2, self.D2, self.R, self.T),
+        )
+
+    def _pixels(self, xyz: Array) -> Array:
+        """Project points into both cameras, (N, 4) px."""
+        seen = []
+        for camera, centre in zip(self._cameras, (np.zeros(3), self._centre), strict=True):
+            window = self.window
+            straight = xyz if window is None else window.apparent(centre, xyz).points
+            seen.append(projected(straight, camera)[0])
+        return np.hstack(seen)
+
+    def _projected(self, xyz: Array) -> tuple[Array, Array]:
+        """Return the same, and the derivatives by the point, (N, 4, 3)."""
+        seen, slopes = [], []
+        for camera, centre in zip(self._cameras, (np.zeros(3), self._centre), strict=True):
+            straight, bend = xyz, np.eye(3)
+            if self.window is not None:
+                apparent = self.window.apparent(centre, xyz)
+                straight, bend = apparent.points, apparent.by_point
+            pixels, by_camera = projected(straight, camera)
+            seen.append(pixels)
+            # By the translation, which is by the rotated point.
+            slopes.append(by_camera[..., -3:] @ (rotation_of(camera) @ bend))
+        return np.hstack(seen), np.concatenate(slopes, axis=1)
 
 
 def spread(where: NDArray[np.bool_], values: NDArray[Any]) -> Array:

@@ -33,8 +33,7 @@ class Apparent(NamedTuple):
     (N, 3) across it. tangent, inside: (N,), of the ray's angle in air and behind the window. slope:
     (N,), of the lateral distance by the tangent.
 
-    With depth D, lateral distance L and the height H of the first face above the centre,
-    slope d tangent = dL - inside dD - (tangent - inside) dH.
+    With depth D and lateral distance L, slope d tangent = dL - inside dD.
     """
 
     window: "Window"
@@ -57,46 +56,14 @@ class Apparent(NamedTuple):
     def by_point(self) -> Array:
         """Return their derivatives by the points, (N, 3, 3)."""
         w, rate = self.window.normal, self.depth / self.slope
+        stretch = self.depth * self.tangent / self.lateral
+        flat = np.eye(3) - np.outer(w, w) - _product(self.ahead, self.ahead)
         along = w + (self.tangent - self.inside * rate)[:, None] * self.ahead
-        return self._across + _product(along, w) + _product(rate[:, None] * self.ahead, self.ahead)
-
-    @property
-    def by_centre(self) -> Array:
-        """Return their derivatives by the centre, (N, 3, 3)."""
-        return np.eye(3) - self.by_point - _product(self._by_height, self.window.normal)
-
-    @property
-    def by_window(self) -> Array:
-        """Return their derivatives by the estimated parameters of the window, (N, 3, 4)."""
-        w, ahead, depth, lateral = self.window.normal, self.ahead, self.depth, self.lateral
-        stretch, rate = depth * self.tangent / lateral, depth / self.slope
-        turned = lateral * self.tangent - rate * (depth + self.inside * lateral)
-        along = (lateral * (1 - stretch))[:, None] * w + turned[:, None] * ahead
-        by_normal = (
-            depth[:, None, None] * (np.eye(3) - self._across)
-            + _product(along, ahead)
-            - _product(self._by_height, self.centre)
+        return (
+            stretch[:, None, None] * flat
+            + _product(along, w)
+            + _product(rate[:, None] * self.ahead, self.ahead)
         )
-        n, q = self.window.index, self.tangent
-        behind = depth - self.window.height(self.centre) - self.window.thickness
-        short_by_index = behind * n * q * (1 + q * q) / np.sqrt(n * n + (n * n - 1) * q * q) ** 3
-        by_index = (rate * short_by_index)[:, None] * ahead
-        return np.dstack([by_normal @ self.window.axes.T, self._by_height, by_index])
-
-    @property
-    def _across(self) -> Array:
-        """Return the stretch across the normal and the ray, (N, 3, 3)."""
-        w, stretch = self.window.normal, self.depth * self.tangent / self.lateral
-        flat = np.eye(3) - np.outer(w, w)
-        across: Array = stretch[:, None, None] * (flat - _product(self.ahead, self.ahead))
-        return across
-
-    @property
-    def _by_height(self) -> Array:
-        by_height: Array = (
-            self.ahead * (self.depth * (self.inside - self.tangent) / self.slope)[:, None]
-        )
-        return by_height
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.space.lens import POSE, Lens, projected, rotation_of, unknowns
+from cmp_cl.space.lens import POSE, projected, rotation_of, unknowns
 
 Array = NDArray[np.float64]
 
@@ -46,9 +46,9 @@ class State:
     board: Array
 
 
-def residuals(lens: Lens, look: Look, state: State) -> Array:
+def residuals(look: Look, state: State) -> Array:
     """Return measured minus projected, (N, 2), px."""
-    return look.xy - projected(lens, _placed(look, state), state.cameras[look.camera])[0]
+    return look.xy - projected(_placed(look, state), state.cameras[look.camera])[0]
 
 
 def root_mean_square(offs: Sequence[Array]) -> float:
@@ -58,7 +58,7 @@ def root_mean_square(offs: Sequence[Array]) -> float:
 
 
 def adjust(
-    lens: Lens, looks: Sequence[Look], state: State, *, free_board: bool = False
+    looks: Sequence[Look], state: State, *, free_board: bool = False
 ) -> tuple[State, Array | None]:
     """Minimize the reprojection error of all looks by Levenberg's method, from a near solution.
 
@@ -74,17 +74,17 @@ def adjust(
     """
     flat, stiffness = state.board, 0.0
     if free_board:
-        error = root_mean_square([residuals(lens, look, state) for look in looks])
+        error = root_mean_square([residuals(look, state) for look in looks])
         stiffness = (error / _LOOSE) ** 2
 
     def cost_of(state: State) -> float:
-        squares = [np.square(residuals(lens, look, state)).sum() for look in looks]
+        squares = [np.square(residuals(look, state)).sum() for look in looks]
         return float(sum(squares) + stiffness * np.square(state.board - flat).sum())
 
     cost, damping = cost_of(state), _DAMPING
-    equations = _equations(lens, looks, state, flat, stiffness)
+    equations = _equations(looks, state, flat, stiffness)
     for _ in range(_STEPS):
-        moved = _moved(lens, state, _step(*equations, damping))
+        moved = _moved(state, _step(*equations, damping))
         lower = cost_of(moved)
         if not lower < cost:
             damping *= 10
@@ -95,53 +95,51 @@ def adjust(
         state, cost, damping = moved, lower, damping / 10
         if done:
             break
-        equations = _equations(lens, looks, state, flat, stiffness)
-    return state, covariance(lens, looks, state, stiffness)
+        equations = _equations(looks, state, flat, stiffness)
+    return state, covariance(looks, state, stiffness)
 
 
-def covariance(
-    lens: Lens, looks: Sequence[Look], state: State, stiffness: float = 0.0
-) -> Array | None:
+def covariance(looks: Sequence[Look], state: State, stiffness: float = 0.0) -> Array | None:
     """Return the covariance of the unknown parameters of the cameras, (n, n).
 
     stiffness: of the springs, 0 for a flat board. The variance of a corner is that of the
     residuals, per degree of freedom; for a flat board it is increased if the errors of a view are
     shared, see `_shared_variance`. Returns None if the views do not determine a parameter.
     """
-    matrix, _ = _equations(lens, looks, state, state.board, stiffness)
+    matrix, _ = _equations(looks, state, state.board, stiffness)
     unit = np.sqrt(np.diag(matrix))
     if not (unit > 0).all():
         return None
     values, axes = np.linalg.eigh(matrix / np.outer(unit, unit))
     if not values[0] > _SINGULAR:
         return None
-    count = int(np.count_nonzero(unknowns(lens, len(state.cameras))))
+    count = int(np.count_nonzero(unknowns(state.cameras)))
     few, unit = axes[:count], unit[:count]
     inverse = (few / values) @ few.T / np.outer(unit, unit)
     shown = len(np.unique(np.concatenate([look.nodes for look in looks])))
     board = 3 * shown - POSE - 1 if stiffness else 0
-    offs = np.concatenate([residuals(lens, look, state) for look in looks])
+    offs = np.concatenate([residuals(look, state) for look in looks])
     variance = np.square(offs).sum() / max(offs.size - count - state.poses.size - board, 1)
     if not stiffness:
-        variance = max(variance, _shared_variance(lens, looks, state, inverse))
+        variance = max(variance, _shared_variance(looks, state, inverse))
     found: Array = inverse * variance
     return found
 
 
 def _equations(
-    lens: Lens, looks: Sequence[Look], state: State, flat: Array, stiffness: float
+    looks: Sequence[Look], state: State, flat: Array, stiffness: float
 ) -> tuple[Array, Array]:
     """Return the normal equations, (n, n) and (n,), of the unknown parameters of the cameras, of
     the poses and, with springs to the places `flat`, of the nodes."""
-    free = unknowns(lens, len(state.cameras))
+    free = unknowns(state.cameras)
     number = np.cumsum(free).reshape(free.shape) - 1
     poses = number[-1, -1] + 1
     nodes = poses + state.poses.size
     size = nodes + (state.board.size if stiffness else 0)
     matrix, right = np.zeros((size, size)), np.zeros(size)
     for look in looks:
-        by_camera, by_pose, by_node = _slopes(lens, look, state)
-        off, chosen = residuals(lens, look, state)[..., None], free[look.camera]
+        by_camera, by_pose, by_node = _slopes(look, state)
+        off, chosen = residuals(look, state)[..., None], free[look.camera]
         of_pose = poses + POSE * look.moment + np.arange(POSE)
         column = np.concatenate([number[look.camera][chosen], of_pose])
         slopes = np.concatenate([by_camera[..., chosen], by_pose], axis=2)
@@ -161,12 +159,12 @@ def _equations(
     return matrix, right
 
 
-def _slopes(lens: Lens, look: Look, state: State) -> tuple[Array, Array, Array]:
+def _slopes(look: Look, state: State) -> tuple[Array, Array, Array]:
     """Return the derivatives of the projection by the camera, (N, 2, P), by the pose of the board,
     (N, 2, 6), and by the node, (N, 2, 3), px."""
     camera, pose = state.cameras[look.camera], state.poses[look.moment]
     turn, by_turn = (np.asarray(each, np.float64) for each in cv2.Rodrigues(pose[:3]))
-    by_camera = projected(lens, _placed(look, state), camera)[1]
+    by_camera = projected(_placed(look, state), camera)[1]
     by_point = by_camera[..., -3:] @ rotation_of(camera)
     turning = np.einsum("kij,nj->nik", by_turn.reshape(3, 3, 3), state.board[look.nodes])
     by_pose = np.concatenate([by_point @ turning, by_point], axis=2)
@@ -181,9 +179,9 @@ def _step(matrix: Array, right: Array, damping: float) -> Array:
     return step
 
 
-def _moved(lens: Lens, state: State, step: Array) -> State:
+def _moved(state: State, step: Array) -> State:
     """Return the state after a step of the unknowns."""
-    free, cameras = unknowns(lens, len(state.cameras)), state.cameras.copy()
+    free, cameras = unknowns(state.cameras), state.cameras.copy()
     count = int(np.count_nonzero(free))
     cameras[free] += step[:count]
     poses, nodes = np.split(step[count:], [state.poses.size])
@@ -191,7 +189,7 @@ def _moved(lens: Lens, state: State, step: Array) -> State:
     return State(cameras, state.poses + poses.reshape(-1, POSE), board)
 
 
-def _shared_variance(lens: Lens, looks: Sequence[Look], state: State, inverse: Array) -> float:
+def _shared_variance(looks: Sequence[Look], state: State, inverse: Array) -> float:
     """Return the variance of a corner that the differences between the views show, px^2.
 
     inverse: of the normal equations of the unknown parameters of the cameras, (n, n).
@@ -205,7 +203,7 @@ def _shared_variance(lens: Lens, looks: Sequence[Look], state: State, inverse: A
     for moment in range(len(state.poses)):
         own = [dataclasses.replace(look, moment=0) for look in looks if look.moment == moment]
         there = dataclasses.replace(state, poses=state.poses[moment : moment + 1])
-        both, right = _equations(lens, own, there, state.board, 0.0)
+        both, right = _equations(own, there, state.board, 0.0)
         by_pose = both[:count, count:] @ np.linalg.inv(both[count:, count:])
         share = inverse @ (both[:count, :count] - by_pose @ both[count:, :count])
         slope = right[:count] - by_pose @ right[count:]

@@ -53,7 +53,7 @@ class MisfitError(CalibrationError):
 class Camera:
     """A calibrated camera, and its pose relative to the first one.
 
-    lens: the model. size: (width, height), px. matrix: (3, 3), px. distortion: 5, 8 or 4
+    lens: the model. size: (width, height), px. matrix: (3, 3), px. distortion: 5 or 8
     coefficients. R: (3, 3), T: (3,): X = R X_first + T, T in `unit`.
     """
 
@@ -69,7 +69,7 @@ class Camera:
         """Project points (..., 3) in the frame of the first camera to the image, (..., 2) px."""
         camera = camera_of(self.matrix, self.distortion, self.R, self.T)
         flat = np.ascontiguousarray(points, np.float64).reshape(-1, 3)
-        return projected(self.lens, flat, camera)[0].reshape(*points.shape[:-1], 2)
+        return projected(flat, camera)[0].reshape(*points.shape[:-1], 2)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -114,11 +114,10 @@ class Calibration:
         }
 
     def rig(self) -> StereoRig:
-        """Return the rig of two cameras; raises CalibrationError for fisheyes or another number."""
-        cameras = list(self.cameras.values())
-        if len(cameras) != 2 or Lens.FISHEYE in {camera.lens for camera in cameras}:
-            raise CalibrationError("a rig has two cameras, neither of them a fisheye")
-        one, two = cameras
+        """Return the rig of two cameras; raises CalibrationError for another number."""
+        if len(self.cameras) != 2:
+            raise CalibrationError("a rig has two cameras")
+        one, two = self.cameras.values()
         return StereoRig(
             one.matrix,
             one.distortion,
@@ -180,22 +179,22 @@ def calibrate(
         np.array([vector_of(places.boards[moment]) for moment in moments]),
         board.reshape(-1, 3),
     )
-    state, cov = adjust(lens, every, state)
-    _check_fit(lens, every, state, alone, places.odd)
+    state, cov = adjust(every, state)
+    _check_fit(every, state, alone, places.odd)
     scale = spacing
     if free_board:
-        state, cov = adjust(lens, every, state, free_board=True)
+        state, cov = adjust(every, state, free_board=True)
         scale /= _mean_side(state, every, board.shape)
     factor = np.ones(state.cameras.shape)
     factor[:, -3:] = scale  # the translations
-    cameras, unknown = state.cameras * factor, unknowns(lens, len(names))
+    cameras, unknown = state.cameras * factor, unknowns(state.cameras)
     deviation = np.full(unknown.shape, np.nan)
     if cov is not None:
         cov = cov * np.outer(factor[unknown], factor[unknown])
         deviation[unknown] = np.sqrt(np.diag(cov))
     residual: dict[str, list[Array | None]] = {n: [None] * len(each) for n, each in views.items()}
     for ((name, moment), grid), look in zip(seen.items(), every, strict=True):
-        residual[name][moment] = spread(grid.valid, residuals(lens, look, state))
+        residual[name][moment] = spread(grid.valid, residuals(look, state))
     normals = np.full((max(map(len, views.values())), 3), np.nan)
     normals[list(moments)] = [pose_of(pose)[:3, 2] for pose in state.poses]
     return Calibration(
@@ -345,10 +344,10 @@ def _alone(name: str, seen: Seen, board: Array, size: tuple[int, int], lens: Len
 
 
 def _check_fit(
-    lens: Lens, looks: Sequence[Look], state: State, alone: Mapping[str, Alone], odd: Sequence[int]
+    looks: Sequence[Look], state: State, alone: Mapping[str, Alone], odd: Sequence[int]
 ) -> None:
     """Raise MisfitError if cameras fit the views much worse together than each alone."""
-    error = root_mean_square([residuals(lens, look, state) for look in looks])
+    error = root_mean_square([residuals(look, state) for look in looks])
     best = max(each.error for each in alone.values())
     if error > max(_MAX_MISFIT, _MAX_MISFIT_RATIO * best):
         named = f"; worst fit those of moment {', '.join(map(str, odd))}" if odd else ""
