@@ -269,7 +269,6 @@ class Detector(Closing):
             `build_grid`. Raises the errors of a call and of `build_grid`.
         """
         from cmp_cl.grid.build import asked_of, build_grid, grid_of
-        from cmp_cl.grid.placing import Given
 
         image = self._checked(frame)
         if region is not None:
@@ -286,8 +285,7 @@ class Detector(Closing):
             )
         asked = asked_of(shape, like, previous)
         corners, found = self._boards(image)
-        given, count = Given.of(corners), len(corners)
-        return corners, grid_of(found, given, asked, count, strict=strict)
+        return corners, grid_of(found, corners, asked, len(corners), strict=strict)
 
     def grids(
         self,

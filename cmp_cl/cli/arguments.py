@@ -11,7 +11,7 @@ from pathlib import Path
 from cmp_cl.cli.messages import shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.files import check_target
-from cmp_cl.grid.limits import MOST_NODES
+from cmp_cl.grid.grid import MOST_NODES
 from cmp_cl.space import BinocularSplit
 
 _BOX = r"\d+,\d+,\d+,\d+"

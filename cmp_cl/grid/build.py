@@ -3,16 +3,14 @@
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError, ImageError, check_kind, check_shape
-from cmp_cl.grid.choice import Asked, Found, chosen_of, found_in
-from cmp_cl.grid.grid import Grid
-from cmp_cl.grid.limits import check_finite, check_room, check_size
-from cmp_cl.grid.placing import Given, empty_like, placed
+from cmp_cl.grid.choice import Asked, chosen_of, found_in
+from cmp_cl.grid.grid import Grid, check_size, empty_grid
+from cmp_cl.grid.placing import placed
 from cmp_cl.image import GreyImage, check_image
-from cmp_cl.lattice.arrays import Board, Whole
+from cmp_cl.lattice.arrays import Board, Real, Whole
 from cmp_cl.lattice.boards import boards
 from cmp_cl.lattice.plan import lattice_plan
 from cmp_cl.opencl.device import Device, select_device
@@ -20,6 +18,7 @@ from cmp_cl.opencl.device import Device, select_device
 Region = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 
 BITS = (10, 12, 14, 16)  # of a camera whose pixels have 16
+FARTHEST = 1e6  # px, of any corner
 
 
 def build_grid(
@@ -71,17 +70,13 @@ def build_grid(
     or not the corners' own; DeviceError.
     """
     asked = asked_of(shape, like, previous)
-    frame = check_image(image)
-    given = _checked(corners, frame, asked)
-    inside = _inside(given.xy, region)
-    return grid_of(
-        boards_of(given, inside, frame, device), given, asked, len(inside), strict=strict
-    )
+    inside, found = _boards_of(corners, image, region, device)
+    return grid_of(found, corners, asked, len(inside), strict=strict)
 
 
 def grid_of(
     found: Iterable[Board],
-    given: Given,
+    corners: Corners,
     asked: Asked,
     count: int,
     *,
@@ -90,9 +85,9 @@ def grid_of(
     """Return the grid of the board that is meant; count: corners that may belong to it."""
     chosen, others = chosen_of(found_in(found, asked), asked, count)
     if chosen is None:
-        grid = empty_like(len(given.xy), asked)
+        grid = empty_grid(len(corners), asked.shape, asked.like)
     else:
-        grid = placed(chosen, given, asked, others)
+        grid = placed(chosen, corners, asked, others)
     if strict and grid.doubts:
         raise GridError("; ".join(grid.doubts))
     return grid
@@ -114,39 +109,34 @@ def build_grids(
     Raises the errors of `build_grid` for its arguments.
     """
     asked = asked_of(shape, None, None)
-    frame = check_image(image)
-    given = _checked(corners, frame, asked)
-    every = boards_of(given, _inside(given.xy, region), frame, device)
-    found: list[Found] = found_in(every, asked)
+    found = found_in(_boards_of(corners, image, region, device)[1], asked)
     if shape is not None:
         found = [each for each in found if 2 * each.size >= shape[0] * shape[1]]
-    return [placed(each, given, asked, 0) for each in found]
+    return [placed(each, corners, asked, 0) for each in found]
 
 
-def boards_of(
-    given: Given, inside: Whole, image: GreyImage, device: Device | str | None
-) -> list[Board]:
-    """Return the boards that corners of these indices form, (M,), the largest part's first."""
+def _boards_of(
+    corners: Corners, image: GreyImage, region: Region | None, device: Device | str | None
+) -> tuple[Whole, list[Board]]:
+    """Return which corners lie in the region, and the boards that they form, the largest part's
+    first."""
+    frame = check_image(image)
+    _check_corners(corners, frame)
+    inside = _inside(corners.xy, region)
     if len(inside) < 4:
-        return []
+        return inside, []
     plan = lattice_plan(
-        select_device(device), image.shape, image.dtype, _full_scale(image), len(inside)
+        select_device(device), frame.shape, frame.dtype, _full_scale(frame), len(inside)
     )
-    xy = given.xy[inside]
+    xy = corners.xy[inside]
     with plan.lock:
-        plan.take(image, xy, given.edges[inside], given.refusal[inside])
+        plan.take(frame, xy, corners.edges[inside], corners.refusal[inside])
         plan.start()
         found = list(boards(plan, xy))
     for board in found:
         mine = board.owner >= 0
         board.owner[mine] = inside[board.owner[mine]]
-    return found
-
-
-def asked_of(shape: tuple[int, int] | None, like: Grid | None, previous: Grid | None) -> Asked:
-    """Check what is known of the numbers."""
-    _check_previous(previous, like)
-    return Asked(_known_shape(shape, like), like, previous)
+    return inside, found
 
 
 def _full_scale(image: GreyImage) -> int:
@@ -157,8 +147,29 @@ def _full_scale(image: GreyImage) -> int:
     return min(int(2**bits) - 1 for bits in BITS if brightest < 2**bits)
 
 
-def _checked(corners: Corners, image: GreyImage, asked: Asked) -> Given:
-    """Check corners and their image, and return the corners."""
+def asked_of(shape: tuple[int, int] | None, like: Grid | None, previous: Grid | None) -> Asked:
+    """Check what is known of the numbers."""
+    if previous is not None and like is None:
+        raise GridError("the grid of the frame before needs the grid at rest too")
+    for name, given in (("like", like), ("previous", previous)):
+        if given is None:
+            continue
+        check_kind(name, given, Grid, GridError)
+        if not given.valid.any():
+            raise GridError(
+                f"the grid given as `{name}` has no nodes; give one that has been found"
+            )
+    if shape is not None:
+        check_shape(shape, GridError)
+        check_size(*shape)
+    if like is None:
+        return Asked(shape, None, None)
+    if shape is not None and tuple(shape) != like.shape:
+        raise GridError(f"shape is {shape}, but the grid given as `like` has {like.shape}")
+    return Asked(like.shape, like, previous)
+
+
+def _check_corners(corners: Corners, image: GreyImage) -> None:
     check_kind("corners", corners, Corners, GridError)
     columns, rows = (int(line.max(initial=-1)) + 1 for line in corners.pixel.T)
     if rows > image.shape[0] or columns > image.shape[1]:
@@ -166,32 +177,20 @@ def _checked(corners: Corners, image: GreyImage, asked: Asked) -> Given:
             f"the corners reach over {rows} rows and {columns} columns, the image has shape "
             f"{image.shape}; give the image that they were found in"
         )
-    check_finite(corners)
-    if asked.shape is not None:
-        check_room(asked.shape, len(corners))
+    near = (np.abs(corners.xy) < FARTHEST).all(axis=1)
+    if not near.all():
+        raise GridError(
+            f"{np.count_nonzero(~near)} of the {len(corners)} corners have no finite position; "
+            "leave them out"
+        )
     if len(corners) >= 4 and np.isnan(corners.edges).all():
         raise GridError(
             "the corners have no edge angles, which the grid is built from; "
             "detect them with a refinement (EdgeLines, EdgeStep or Midlines)"
         )
-    return Given.of(corners)
 
 
-def _known_shape(shape: tuple[int, int] | None, like: Grid | None) -> tuple[int, int] | None:
-    if shape is not None:
-        check_shape(shape, GridError)
-        check_size(*shape)
-    if like is None:
-        return shape
-    check_kind("like", like, Grid, GridError)
-    if not like.valid.any():
-        raise GridError("the grid given as `like` has no nodes; give one that has been found")
-    if shape is not None and tuple(shape) != like.shape:
-        raise GridError(f"shape is {shape}, but the grid given as `like` has {like.shape}")
-    return like.shape
-
-
-def _inside(xy: NDArray[np.float32], region: Region | None) -> Whole:
+def _inside(xy: Real, region: Region | None) -> Whole:
     if region is None:
         return np.arange(len(xy))
     try:
@@ -203,13 +202,3 @@ def _inside(xy: NDArray[np.float32], region: Region | None) -> Whole:
         raise GridError(f"region must be (x0, y0, x1, y1) with x0 < x1 and y0 < y1, not {region!r}")
     x, y = xy.T
     return np.flatnonzero((x >= x0) & (x <= x1) & (y >= y0) & (y <= y1))
-
-
-def _check_previous(previous: Grid | None, like: Grid | None) -> None:
-    if previous is None:
-        return
-    if like is None:
-        raise GridError("the grid of the frame before needs the grid at rest too")
-    check_kind("previous", previous, Grid, GridError)
-    if not previous.valid.any():
-        raise GridError("the grid of the frame before has no nodes; give one that has been found")

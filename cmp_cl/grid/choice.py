@@ -9,18 +9,17 @@ from typing import NamedTuple
 import numpy as np
 
 from cmp_cl.errors import GridError
-from cmp_cl.grid.grid import MEASURED, Grid
-from cmp_cl.lattice.arrays import Board, Mask
-from cmp_cl.lattice.borders import SIDES, Border
+from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
+from cmp_cl.lattice.arrays import NONE, Board, Border, Mask
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.numbers import (
     Decision,
     Numbering,
     Reference,
-    Seen,
     in_shape,
     like_rest,
 )
+from cmp_cl.lattice.printing import prints_of
 
 K = LatticeConstants()
 
@@ -39,11 +38,6 @@ class Found:
 
     board: Board
     decision: Decision
-
-    @property
-    def border(self) -> Border:
-        assert self.board.border is not None
-        return self.board.border
 
     @functools.cached_property
     def size(self) -> int:
@@ -89,8 +83,8 @@ class Found:
     def is_whole(self) -> bool:
         """Return whether it is a full rectangle whose border is seen, but for one side; or one that
         has every corner, and a further line on any side would be in view."""
-        border = self.border
-        ended = np.count_nonzero(border.ends) >= SIDES - 1
+        border = self.board.border
+        ended = np.count_nonzero(border.ends) >= 3
         alone = self.smooth == 1 and bool((border.room & ~border.follows).all())
         return self.is_full and bool(ended or alone)
 
@@ -123,21 +117,26 @@ def _decided(board: Board, asked: Asked) -> Decision:
         before = None if asked.previous is None else reference_of(asked.previous)
         if asked.previous is asked.like:
             before = rest._replace(sure=True)
-        return like_rest(Seen.of(board), rest, before, K)
+        return like_rest(board, rest, before, K)
     if asked.shape is not None:
-        return in_shape(Seen.of(board), asked.shape, K)
+        return in_shape(board, asked.shape, K)
     return Decision(Numbering(0.0, 0, 0, 0), None, math.inf)
 
 
 @functools.lru_cache(maxsize=8)
 def reference_of(grid: Grid) -> Reference:
     """Return a grid as a reference for other views. The last few are kept for a recording."""
-    at = np.where(
-        np.isin(grid.status, MEASURED), grid.xy[..., 0] + 1j * grid.xy[..., 1].astype("f8"), np.nan
-    )
     sides = np.zeros(4, np.bool_)
-    border = Border(np.array(grid.reach), np.array(grid.past), sides, sides)
-    return Reference(Seen(at, grid.parity, border), grid.origin, not grid.ambiguous)
+    board = Board(
+        x=grid.xy[..., 0],
+        y=grid.xy[..., 1],
+        owner=np.where(np.isin(grid.status, MEASURED), 0, NONE),
+        torn=grid.status == NodeStatus.ATTACHED,
+        sign=1 - 2 * grid.parity,
+        border=Border(np.array(grid.reach), np.array(grid.past), sides, sides),
+    )
+    prints = prints_of(board.at, K.print_clip)
+    return Reference(board, prints, grid.origin, not grid.ambiguous)
 
 
 def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | None, int]:
@@ -209,7 +208,7 @@ def _alone(found: list[Found]) -> tuple[Found, int]:
     full = [each for each in rivals if each.is_full]
     if full:
         raise _two(chosen, full[0])
-    told = [e for e in others if e.is_whole or (e in rivals and e.border.ends.any())]
+    told = [e for e in others if e.is_whole or (e in rivals and e.board.border.ends.any())]
     return chosen, told[0].size if told else chosen.gap
 
 

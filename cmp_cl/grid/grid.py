@@ -15,7 +15,6 @@ from cmp_cl.errors import ConfigError, GridError, check_kind, check_positive
 from cmp_cl.files import check_path, read_npz, suffix_of, whole_file
 from cmp_cl.filter import bent_sigma
 from cmp_cl.grid.curves import points_between
-from cmp_cl.grid.limits import check_size
 from cmp_cl.grid.saved import SAVED, check_shapes, packed, unpacked
 from cmp_cl.lattice.constants import LatticeConstants
 
@@ -62,6 +61,7 @@ def turned_sides(sides: tuple[T, T, T, T], quarters: int) -> tuple[T, T, T, T]:
 
 
 NO_SIDES = Sides()
+MOST_NODES = 1 << 22
 SURE = LatticeConstants.sure_nats
 UNSEEN = (math.nan, math.nan, math.nan, math.nan)
 
@@ -237,10 +237,15 @@ class Grid:
         Raises GridError if `rest` is no Grid.
         """
         check_kind("rest", rest, Grid, GridError)
-        if (self.origin, self.shape) == (rest.origin, rest.shape):
+        return self.within(rest.origin, rest.shape)
+
+    def within(self, origin: tuple[int, int], shape: tuple[int, int]) -> "Grid":
+        """Return the rows and columns of these numbers, empty where the grid has none; see
+        `cut_to`."""
+        if (self.origin, self.shape) == (origin, shape):
             return self
-        top, left = np.subtract(rest.origin, self.origin).tolist()
-        rows, columns = rest.shape
+        top, left = np.subtract(origin, self.origin).tolist()
+        rows, columns = shape
         here = np.s_[max(top, 0) : max(top + rows, 0), max(left, 0) : max(left + columns, 0)]
         size = self.xy[here].shape
         there = np.s_[
@@ -253,7 +258,7 @@ class Grid:
             return whole
 
         index: NDArray[np.int32] = self.index - np.array([top, left], np.int32)
-        outside = (self.index[:, 0] < 0) | (index < 0).any(1) | (index >= rest.shape).any(1)
+        outside = (self.index[:, 0] < 0) | (index < 0).any(1) | (index >= shape).any(1)
         index[outside] = -1
         return dataclasses.replace(
             self,
@@ -262,7 +267,7 @@ class Grid:
             image_sigma=cut(self.image_sigma, np.nan),
             index=index,
             parity=(self.parity + top + left) % 2,
-            origin=rest.origin,
+            origin=origin,
         )
 
     def save(self, path: str | PathLike[str]) -> None:
@@ -335,6 +340,14 @@ class Grid:
             seen_shape=seen and (times * (seen[0] - 1) + 1, times * (seen[1] - 1) + 1),
             rival=rival and Rival(times * rival.rows, times * rival.columns, rival.quarters),
             edge_radius=math.nan,
+        )
+
+
+def check_size(rows: int, columns: int) -> None:
+    """Raise GridError for a grid of more than MOST_NODES nodes."""
+    if int(rows) * int(columns) > MOST_NODES:
+        raise GridError(
+            f"a grid of {rows} x {columns} nodes is beyond the limit of {MOST_NODES} nodes"
         )
 
 

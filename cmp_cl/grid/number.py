@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cmp_cl.corners import Corners, Method, Refusal
 from cmp_cl.errors import GridError, ImageError
-from cmp_cl.grid.build import asked_of, boards_of, grid_of
+from cmp_cl.grid.build import build_grid
 from cmp_cl.grid.grid import Grid, NodeStatus
-from cmp_cl.grid.placing import Given
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.opencl.device import Device
+from cmp_cl.opencl.device import Device, select_device
 
 LEAST = LatticeConstants.least_board
 SMOOTHINGS, AXIS, DIAGONAL = 2, 4, 3  # px, the ring of levels around a corner
@@ -43,19 +43,26 @@ def number(
     corners; the errors of `build_grid` for several boards; ImageError; DeviceError.
     """
     frame = check_image(image)
-    asked = asked_of(shape, like, None)
     at = _checked(xy, frame)
-    count = len(at)
-    given = Given(
-        at, _edges(frame, at), np.full(count, np.nan, np.float32), np.zeros(count, np.uint8)
+    count, chosen = len(at), select_device(device)
+    corners = Corners(
+        xy=at,
+        pixel=np.clip(np.rint(at), 0, np.array(frame.shape[::-1]) - 1).astype(np.int32),
+        octave=np.zeros(count, np.uint8),
+        response=np.zeros(count, np.float32),
+        method=np.full(count, Method.CENTROID, np.uint8),
+        refusal=np.full(count, Refusal.NONE, np.uint8),
+        sigma=np.full(count, np.nan, np.float32),
+        edges=_edges(frame, at),
+        doubtful=np.zeros(count, np.bool_),
+        device=str(chosen),
     )
-    every = boards_of(given, np.arange(count), frame, device)
-    if not every:
+    grid = build_grid(corners, frame, shape, like, device=chosen)
+    if not grid.valid.any():
         raise GridError(
             f"the {count} corners form no board: too few of them are linked by the sides of cells; "
             "check that they lie in this image, as (x, y), and that its cells are 4 px or wider"
         )
-    grid = grid_of(every, given, asked, count, strict=False)
     nodes = grid.index[:, 0] >= 0
     places = tuple(grid.index[nodes].T)
     xy, status = grid.xy.copy(), grid.status.copy()

@@ -1,13 +1,11 @@
 """The arrays of the lattice, from parts to boards."""
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, NamedTuple
+import functools
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from cmp_cl.lattice.borders import Border
 
 Whole = NDArray[np.int64]
 Real = NDArray[np.float32]
@@ -48,6 +46,36 @@ class Votes(NamedTuple):
     weight: Float
 
 
+class Border(NamedTuple):
+    """The sides of a board: top, bottom, left, right, each (4,).
+
+    reach: cells, of its last squares beyond its last nodes, 1 if they are whole; NaN where the
+    pattern is not seen to end. past: difference of the image between the two sides of the border's
+    line past the pattern, as a share of the pattern's contrast; NaN where that is not seen.
+    follows: the pattern goes on. room: most places of a further line lie in the image.
+    """
+
+    reach: Float
+    past: Float
+    follows: Mask
+    room: Mask
+
+    @property
+    def ends(self) -> Mask:
+        ends: Mask = ~np.isnan(self.reach)
+        return ends
+
+    def turned(self, quarters: int) -> "Border":
+        """Return the same after as many quarter turns of the board, as np.rot90 turns arrays."""
+        order = np.arange(4)
+        for _ in range(quarters % 4):
+            order = order[[3, 2, 0, 1]]
+        return Border._make(values[order] for values in self)
+
+
+NOT_SEEN = Border(np.full(4, np.nan), np.full(4, np.nan), *np.zeros((2, 4), np.bool_))
+
+
 @dataclasses.dataclass(eq=False, kw_only=True)
 class Board:
     """Nodes of one board, (R, C).
@@ -55,7 +83,7 @@ class Board:
     x, y: px, NaN where missing. owner: their corner, LOOKED or NONE. torn: the position of the
     corner is rough, so that x, y come in part from the neighbours. sign: +1 if the boundary of node
     (0, 0) towards greater columns is from white to black, clockwise, else -1. border: what is seen
-    at its sides, None if that is not measured.
+    at its sides.
     """
 
     x: Real
@@ -63,12 +91,34 @@ class Board:
     owner: NDArray[np.integer[Any]]
     torn: Mask
     sign: int
-    border: "Border | None" = None
+    border: Border = NOT_SEEN
 
     @property
     def there(self) -> Mask:
         there: Mask = self.owner != NONE
         return there
+
+    @functools.cached_property
+    def at(self) -> Numbers:
+        """Return the positions of corners, px, NaN where there is none, (R, C)."""
+        at: Numbers = np.where(self.owner >= 0, self.x + 1j * self.y.astype(np.float64), np.nan)
+        return at
+
+    @functools.cached_property
+    def outer_lines(self) -> tuple[int, int, int, int]:
+        """Return the first and last row, first and last column that hold corners."""
+        rows, columns = (np.flatnonzero((self.owner >= 0).any(axis)).tolist() for axis in (1, 0))
+        return rows[0], rows[-1], columns[0], columns[-1]
+
+    @functools.cached_property
+    def steps(self) -> tuple[complex, complex]:
+        """Return the mean steps between corners to the next column and the next row, px."""
+        steps = []
+        for step in (self.at[:, 1:] - self.at[:, :-1], self.at[1:] - self.at[:-1]):
+            known = step[~np.isnan(step)]
+            steps.append(complex(known.mean()) if len(known) else 0j)
+        along, down = steps
+        return along or -1j * down, down or 1j * along
 
     def parity(self) -> Whole:
         """Return `sign` at every node, (R, C)."""
@@ -87,5 +137,5 @@ class Board:
             owner=np.rot90(self.owner, quarters),
             torn=np.rot90(self.torn, quarters),
             sign=self.sign * (1 - 2 * odd),
-            border=self.border and self.border.turned(quarters),
+            border=self.border.turned(quarters),
         )

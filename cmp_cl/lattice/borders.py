@@ -7,19 +7,18 @@ the edge of an object before it.
 
 import cmath
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.lattice.arrays import Float, Mask
+from cmp_cl.lattice.arrays import Border
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.opencl.launches import Launch
 
 if TYPE_CHECKING:
     from cmp_cl.lattice.plan import LatticePlan
 
-SIDES = 4  # top, bottom, left, right
 # In what is found, see kernels/borders.cl.
 ROWS, COLUMNS, SIGN, CONTRAST, ROOM, FOLLOWS, REACH, PAST, STEPS, FOUND = (
     *(0, 1, 2, 3),
@@ -30,49 +29,13 @@ WHOLE = 4096  # a share of 1
 SPOTS = 3  # levels in a sum
 
 
-class Border(NamedTuple):
-    """The sides of a board: top, bottom, left, right, each (4,).
-
-    reach: cells, of its last squares beyond its last nodes, 1 if they are whole; NaN where the
-    pattern is not seen to end. past: difference of the image between the two sides of the border's
-    line past the pattern, as a share of the pattern's contrast; NaN where that is not seen.
-    follows: the pattern goes on. room: most places of a further line lie in the image.
-    """
-
-    reach: Float
-    past: Float
-    follows: Mask
-    room: Mask
-
-    @classmethod
-    def of(cls, found: NDArray[np.int32], k: LatticeConstants) -> "Border":
-        """Return the sides from what the kernels found."""
-        values = [math.nan if value == UNSEEN else value for value in found.tolist()]
-        steps = 1.5 + np.array(values[REACH:PAST]) * (0.5 / WHOLE)  # as REACH in the kernel
-        reach = k.border_step_cells * steps
-        past = np.array(values[PAST:STEPS], np.float64) / (SPOTS * values[CONTRAST])
-        follows, room = (np.array(values[n : n + SIDES], np.bool_) for n in (FOLLOWS, ROOM))
-        return cls(reach, past, follows, room)
-
-    @property
-    def ends(self) -> Mask:
-        ends: Mask = ~np.isnan(self.reach)
-        return ends
-
-    def turned(self, quarters: int) -> "Border":
-        """Return the same after as many quarter turns of the board, as np.rot90 turns arrays."""
-        order = np.arange(SIDES)
-        for _ in range(quarters % 4):
-            order = order[[3, 2, 0, 1]]
-        return Border._make(values[order] for values in self)
-
-    def nats(self, k: LatticeConstants) -> Float:
-        """Return the log-odds that the pattern, and no object before it, ends at each side, (4,).
-
-        The edge of an object continues past the pattern. It is 0 where no end is seen.
-        """
-        nats = np.where(np.abs(self.past) > k.passing, k.end_nats / 2, k.end_nats)
-        return np.where(self.ends, nats, 0.0)
+def border_of(found: NDArray[np.int32], k: LatticeConstants) -> Border:
+    """Return the sides of a board from what the kernels found."""
+    values = [math.nan if value == UNSEEN else value for value in found.tolist()]
+    steps = 1.5 + np.array(values[REACH:PAST]) * (0.5 / WHOLE)  # as REACH in the kernel
+    past = np.array(values[PAST:STEPS], np.float64) / (SPOTS * values[CONTRAST])
+    follows, room = (np.array(values[n : n + 4], np.bool_) for n in (FOLLOWS, ROOM))
+    return Border(k.border_step_cells * steps, past, follows, room)
 
 
 def upright(found: NDArray[np.int32]) -> int:

@@ -5,63 +5,24 @@ Printing errors, borders, the motion from a reference and a known size add their
 comes first. The best is sure if it beats the second by enough.
 """
 
-import dataclasses
 import functools
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from cmp_cl.lattice.arrays import Board, Float, Mask, Numbers, Whole
-from cmp_cl.lattice.borders import Border
+from cmp_cl.lattice.arrays import Board, Border, Float, Numbers, Whole
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.printing import Prints, agreement, prints_of
 
 VOTERS = 100  # nodes that show the motion from a reference
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Seen:
-    """A board as it is seen: at (R, C) complex, px, NaN where nothing is measured; parity, 0 where
-    the cell between nodes (0, 0) and (1, 1) is black; its border."""
-
-    at: Numbers
-    parity: int
-    border: Border
-
-    @classmethod
-    def of(cls, board: Board) -> "Seen":
-        """Return a board with a border as it is seen."""
-        assert board.border is not None
-        at = np.where(board.owner >= 0, board.x + 1j * board.y.astype(np.float64), np.nan)
-        return cls(at, int(board.sign < 0), board.border)
-
-    def turned(self, quarters: int) -> "Seen":
-        """Return the same after quarter turns: after one, row 0 is the former last column."""
-        rows, columns = self.at.shape
-        odd = (0, columns, rows + columns, rows)[quarters % 4]
-        return Seen(
-            np.rot90(self.at, quarters), (self.parity + odd) % 2, self.border.turned(quarters)
-        )
-
-    @functools.cached_property
-    def outer_lines(self) -> tuple[int, int, int, int]:
-        return outer_lines(~np.isnan(self.at.real))
-
-    @functools.cached_property
-    def prints(self) -> Prints:
-        return prints_of(self.at, LatticeConstants.print_clip)
-
-    @functools.cached_property
-    def steps(self) -> tuple[complex, complex]:
-        """Return the mean steps to the next column and the next row, px."""
-        return _steps(self.at)
-
-
 class Reference(NamedTuple):
     """A board with numbers; origin: the number of its node (0, 0); sure: whether it has them."""
 
-    seen: Seen
+    board: Board
+    prints: Prints
     origin: tuple[int, int]
     sure: bool = True
 
@@ -85,7 +46,7 @@ class Decision(NamedTuple):
 
 
 def like_rest(
-    now: Seen, rest: Reference, previous: Reference | None, k: LatticeConstants
+    now: Board, rest: Reference, previous: Reference | None, k: LatticeConstants
 ) -> Decision:
     """Return the numbers of a board from those of the pattern at rest.
 
@@ -93,7 +54,7 @@ def like_rest(
         If it was not sure itself, the numbers are continued, but only the frame at rest can make
         them sure.
     """
-    alone = functools.partial(_like, now, rest, k=k)
+    alone = functools.partial(_like, now, prints_of(now.at, k.print_clip), rest, k=k)
     if previous is None:
         return alone(rest, k.rest_sd_cells)
     decided = alone(previous, k.step_sd_cells)
@@ -105,19 +66,24 @@ def like_rest(
 
 
 def _like(
-    now: Seen, rest: Reference, reference: Reference, sd_cells: float, *, k: LatticeConstants
+    now: Board,
+    prints: Prints,
+    rest: Reference,
+    reference: Reference,
+    sd_cells: float,
+    *,
+    k: LatticeConstants,
 ) -> Decision:
     along, down = now.steps
-    ways = np.array([along, down, -along, -down]) / reference.seen.steps[0]
+    ways = np.array([along, down, -along, -down]) / reference.board.steps[0]
     angles = np.abs(np.degrees(np.angle(ways))).tolist()
     nats = [-min(angle**2 / (2 * k.turn_sd_degrees**2), k.turn_nats) for angle in angles]
     found: list[Numbering] = []
     for quarters in sorted(range(4), key=lambda q: angles[q]):
         if found and nats[quarters] < max(found).nats - 2 * k.sure_nats:
             break
-        turned = now.turned(quarters)
-        prints = now.prints.turned(quarters)
-        found += _shifts(turned, prints, rest, reference, sd_cells, quarters, nats[quarters], k)
+        turned = now.turned(quarters), prints.turned(quarters)
+        found += _shifts(*turned, rest, reference, sd_cells, quarters, nats[quarters], k)
     return decided_by(found)
 
 
@@ -129,7 +95,7 @@ def decided_by(found: list[Numbering]) -> Decision:
 
 
 def _shifts(
-    now: Seen,
+    now: Board,
     prints: Prints,
     rest: Reference,
     reference: Reference,
@@ -140,7 +106,7 @@ def _shifts(
 ) -> list[Numbering]:
     """Return the best placements of a board that is turned already."""
     unmoved = _unmoved(now.at, reference)
-    size, shape = np.array(now.at.shape), np.array(rest.seen.at.shape)
+    size, shape = np.array(now.owner.shape), np.array(rest.board.owner.shape)
     origin = np.array(rest.origin)
     about = np.rint(unmoved).astype(np.int64)
     low = np.minimum(origin - size + 1, about - 3)
@@ -148,27 +114,36 @@ def _shifts(
     row, column = (np.arange(low[n], high[n] + 1) for n in (0, 1))
     away = np.square(row - unmoved[0])[:, None] + np.square(column - unmoved[1])
     score = nats - np.minimum(away / (2 * sd_cells**2), k.motion_nats)
-    score += agreement(rest.seen.prints, prints, row - origin[0], column - origin[1], k)
-    here, there = now.outer_lines, rest.seen.outer_lines
+    score += agreement(rest.prints, prints, row - origin[0], column - origin[1], k)
+    here, there = now.outer_lines, rest.board.outer_lines
     for axis, first in ((0, row), (1, column)):
         ends = _of_ends(
             first - origin[axis],
             (here[2 * axis], here[2 * axis + 1]),
             (there[2 * axis], there[2 * axis + 1]),
             now.border,
-            rest.seen.border,
+            rest.board.border,
             2 * axis,
             k,
         )
         score += ends[:, None] if axis == 0 else ends
-    odd = np.add.outer(row - origin[0], column - origin[1]) + now.parity + rest.seen.parity
-    score[odd % 2 == 1] = -np.inf
+    odd = np.add.outer(row - origin[0], column - origin[1]) % 2 == 1
+    score[odd == (now.sign == rest.board.sign)] = -np.inf
     some = np.argsort(-score, axis=None)[:6]
     return [
         Numbering(float(score.flat[n]), quarters, int(row[r]), int(column[c]))
         for n, r, c in zip(some, *np.unravel_index(some, score.shape), strict=True)
         if np.isfinite(score.flat[n])
     ]
+
+
+def _nats_of(border: Border, k: LatticeConstants) -> Float:
+    """Return the log-odds that the pattern, and no object before it, ends at each side, (4,).
+
+    The edge of an object continues past the pattern. It is 0 where no end is seen.
+    """
+    nats = np.where(np.abs(border.past) > k.passing, k.end_nats / 2, k.end_nats)
+    return np.where(border.ends, nats, 0.0)
 
 
 def _of_ends(
@@ -187,7 +162,7 @@ def _of_ends(
     Two borders on one line agree. Else the pattern did not end where it seemed to, at rest or now,
     and an object hid its rest. That an object left as many lines as at rest would be chance.
     """
-    nats_now, nats_rest = now.nats(k), rest.nats(k)
+    nats_now, nats_rest = _nats_of(now, k), _nats_of(rest, k)
     total = np.zeros(len(first))
     beyond = (there[0] - (first + here[0]), first + here[1] - there[1])  # lines, outwards
     if (now.ends & rest.ends)[side : side + 2].all():
@@ -208,7 +183,7 @@ def _of_ends(
     return total
 
 
-def in_shape(now: Seen, shape: tuple[int, int], k: LatticeConstants) -> Decision:
+def in_shape(now: Board, shape: tuple[int, int], k: LatticeConstants) -> Decision:
     """Return the place of a board that is upright in a pattern of known rows and columns.
 
     Rows and columns are exchanged if the shape fits better so; the columns then stay nearest to the
@@ -217,7 +192,7 @@ def in_shape(now: Seen, shape: tuple[int, int], k: LatticeConstants) -> Decision
     """
     turns = [0]
     if shape[0] != shape[1]:
-        turns.append(3 if _steps(now.at)[0].imag > 0 else 1)
+        turns.append(3 if now.steps[0].imag > 0 else 1)
     found = []
     for quarters in turns:
         turned = now.turned(quarters)
@@ -238,7 +213,7 @@ def _places(
 
     begin, end: the first and the last of its lines. size: the lines of the pattern.
     """
-    nats, places = border.nats(k), []
+    nats, places = _nats_of(border, k), []
     lines = end - begin + 1
     for start in range(min(0, size - lines), max(0, size - lines) + 1):
         total = 0.0
@@ -253,28 +228,12 @@ def _places(
     return places
 
 
-def seen_lines(now: Seen) -> tuple[int, int]:
+def seen_lines(now: Board) -> tuple[int, int]:
     """Return the rows and columns that a board seems to have: its own, and one more on each side
     on which the pattern follows."""
     top, bottom, left, right = now.outer_lines
     more = now.border.follows.astype(int)
     return bottom - top + 1 + more[:2].sum(), right - left + 1 + more[2:].sum()
-
-
-def outer_lines(there: Mask) -> tuple[int, int, int, int]:
-    """Return the first and last row, first and last column that hold nodes."""
-    (top, bottom), (left, right) = (np.flatnonzero(there.any(axis))[[0, -1]] for axis in (1, 0))
-    return int(top), int(bottom), int(left), int(right)
-
-
-def _steps(at: Numbers) -> tuple[complex, complex]:
-    """Return the mean steps of a board to the next column and the next row, px."""
-    steps = []
-    for step in (at[:, 1:] - at[:, :-1], at[1:] - at[:-1]):
-        known = step[~np.isnan(step)]
-        steps.append(complex(known.mean()) if len(known) else 0j)
-    along, down = steps
-    return along or -1j * down, down or 1j * along
 
 
 def _unmoved(at: Numbers, reference: Reference) -> Float:
@@ -283,8 +242,8 @@ def _unmoved(at: Numbers, reference: Reference) -> Float:
 
     Nodes around the middle are compared with the nearest ones of the reference.
     """
-    there = reference.seen.at
-    along, down = reference.seen.steps
+    there = reference.board.at
+    along, down = reference.board.steps
     place, nodes = np.argwhere(~np.isnan(at)), np.argwhere(~np.isnan(there))
     z, others = at[tuple(place.T)], there[tuple(nodes.T)]
     middle = complex(np.median(z.real), np.median(z.imag))

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from cmp_cl.image import GreyImage
 from cmp_cl.lattice import borders, links, nodes, parts, votes
 from cmp_cl.lattice.arrays import Board, Units, Votes
-from cmp_cl.lattice.borders import Border
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.opencl.device import Device, DeviceKind, check_process, is_forked
 from cmp_cl.opencl.launches import GROUP, Binder, Launch, multiple
@@ -353,7 +352,7 @@ class LatticePlan(Binder):
             owner=owner[:count].reshape(shape),
             torn=rough[:count].reshape(shape),
             sign=int(found[borders.SIGN]),
-            border=Border.of(found, self.constants),
+            border=borders.border_of(found, self.constants),
         )
         return layout, board.turned(borders.upright(found))
 

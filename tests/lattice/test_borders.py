@@ -9,7 +9,7 @@ from lattice_plans import K, gel, plan_for
 from cmp_cl import detect
 from cmp_cl.lattice import borders
 from cmp_cl.lattice.arrays import NONE, Board
-from cmp_cl.lattice.borders import CONTRAST, UNSEEN, Border
+from cmp_cl.lattice.borders import CONTRAST, UNSEEN, border_of
 from cmp_cl.lattice.nodes import LAYOUT
 from cmp_cl.reference.lattice.borders import Sides, trimmed
 
@@ -32,7 +32,7 @@ def assert_equal_to_the_oracle(plan, board, image):
     plan.write("node_owner", board.owner.astype(np.int32))
     plan.enqueue(plan.measure)
     found = plan.read("border", np.int32)
-    border, sides = Border.of(found, K), Sides(board, image, K)
+    border, sides = border_of(found, K), Sides(board, image, K)
     assert found[CONTRAST:].tolist() == sides.found()
     np.testing.assert_array_equal(border.ends, sides.reach != UNSEEN)
     return border
