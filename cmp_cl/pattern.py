@@ -21,11 +21,11 @@ PAPERS = {  # mm, upright
 }
 
 _MM_PER_INCH = 25.4
-_POINTS_PER_INCH = 72
+_POINTS_PER_MM = 72 / _MM_PER_INCH
 _STRIP = 8.0  # mm beside the cells for a scale bar with its label
-_BAR = 0.4  # mm, thickness of a scale bar
+_BAR = 0.2  # mm, thickness of a scale bar
 _TICK = 2.0  # mm, height of the bars' ends
-_GAP = 0.6  # mm between cells, bar and label
+_BESIDE = 1.6  # mm from the border to the middle of a bar, and from there to its label
 _LETTER = 2.5  # mm, size of the labels' letters
 _WIDTH = 0.5  # mean width of a letter, as a share of its size
 _LENGTHS = (200, 100, 50, 20, 10, 5, 2, 1)  # mm, possible lengths of a scale bar
@@ -123,15 +123,30 @@ class Checkerboard:
         figure = Figure(figsize=(width / _MM_PER_INCH + rounding, height / _MM_PER_INCH + rounding))
         axes = figure.add_axes((0, 0, 1, 1), xlim=(0, width), ylim=(height, 0))
         axes.set_axis_off()
-        black, labels = self._drawing()
-        x0, y0, x1, y1 = black.T
-        around = np.stack([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]).transpose(2, 0, 1)
-        steps = [Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY]
-        path = Path(around.reshape(-1, 2), steps * len(black))
-        axes.add_patch(PathPatch(path, facecolor="black", linewidth=0, snap=False))
-        for x, y, text in labels:
-            axes.text(x, y, text, fontsize=_LETTER / _MM_PER_INCH * _POINTS_PER_INCH)
+        black = Path.make_compound_path_from_polys(self._black())
+        axes.add_patch(PathPatch(black, facecolor="black", linewidth=0, snap=False))
+        if not self.bare:
+            self._draw_bars(axes)
         return figure
+
+    def _draw_bars(self, axes: Any) -> None:
+        """Draw a scale bar below the cells and one beside them; their outer edges are measured."""
+        (rows, columns), (left, top), (width, height) = self.shape, self._origin(), self._board()
+        right, bottom = left + width + self.cell + _BESIDE, top + height + self.cell + _BESIDE
+        along, down = (next((x for x in _LENGTHS if x <= side), 1) for side in (width, height))
+        thick = _BAR * _POINTS_PER_MM
+        style = {"color": "black", "linewidth": thick, "markersize": _TICK * _POINTS_PER_MM}
+        style |= {"markeredgewidth": thick, "solid_capstyle": "butt"}
+        x = left + _BAR / 2, left + along - _BAR / 2
+        axes.plot(x, (bottom, bottom), marker="|", **style)
+        y = top + _BAR / 2, top + down - _BAR / 2
+        axes.plot((right, right), y, marker="_", **style)
+        title = f"{along} mm   {rows} x {columns} corners   cell {self.cell:.4g} mm"
+        if _WIDTH * _LETTER * len(title) > width + self.cell + _STRIP:
+            title = f"{along} mm"
+        letters = {"fontsize": _LETTER * _POINTS_PER_MM}
+        axes.text(left, bottom + _BESIDE + _LETTER, title, **letters)
+        axes.text(right + _BESIDE, top + _LETTER, f"{down}", **letters)
 
     def _board(self) -> tuple[float, float]:
         """Return the width and height of all cells together, mm."""
@@ -149,37 +164,10 @@ class Checkerboard:
         border = 0.0 if self.bare else self.cell
         return (width - needed[0]) / 2 + border, (height - needed[1]) / 2 + border
 
-    def _drawing(self) -> tuple[NDArray[np.float64], list[tuple[float, float, str]]]:
-        """Return the black rectangles, (N, 4) of x0 y0 x1 y1, and the texts with the left end of
-        their base line; mm."""
+    def _black(self) -> NDArray[np.float64]:
+        """Return the corners of each black cell, (N, 4, 2), (x, y), mm."""
         rows, columns = self.shape
         row, column = np.nonzero(np.add.outer(np.arange(rows + 1), np.arange(columns + 1)) % 2 == 0)
-        left, top = self._origin()
-        black = np.column_stack([column, row, column + 1, row + 1]) * self.cell
-        black = black + np.array([left, top, left, top])
-        if self.bare:
-            return black, []
-        width, height = self._board()
-        right, bottom = left + width + self.cell + _GAP, top + height + self.cell + _GAP
-        along, down = (next((x for x in _LENGTHS if x <= side), 1) for side in (width, height))
-        title = f"{along} mm   {rows} x {columns} corners   cell {self.cell:.4g} mm"
-        if _WIDTH * _LETTER * len(title) > width + self.cell + _STRIP:
-            title = f"{along} mm"
-        beside = _bar(down, top, right)[:, [1, 0, 3, 2]]
-        labels = [
-            (left, bottom + _TICK + _GAP + _LETTER, title),
-            (right + _TICK + _GAP, top + _LETTER, f"{down}"),
-        ]
-        return np.vstack([black, _bar(along, left, bottom), beside]), labels
-
-
-def _bar(length: float, left: float, top: float) -> NDArray[np.float64]:
-    """Return a horizontal bar with its two ends: (3, 4) rectangles, mm."""
-    right, bottom, middle, half = left + length, top + _TICK, top + _TICK / 2, _BAR / 2
-    return np.array(
-        [
-            [left, middle - half, right, middle + half],
-            [left, top, left + half, bottom],
-            [right - half, top, right, bottom],
-        ]
-    )
+        around = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+        cells = np.stack([column, row], axis=1)[:, None] + around
+        return np.asarray(self._origin() + cells * self.cell)
