@@ -4,7 +4,6 @@ import argparse
 import contextlib
 import functools
 import itertools
-import os
 import statistics
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl import media
-from cmp_cl.cli.arguments import add_device, add_full_scale, check_files, grid_shape
+from cmp_cl.cli.arguments import add_device, add_full_scale, check_files, check_suffix, grid_shape
 from cmp_cl.cli.messages import Progress, counted, in_shell, one_line, shown
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners, Method, Refusal
@@ -56,7 +55,7 @@ def add_parser(commands: Any) -> None:
         "--overlay",
         metavar="PNG",
         help="write the image with its corners marked; for several images or a video the name "
-        "of a folder, made if missing, that gets one NAME-corners.png each",
+        "of a folder, made if missing, that gets a NAME-corners.png of each",
     )
     parser.add_argument(
         "--config",
@@ -82,7 +81,8 @@ def run(arguments: argparse.Namespace) -> int:
         config = config.replace(full_scale=arguments.full_scale)
     paths = media.find_inputs(arguments.inputs)
     overlays = _overlay_paths(arguments.overlay, paths)
-    out = _csv_path(arguments.out)
+    out = arguments.out
+    check_suffix("--out", out, ".csv")
     check_files([*paths, arguments.config], [*overlays.values(), out])
     columns = _CORNER_COLUMNS if arguments.grid is None else _NODE_COLUMNS
     device = select_device(arguments.device)
@@ -294,40 +294,21 @@ def _span(counts: Sequence[int]) -> str:
     return f"{least}" if least == most else f"{least} to {most}"
 
 
-def _csv_path(out: str | None) -> Path | None:
-    if out in ("", "-"):
-        raise ConfigError("--out needs a file name, for example corners.csv")
-    if out is None:
-        return None
-    return Path(out) / "corners.csv" if os.path.isdir(out) else Path(out)
-
-
 def _overlay_paths(overlay: str | None, paths: Sequence[Path]) -> dict[Path, Path]:
     """Return the path of each input's overlay; a missing folder is made."""
     if overlay is None:
         return {}
-    folder, suffix = Path(overlay), Path(overlay).suffix.lower()
-    if suffix in media.IMAGE_SUFFIXES and not folder.is_dir():
+    target = Path(overlay)
+    if target.suffix.lower() in media.IMAGE_SUFFIXES and not target.is_dir():
         if len(paths) > 1 or media.is_video(paths[0]):
-            what = f"there are {len(paths)} inputs" if len(paths) > 1 else "the input is a video"
             raise ConfigError(
-                f"--overlay {shown(overlay)} is one picture, but {what}; name a folder"
+                f"--overlay {shown(overlay)} is one picture of several: name a folder"
             )
-        return {paths[0]: folder}
-    if not overlay or (suffix and not folder.is_dir()):
-        raise ConfigError(
-            f"--overlay {shown(overlay)} is neither a folder nor a picture that can be written; "
-            "end it in .png"
-        )
-    folder.mkdir(parents=True, exist_ok=True)
-    if any(path.resolve().parent == folder.resolve() for path in paths):
-        raise ConfigError(f"--overlay {shown(overlay)} contains inputs; choose another folder")
-    names: dict[Path, Path] = {}
-    for path in paths:
-        number = sum(path.stem == other.stem for other in names)
-        stem = f"{path.stem}-{number + 1}" if number else path.stem
-        names.setdefault(path, folder / f"{stem}-corners.png")
-    return names
+        return {paths[0]: target}
+    if target.suffix and not target.is_dir():
+        raise ConfigError(f"--overlay {shown(overlay)} is no picture that can be written: use .png")
+    target.mkdir(parents=True, exist_ok=True)
+    return {path: target / f"{path.stem}-corners.png" for path in paths}
 
 
 def _of_frame(overlay: Path, path: Path, index: int) -> Path:

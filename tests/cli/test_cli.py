@@ -93,10 +93,9 @@ PATTERN = "pattern", "--grid", "4x4"
         (("detect", "empty"), ["no image and no video in the folder 'empty'"]),
         (("detect", "float.tif"), ["float32", "expected 8 or 16 bits"]),
         (("detect", BOARD, "--out", "missing/c.csv"), ["there is no folder", "missing"]),
-        (("detect", BOARD, "--out", "-"), ["--out needs"]),
-        (("detect", BOARD, BOARD, "--overlay", "o.png"), ["2 inputs", "name a folder"]),
+        (("detect", BOARD, "--out", "-"), ["--out - must end in .csv"]),
+        (("detect", BOARD, BOARD, "--overlay", "o.png"), ["one picture of several: name a folder"]),
         (("detect", BOARD, "--overlay", BOARD), ["would be overwritten"]),
-        (("detect", "in", "--overlay", "in"), ["contains inputs"]),
         (("detect", BOARD, "--config", "bad.toml"), ["bad.toml", "unknown key 'windoww'"]),
         (
             ("detect", BOARD, "--full-scale", "0"),
@@ -131,7 +130,7 @@ def test_a_wrong_argument_is_one_line_and_status_2(run, arguments, words):
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["detect", BOARD, "--out", "same.png", "--overlay", "same.png"],
+        ["detect", BOARD, "--out", "a.csv", "--config", "a.csv"],
         ["detect", BOARD, "--out", "link.csv", "--config", "e.toml"],
         ["run", "a.png", "--config", "e.toml", "--stereo", "rig.npz", "--out", "rig.npz"],
         ["calibrate", "board.yaml", "--board", "3x3", "--square", "1", "--out", "board.yaml"],
@@ -141,6 +140,7 @@ def test_a_wrong_argument_is_one_line_and_status_2(run, arguments, words):
 )
 def test_no_output_goes_over_an_input_or_another_output(run, arguments):
     cmp_cl.DetectorConfig().save("e.toml")
+    cmp_cl.DetectorConfig().save("a.csv")
     cmp_cl.DetectorConfig().save("a.npz")
     media.write_image("a.png", media.read_image(BOARD))
     cmp_cl.StereoRig(*synthetic.default_rig((300, 300))).save("rig.yaml")

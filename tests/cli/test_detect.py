@@ -106,10 +106,6 @@ def test_a_folder_is_searched_and_what_fails_in_it_is_named(run):
     assert {row["image"] for row in rows_of("all.csv")} == {f"in/{name}" for name in names}
     overlays = {"a-corners.png", "new\nline-corners.png", "two  spaces-corners.png"}
     assert set(os.listdir("seen")) == overlays
-    Path("other").mkdir()
-    shutil.copy(BOARD, "other/a.png")
-    assert run("detect", "in/a.png", "other/a.png", "--overlay", "both")[0] == 0
-    assert set(os.listdir("both")) == {"a-corners.png", "a-2-corners.png"}
 
 
 def test_a_video_is_searched_frame_by_frame_and_broken_frames_are_left_out(run):
