@@ -408,7 +408,6 @@ SECTIONS: dict[str, Callable[[Path], str]] = {
     "numbering": as_it_is("numbering", "Numbers"),
     "field": as_it_is("field", "From a frame to its field"),
     "refraction": refraction,
-    "scaling": as_it_is("scaling", "Cost by pixels, corners and frames"),
     "stiff": as_it_is("stiff", "Stiff and extreme cases", "Counts are of false corners."),
     "limits": limits,
 }

@@ -13,7 +13,7 @@ from pathlib import Path
 from environment import QUICK, RESULTS, parser_of
 
 PARTS = (
-    *("speed", "scaling", "detection", "photographs", "sigma", "numbering", "field"),
+    *("speed", "detection", "photographs", "sigma", "numbering", "field"),
     *("refraction", "limits", "report"),
 )
 WHOLE = ("photographs", "report")  # have no short form

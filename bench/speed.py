@@ -5,24 +5,27 @@
 
 Methods take turns: in each round each one does a few frames in a row, of which the first is not
 counted. The time is from an image in host memory to positions in host memory. A row of
-results/speed.csv is a method on one class of frames.
+results/speed.csv is a method on one class of frames; the last ones are our default with many
+frames at once, whose time is that of a frame.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import methods
 import numpy as np
-from environment import environment, parser_of, write_table
+from environment import QUICK, environment, parser_of, write_table
 from peers import PEERS, Pattern, available, keep_freed_memory
 from scenes import TEST_SEED, Frame, vga, wide
 
-from cmp_cl.synthetic.scoring import total
+from cmp_cl import Corners, Detector
+from cmp_cl.synthetic.scoring import Score, total
 
 SCENES: dict[str, Callable[[int], Frame]] = {"vga": vga, "wide": wide}
-QUICK = ("good_features_refined", "chess_corners_saddle", "chess_opencl", "spectrum_opencl")
+SHORT = ("good_features_refined", "chess_corners_lean", "chess_opencl", "spectrum_opencl")
 BLOCK = 8  # frames of a turn
+MANY = 16  # frames in a stream, and in a batch
 
 
 def measure(
@@ -42,24 +45,48 @@ def measure(
                 xy = method.detect(frames[which].image)
                 spent = time.perf_counter() - start
                 if k or method.slow:
-                    times[method.name].append(1e3 * getattr(method.detect, "seconds", spent))
+                    times[method.name].append(1e3 * spent)
                     answers[method.name][which] = xy
-    rows = []
-    for method in used:
-        score = total(frames[which].score(xy) for which, xy in answers[method.name].items())
-        spent = np.array(times[method.name])
-        rows.append(
-            {
-                "method": method.name,
-                "ms": float(np.median(spent)),
-                "ms_p95": float(np.percentile(spent, 95)),
-                "corners": score.expected // score.frames,
-                "missed": score.missed,
-                "false": score.false,
-                "rmse": score.rmse,
-            }
+    return [
+        row_of(
+            method.name,
+            times[method.name],
+            total(frames[which].score(xy) for which, xy in answers[method.name].items()),
         )
-    return rows
+        for method in used
+    ]
+
+
+def many(frames: Sequence[Frame], rounds: int) -> Iterator[dict[str, Any]]:
+    """Time our default on many frames at once: what a frame takes then."""
+    film = [frames[k % len(frames)] for k in range(MANY)]
+    images = [frame.image for frame in film]
+    stack = np.stack(images)
+    with Detector(shape=images[0].shape) as detector:
+        ways: dict[str, Callable[[], list[Corners]]] = {
+            "stream": lambda: list(detector.stream(images)),
+            f"batches of {MANY}": lambda: detector.batch(stack),
+        }
+        for name, call in ways.items():
+            spent = []
+            for _ in range(rounds):
+                start = time.perf_counter()
+                found = call()
+                spent.append(1e3 * (time.perf_counter() - start) / MANY)
+            score = total(f.score(each.xy) for f, each in zip(film, found, strict=True))
+            yield row_of(f"{methods.DEFAULT}, {name}", spent[1:], score)
+
+
+def row_of(name: str, spent: Sequence[float], score: Score) -> dict[str, Any]:
+    return {
+        "method": name,
+        "ms": float(np.median(spent)),
+        "ms_p95": float(np.percentile(spent, 95)),
+        "corners": score.expected // score.frames,
+        "missed": score.missed,
+        "false": score.false,
+        "rmse": score.rmse,
+    }
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -67,7 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     names, reasons = available()
     for name, reason in reasons.items():
         print(f"left out: {PEERS[name].label}: {reason}")
-    names = [name for name in names if not arguments.quick or name in QUICK]
+    names = [name for name in names if not arguments.quick or name in SHORT]
     count, rounds = (2, 8) if arguments.quick else (4, 12)
     keep_freed_memory()
     print(f"cores at other work: {environment()['others']}")
@@ -77,10 +104,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         pattern = Pattern(frames[0].markers, frames[0].views)
         used = methods.own(pattern, frames[0].image.shape)
         used += [methods.peer(name, pattern) for name in names]
-        for row in measure(used, frames, rounds):
+        for row in [*measure(used, frames, rounds), *many(frames, rounds)]:
             table.append({"scene": scene, **row})
             print(f"{scene:6}{row['method']:38}{row['ms']:9.3f} ms{row['missed']:7} missed")
-    write_table("speed", table, arguments.out)
+    write_table("speed", table, arguments.out or (QUICK if arguments.quick else None))
     return 0
 
 
