@@ -26,7 +26,7 @@ from cmp_cl.media.cameras import Source
 from cmp_cl.motion import PlaneScale, contact_of, displacement, filter_positions
 from cmp_cl.space.exports import save_cameras
 from cmp_cl.synthetic import random_scene, render
-from cmp_cl.viz import Moment, corner_overlay, grid_overlay, save_figure
+from cmp_cl.viz import Moment, corner_overlay, grid_overlay
 
 GRID = grid_of(np.moveaxis(10.0 * np.mgrid[:5, :6], 0, -1))
 IMAGE = np.zeros((60, 70), np.uint8)
@@ -56,7 +56,6 @@ def several(views=None, **changed):
         (lambda: media.write_image("a.png", None), "image must be of type ndarray"),
         (lambda: corner_overlay(IMAGE, GRID), "corners must be of type Corners"),
         (lambda: grid_overlay(IMAGE, None), "grid must be of type Grid"),
-        (lambda: save_figure("a.png", None), "figure must be of type Figure"),
         (lambda: series.SeriesWriter("a.npz", description="mm"), "description must be of type"),
         (lambda: build_grid(GRID, IMAGE), "corners must be of type Corners"),
         (lambda: Source(0), "name must be of type str"),

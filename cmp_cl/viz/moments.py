@@ -5,7 +5,7 @@ import enum
 import functools
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +34,7 @@ class Quantity(enum.Enum):
     SIGMA = "sigma"
 
 
-@dataclasses.dataclass(frozen=True)
-class Map:
+class Map(NamedTuple):
     """The values (R, C) of a map, its title, its unit, and whether they have a sign."""
 
     title: str
@@ -46,7 +45,8 @@ class Map:
     @property
     def cells(self) -> Array:
         """Return the value of each cell, the mean of its four nodes, (R - 1, C - 1)."""
-        return np.asarray(np.mean(corners_of_cells(self.values), axis=0))
+        mean: Array = np.mean(corners_of_cells(self.values), axis=0)
+        return mean
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -129,31 +129,24 @@ class Moment:
 class Summary:
     """What the sheet of a series shows: its frame of the largest displacement, and two curves.
 
-    moment: that frame, None before the first one. index, time_ms, largest, median: of each frame,
-    its number, its time, and the displacement of its nodes.
+    moment: that frame, None before the first one; top: that displacement. curves: of each frame its
+    number, its time, ms, and the largest and the median displacement of its nodes, NaN without any.
     """
 
     def __init__(self, moments: Iterable[Moment] = ()) -> None:
         self.moment: Moment | None = None
         self.top = 0.0
-        self.index: list[int] = []
-        self.time_ms: list[float] = []
-        self.largest: list[float] = []
-        self.median: list[float] = []
+        self.curves: list[tuple[int, float, float, float]] = []
         for moment in moments:
             self.add(moment)
 
     def add(self, moment: Moment) -> None:
         """Add a frame."""
         known = moment.moved[~np.isnan(moment.moved)]
-        largest = float(known.max()) if len(known) else math.nan
+        largest, median = (known.max(), np.median(known)) if len(known) else (math.nan, math.nan)
         if self.moment is None or largest > self.top:
-            self.top = max(self.top, float(np.nan_to_num(largest)))
-            self.moment = moment
-        self.index.append(moment.index)
-        self.time_ms.append(moment.time_ms)
-        self.largest.append(largest)
-        self.median.append(float(np.median(known)) if len(known) else math.nan)
+            self.moment, self.top = moment, float(np.nan_to_num(largest))
+        self.curves.append((moment.index, moment.time_ms, float(largest), float(median)))
 
 
 def moments_of(series: Mapping[str, NDArray[Any]]) -> list[Moment]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError, check_kind, check_range, extra
+from cmp_cl.errors import check_range, extra
 from cmp_cl.files import whole_file
 from cmp_cl.viz.moments import (
     Array,
@@ -43,12 +43,9 @@ def new_figure(size: tuple[float, float]) -> "Figure":
 def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) -> None:
     """Write a figure as PNG, whole or not at all.
 
-    figure: of matplotlib. dpi: pixels per inch, 10 to 10 000. Raises FieldError if figure is of
-    another type, ConfigError for another dpi, OSError.
+    figure: of matplotlib. dpi: pixels per inch, 10 to 10 000. Raises ConfigError for another dpi,
+    OSError.
     """
-    from matplotlib.figure import Figure
-
-    check_kind("figure", figure, Figure, FieldError)
     check_range("dpi", dpi, 10, 10_000)
     with whole_file(path) as file:
         figure.savefig(file, format="png", dpi=dpi)
@@ -78,7 +75,7 @@ def sheet_figure(moment: Moment, summary: Summary | None = None, *, title: str =
         panels.append(
             lambda figure, at: _draw_surface(figure.add_subplot(at, projection="3d"), moment)
         )
-    curves = summary if summary and len(summary.index) >= _LEAST_OF_CURVE else None
+    curves = summary if summary and len(summary.curves) >= _LEAST_OF_CURVE else None
     return _page(title or f"frame {moment.index}", panels, curves, moment.unit)
 
 
@@ -200,11 +197,12 @@ def _draw_surface(axes: Any, moment: Moment) -> None:
 
 def _draw_curves(axes: "Axes", summary: Summary, unit: str) -> None:
     """Draw the largest and the median displacement over time, or over frames without times."""
-    time, label = np.array(summary.time_ms) / 1e3, "time / s"
+    index, time_ms, largest, median = np.transpose(summary.curves)
+    time, label = time_ms / 1e3, "time / s"
     if not np.isfinite(time).all():
-        time, label = np.array(summary.index, np.float64), "frame"
-    axes.plot(time, summary.largest, ".-", lw=1, ms=3, label="largest of all nodes")
-    axes.plot(time, summary.median, ".-", lw=1, ms=3, label="median of all nodes")
+        time, label = index, "frame"
+    axes.plot(time, largest, ".-", lw=1, ms=3, label="largest of all nodes")
+    axes.plot(time, median, ".-", lw=1, ms=3, label="median of all nodes")
     axes.set_ylim(bottom=0)
     axes.set(xlabel=label, ylabel=f"displacement / {unit}", title="displacement over time")
     axes.grid(alpha=0.3)
