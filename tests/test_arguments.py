@@ -56,7 +56,6 @@ def several(views=None, **changed):
         (lambda: media.write_image("a.png", None), "image must be of type ndarray"),
         (lambda: corner_overlay(IMAGE, GRID), "corners must be of type Corners"),
         (lambda: grid_overlay(IMAGE, None), "grid must be of type Grid"),
-        (lambda: series.SeriesWriter("a.npz", description="mm"), "description must be of type"),
         (lambda: build_grid(GRID, IMAGE), "corners must be of type Corners"),
         (lambda: Source(0), "name must be of type str"),
         (lambda: reference.detect(IMAGE, "a"), "config must be of type DetectorConfig"),
