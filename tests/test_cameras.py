@@ -12,6 +12,7 @@ from videos import write_video
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.media import Frame
 from cmp_cl.media.cameras import Source, paired
+from cmp_cl.media.newest import Newest
 
 
 def pairs_of(left, right, tolerance=10.0):
@@ -112,7 +113,7 @@ def test_frames_that_come_faster_than_they_are_taken_are_counted(monkeypatch):
     class Fast(Capture):
         def __init__(self, _):
             super().__init__(_)
-            self.left = 100
+            self.left = 300
 
         def read(self):
             read, image = super().read()
@@ -126,9 +127,38 @@ def test_frames_that_come_faster_than_they_are_taken_are_counted(monkeypatch):
     first = next(coming)
     assert over.wait(10)
     frames = [first, *coming]
-    assert [frame.index for frame in frames] == list(range(100))
+    assert [frame.index for frame in frames] == list(range(300))
     assert all(frame.image is not None for frame in frames[-60:])
-    assert sum(frame.image is None for frame in frames) >= 30
+    assert sum(frame.image is None for frame in frames) >= 200
+
+
+def test_what_a_thread_has_made_comes_before_its_error_and_closing_ends_it():
+    made, go_on = [], threading.Event()
+
+    def items(last):
+        for number in range(last):
+            made.append(number)
+            yield number
+            if number == 1:
+                go_on.wait(10)
+        raise OSError("gone")
+
+    go_on.set()
+    with Newest(items(3), 2) as newest:
+        while not newest.ended:
+            newest.wait(0.01)
+        assert [newest.take(), newest.take()] == [1, 2]
+        with pytest.raises(OSError, match="gone"):
+            newest.wait(0)
+    go_on.clear()
+    made.clear()
+    with Newest(items(10**9), 2) as newest:
+        while len(made) < 2:
+            newest.wait(0.01)
+        threading.Timer(0.1, go_on.set).start()
+    count = len(made)
+    assert count <= 3
+    assert newest.ended
 
 
 def test_what_a_camera_does_not_do_is_reported(monkeypatch):
