@@ -11,7 +11,7 @@ from videos import write_video
 
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.media import Frame
-from cmp_cl.media.cameras import Source, paired
+from cmp_cl.media.cameras import Pairs, Source, paired
 from cmp_cl.media.newest import Newest
 
 
@@ -61,6 +61,18 @@ def test_several_videos_have_no_clock_in_common(tmp_path):
     assert [frame.time_ms for frame in alone.frames()] == [0, alone.period_ms]
 
 
+def test_frames_of_two_recordings_are_side_by_side_and_those_left_over_are_counted(tmp_path):
+    for name, level, count in (("a", 50, 2), ("b", 200, 3)):
+        write_video(tmp_path / f"{name}.avi", [np.full((48, 64), level, np.uint8)] * count)
+    for names, alone in (("ab", [0, 1]), ("ba", [1, 0])):
+        pairs = Pairs(*(Source(str(tmp_path / f"{name}.avi")) for name in names))
+        frames = list(pairs.frames())
+        assert [frame.time_ms for frame in frames] == [0, 40]
+        sides = np.hsplit(frames[0].image, 2)
+        assert [side.mean() for side in sides] == [{"a": 50, "b": 200}[name] for name in names]
+        assert pairs.alone == alone
+
+
 class Capture:
     """A camera that gives ten frames and rejects an exposure."""
 
@@ -107,6 +119,7 @@ def test_frames_that_a_camera_misses_are_counted_and_have_no_image(monkeypatch):
     assert missed == [0, 3, 4]
     assert [frame.index for frame in frames if math.isnan(frame.time_ms)] == missed
     assert frames[1].time_ms == 0
+    assert frames[-1].time_ms < 1e4
 
 
 def test_frames_that_come_faster_than_they_are_taken_are_counted(monkeypatch):
