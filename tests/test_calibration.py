@@ -107,15 +107,19 @@ def test_the_unit_of_length_does_not_matter(unit, free):
     np.testing.assert_allclose(deviations[0], deviations[1] * factor, rtol=1e-3)
 
 
-def test_cameras_are_located_though_some_miss_views():
-    seen = views(THREE, count=14)
+@pytest.mark.parametrize("lens", [Lens.PINHOLE, Lens.FISHEYE])
+def test_cameras_are_located_though_some_miss_views(lens):
+    truth = {
+        name: camera(lens, cv2.Rodrigues(each.R)[0].ravel(), each.T) for name, each in THREE.items()
+    }
+    seen = views(truth, count=14)
     seen["b"][:4] = [None] * 4
     seen["c"][10:] = [None] * 4
     for names in (("a", "b", "c"), ("a", "b")):
-        found = calibrated({name: seen[name] for name in names})
+        found = calibrated({name: seen[name] for name in names}, lens=lens)
         for name in names:
-            np.testing.assert_allclose(found.cameras[name].T, THREE[name].T, atol=0.3)
-            np.testing.assert_allclose(found.cameras[name].R, THREE[name].R, atol=2e-3)
+            np.testing.assert_allclose(found.cameras[name].T, truth[name].T, atol=0.3)
+            np.testing.assert_allclose(found.cameras[name].R, truth[name].R, atol=2e-3)
         assert np.isnan(found.view_errors["b"][:4]).all()
         assert found.error < 0.06
 
@@ -151,6 +155,33 @@ def test_copies_of_a_view_and_a_board_that_stands_still_count_once():
     assert often.focal_sigma == once.focal_sigma
     assert [group[0] for group in often.alike] == [0, 1, 2]
     assert len(often.alike[0]) == 22
+
+
+def test_every_good_set_of_fisheye_views_is_solved():
+    """An equidistant lens of 336 px; the views are tilted by up to 65 degrees."""
+    board = np.stack([*np.meshgrid(np.arange(6) * 26.0, np.arange(9) * 26.0), np.zeros((9, 6))], 2)
+    off = []
+    for seed in range(6):
+        rng, seen = np.random.default_rng(seed), []
+        while len(seen) < 15:
+            xy = fisheye_view(board, rng)
+            if (xy > 3).all() and (xy < (636, 476)).all() and np.ptp(xy, axis=(0, 1)).min() > 40:
+                seen.append(grid_of(xy + rng.normal(0, 0.05, xy.shape)))
+        found = calibrate({"c": seen}, spacing=26, sizes={"c": SIZE}, lens=Lens.FISHEYE)
+        off.append((found.cameras["c"].matrix[0, 0] - 336) / found.focal_sigma["c"])
+    assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.5
+
+
+def fisheye_view(board, rng):
+    azimuth, angle = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(0, 65))
+    turn = cv2.Rodrigues(np.array([np.cos(azimuth), np.sin(azimuth), 0]) * angle)[0]
+    turn = turn @ cv2.Rodrigues(np.array([0, 0, rng.uniform(-np.pi, np.pi)]))[0]
+    ray = np.append(rng.uniform(-0.8, 0.8, 2), 1.0)
+    place = board @ turn.T + rng.uniform(200, 500) * ray / np.linalg.norm(ray)
+    place -= turn @ board.mean(axis=(0, 1))
+    reach = np.hypot(place[..., 0], place[..., 1])
+    angle = np.arctan2(reach, place[..., 2])
+    return place[..., :2] * (336 * angle / np.maximum(reach, 1e-9))[..., None] + (319.5, 239.5)
 
 
 def test_swapped_views_are_refused_and_named():

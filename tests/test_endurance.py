@@ -1,5 +1,6 @@
 """The test of bench/endurance.py, for a few seconds instead of minutes."""
 
+import contextlib
 from pathlib import Path
 
 import pytest
@@ -15,10 +16,12 @@ def test_memory_and_results_stay_the_same(device, monkeypatch, tmp_path):
     import endurance
 
     assert endurance.endure(12, openings=20) == []
-    kept = []
+    with contextlib.ExitStack() as opened:
+        kept = []
 
-    def leaks():
-        kept.append((b"1" * 2**23 + bytes([len(kept)]), (tmp_path / "file").open("w")))
-        return len(kept)
+        def leaks():
+            kept.append(b"1" * 2**23 + bytes([len(kept)]))
+            opened.enter_context((tmp_path / "file").open("w"))
+            return len(kept)
 
-    assert len(endurance.faults(leaks, lambda rounds: rounds < 40)) == 3
+        assert len(endurance.faults(leaks, lambda rounds: rounds < 40)) == 3

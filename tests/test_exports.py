@@ -68,10 +68,14 @@ def test_opencv_and_the_library_read_a_rig_back(tmp_path):
     assert storage.getNode("size1").mat().tolist() == [[640, 480]]
 
 
-def test_a_file_of_one_camera_is_no_rig(tmp_path):
+def test_a_file_of_one_camera_or_of_fisheyes_is_no_rig(tmp_path):
     save_cameras(tmp_path / "one.yaml", {"a": camera(Lens.PINHOLE)})
     with pytest.raises(CalibrationError, match="a rig has two cameras"):
         StereoRig.load(tmp_path / "one.yaml")
+    two = {"a": camera(Lens.FISHEYE), "b": camera(Lens.FISHEYE, (0, 0.1, 0), (-50, 0, 0))}
+    save_cameras(tmp_path / "fish.yaml", two)
+    with pytest.raises(CalibrationError, match="a fisheye"):
+        StereoRig.load(tmp_path / "fish.yaml")
 
 
 def loaded(path):
@@ -81,7 +85,11 @@ def loaded(path):
 
 @pytest.mark.parametrize(
     ("lens", "model"),
-    [(Lens.PINHOLE, "plumb_bob"), (Lens.RATIONAL, "rational_polynomial")],
+    [
+        (Lens.PINHOLE, "plumb_bob"),
+        (Lens.RATIONAL, "rational_polynomial"),
+        (Lens.FISHEYE, "equidistant"),
+    ],
 )
 def test_a_file_for_ros_holds_each_camera(tmp_path, lens, model):
     larger = np.diag([1.25, 1.25, 1]) @ MATRIX
@@ -110,13 +118,13 @@ def test_a_file_for_ros_holds_each_camera(tmp_path, lens, model):
 def test_a_file_for_kalibr_holds_a_chain_in_metres(tmp_path):
     chain = {
         "a": camera(Lens.PINHOLE),
-        "b": camera(Lens.PINHOLE, (0, 0.1, 0), (-50, 0, 0)),
+        "b": camera(Lens.FISHEYE, (0, 0.1, 0), (-50, 0, 0)),
         "c": camera(Lens.PINHOLE, (0, 0.1, 0), (-90, 0, 0)),
     }
     save_cameras(tmp_path / "rig.camchain.yaml", chain)
     found = loaded(tmp_path / "rig.camchain.yaml")
     assert found["cam0"]["intrinsics"] == [420, 418, 325, 236]
-    assert found["cam1"]["distortion_model"] == "radtan"
+    assert found["cam1"]["distortion_model"] == "equidistant"
     step = np.array(found["cam2"]["T_cn_cnm1"])
     np.testing.assert_allclose(step[:3, 3], [-0.04, 0, 0], atol=1e-12)
     np.testing.assert_allclose(step[:3, :3], np.eye(3), atol=1e-12)

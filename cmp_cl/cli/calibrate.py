@@ -98,7 +98,7 @@ def add_parser(commands: Any) -> None:
         "--lens",
         choices=[lens.value for lens in Lens],
         default=Lens.PINHOLE.value,
-        help="model of the lenses; default: pinhole; rational is for wide ones",
+        help="model of the lenses; default: pinhole; rational and fisheye are for wide ones",
     )
     add_split(rare)
     add_full_scale(rare)
@@ -311,7 +311,7 @@ def _report(
             f"{matrix[1, 2]:.1f}){pose}"
         )
     print(f"all views: {found.error:.3f} px")
-    if len(files) == 2:
+    if len(files) == 2 and arguments.lens != Lens.FISHEYE.value:
         rig = found.rig()
         pairs = [pair for pair in zip(*found.grids.values(), strict=True) if None not in pair]
         lengths = np.concatenate([sides(rig.triangulate(*pair).xyz) for pair in pairs])

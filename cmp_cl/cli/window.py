@@ -16,7 +16,7 @@ from cmp_cl.image import GreyImage
 from cmp_cl.measure import find_pattern
 from cmp_cl.measure.patterns import align_views
 from cmp_cl.points import sides
-from cmp_cl.space import StereoRig, calibrate_window
+from cmp_cl.space import Lens, StereoRig, calibrate_window
 
 # Share by which the thickness of the last medium may differ from the given one without advice.
 _THICKNESS = 0.1
@@ -85,8 +85,8 @@ def window_files(arguments: argparse.Namespace, cameras: Sequence[str]) -> list[
         raise ConfigError(
             f"--window needs --rest IMAGE, --grid 40x40 and --pitch LENGTH: {missing}"
         )
-    if len(cameras) != 2:
-        raise ConfigError("--window is for two cameras")
+    if len(cameras) != 2 or arguments.lens == Lens.FISHEYE.value:
+        raise ConfigError("--window is for two cameras, neither of them a fisheye")
     images = [arguments.rest]
     if arguments.step:
         length, *views = arguments.step

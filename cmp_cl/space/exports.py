@@ -23,7 +23,12 @@ from cmp_cl.space.window import Window
 Array = NDArray[np.float64]
 Views = Mapping[str, Grid | None]
 
-_ROS_MODELS = {Lens.PINHOLE: "plumb_bob", Lens.RATIONAL: "rational_polynomial"}
+_ROS_MODELS = {
+    Lens.PINHOLE: "plumb_bob",
+    Lens.RATIONAL: "rational_polynomial",
+    Lens.FISHEYE: "equidistant",
+}
+_KALIBR_MODELS = {Lens.PINHOLE: "radtan", Lens.FISHEYE: "equidistant"}
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 
 
@@ -90,9 +95,9 @@ def save_cameras(
     """Write cameras in the format that the file name determines; return the files.
 
     A name in .yaml or .yml is OpenCV's FileStorage. The keys are numbered from 1: K1 D1 K2 D2 ...,
-    lens1, name1, size1; R2 T2 ... are the poses relative to the first camera. Two cameras also have
-    R and T, and the `covariance` and the `window` of `StereoRig`, which reads the file. The other
-    formats have no place for them.
+    lens1, name1, size1; R2 T2 ... are the poses relative to the first camera. Two pinhole or
+    rational cameras also have R and T, and the `covariance` and the `window` of `StereoRig`, which
+    reads the file. The other formats have no place for them.
 
     A name in .camchain.yaml is Kalibr's, with T_cn_cnm1 in m; the topic of each is /NAME/image_raw.
 
@@ -151,7 +156,7 @@ def _of_opencv(cameras: Cameras, covariance: Array | None, window: Window | None
             f"D{number}": camera.distortion[None],
         } | (pose if number > 1 else {})
     *_, last = cameras.values()
-    if len(cameras) == 2:
+    if len(cameras) == 2 and Lens.FISHEYE not in {camera.lens for camera in cameras.values()}:
         entries |= {"R": last.R, "T": last.T[:, None]}
     if covariance is not None:
         entries["covariance"] = covariance
@@ -180,10 +185,11 @@ def _of_kalibr(cameras: Cameras) -> dict[str, Any]:
     entries: dict[str, Any] = {}
     before = np.eye(4)
     for number, (name, camera) in enumerate(cameras.items()):
-        if camera.lens is not Lens.PINHOLE or camera.distortion[4:].any():
+        if camera.lens not in _KALIBR_MODELS or camera.distortion[4:].any():
             raise CalibrationError(
-                f"{name}: Kalibr knows k1 k2 p1 p2, this lens is {camera.lens.value} with "
-                f"{len(camera.distortion)} coefficients; calibrate it as a pinhole"
+                f"{name}: Kalibr knows k1 k2 p1 p2 and equidistant lenses, this one is "
+                f"{camera.lens.value} with {len(camera.distortion)} coefficients; calibrate it as "
+                "a pinhole or fisheye"
             )
         if camera.unit not in _METRES:
             raise CalibrationError(
@@ -194,7 +200,7 @@ def _of_kalibr(cameras: Cameras) -> dict[str, Any]:
         entries[f"cam{number}"] = {
             "camera_model": "pinhole",
             "intrinsics": camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]],
-            "distortion_model": "radtan",
+            "distortion_model": _KALIBR_MODELS[camera.lens],
             "distortion_coeffs": camera.distortion[:4],
             "resolution": list(camera.size),
             "rostopic": f"/{name}/image_raw",

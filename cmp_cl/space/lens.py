@@ -22,16 +22,18 @@ ESTIMATED = 8  # parameters of a pinhole that are estimated: fx fy cx cy k1 k2 p
 class Lens(enum.Enum):
     """The lens model of a camera, in OpenCV's terms.
 
-    PINHOLE: k1 k2 p1 p2 k3 with k3 = 0. RATIONAL: k1 k2 p1 p2 k3 k4 k5 k6, for wide lenses.
+    PINHOLE: k1 k2 p1 p2 k3 with k3 = 0. RATIONAL: k1 k2 p1 p2 k3 k4 k5 k6. FISHEYE: the
+    equidistant model of cv2.fisheye, k1 k2 k3 k4.
     """
 
     PINHOLE = "pinhole"
     RATIONAL = "rational"
+    FISHEYE = "fisheye"
 
     @property
     def coefficients(self) -> int:
-        """Return the number of coefficients of distortion."""
-        return {Lens.PINHOLE: 5, Lens.RATIONAL: 8}[self]
+        """Return the number of coefficients of distortion; it tells the lenses apart."""
+        return {Lens.PINHOLE: 5, Lens.RATIONAL: 8, Lens.FISHEYE: 4}[self]
 
 
 def camera_of(matrix: Array, distortion: Array, rotation: Array, translation: Array) -> Array:
@@ -73,10 +75,13 @@ def projected(points: Array, camera: Array) -> tuple[Array, Array]:
     points: (N, 3), in the frame of the first camera. camera: its parameters, (P,). Returns the
     pixels (N, 2), and their derivatives by the parameters, (N, 2, P).
     """
-    seen, slopes = cv2.projectPoints(
-        points[:, None], camera[-POSE:-3], camera[-3:], matrix_of(camera), distortion_of(camera)
-    )
-    by_camera = np.hstack([slopes[:, POSE:], slopes[:, :POSE]])
+    pose, model = (camera[-POSE:-3], camera[-3:]), (matrix_of(camera), distortion_of(camera))
+    if len(model[1]) == Lens.FISHEYE.coefficients:
+        seen, slopes = cv2.fisheye.projectPoints(points[:, None], *pose, *model)
+        by_camera = slopes[:, :-1]  # the last one is the skew
+    else:
+        seen, slopes = cv2.projectPoints(points[:, None], *pose, *model)
+        by_camera = np.hstack([slopes[:, POSE:], slopes[:, :POSE]])
     by_camera = np.asarray(by_camera, np.float64).reshape(len(points), 2, -1)
     return np.asarray(seen, np.float64).reshape(-1, 2), by_camera
 
@@ -97,13 +102,13 @@ def checked_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def checked_distortion(name: str, value: ArrayLike) -> Array:
-    """Return coefficients of distortion, 5 for none; raises CalibrationError for another number
+    """Return coefficients of distortion, at least 5; raises CalibrationError for another number
     than OpenCV takes, or for those of a tilted sensor, 14."""
     array = as_numbers(name, value, CalibrationError)
     size = array.size
     if size not in (0, 4, 5, 8, 12):
         raise CalibrationError(f"{name} must have 0, 4, 5, 8 or 12 coefficients, not {size}")
-    return checked_array(name, array.reshape(-1), (size,)) if size else np.zeros(5)
+    return np.pad(checked_array(name, array.reshape(-1), (size,)), (0, max(5 - size, 0)))
 
 
 def check_matrix(name: str, matrix: Array) -> None:

@@ -155,6 +155,11 @@ class StereoRig:
                     if name in found and not np.array_equal(found[name], value):
                         raise CalibrationError(f"{path}: {alias} contradicts an earlier {name}")
                     found[name] = value
+            if "fisheye" in (storage.getNode(name).string() for name in ("lens1", "lens2")):
+                raise CalibrationError(
+                    f"{path}: a camera is a fisheye, and a rig of two views takes none; calibrate "
+                    "it with --lens rational"
+                )
             kept = read_matrix(storage, _COVARIANCE, path)
             covariance = covariance if kept is None else kept
             window = read_window(storage, path) or window

@@ -10,6 +10,7 @@ MATRIX = np.array([[420.0, 0, 325], [0, 418.0, 236], [0, 0, 1]])
 DISTORTIONS = {
     Lens.PINHOLE: np.array([-0.1, 0.03, 0.001, -0.0005, 0]),
     Lens.RATIONAL: np.array([0.3, 0.05, 0.0005, -0.0005, 0.01, 0.42, 0.08, 0.02]),
+    Lens.FISHEYE: np.array([0.05, -0.01, 0.004, -0.001]),
 }
 
 

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,6 +16,9 @@ from cmp_cl.space.lens import Lens, camera_of
 
 # Share of the focal length; a larger sigma means that the views do not determine it.
 _MAX_FOCAL_SIGMA = 0.05
+# Focal lengths from which a fisheye is sought, in image widths per radian; None: OpenCV's own.
+_FISHEYE_STARTS = (None, 1.0, 1.25, 1.6, 0.8, 2.0)
+_FOUND = 1.0  # px; a fisheye that misses by less needs no other start
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
 Array = NDArray[np.float64]
 
@@ -44,11 +48,14 @@ def calibrate_alone(
     points = [np.ascontiguousarray(look.xy[:, None], np.float32) for look in looks]
     try:
         with _one_thread():
-            error, matrix, distortion, turns, shifts = cv2.calibrateCamera(
-                nodes, points, size, np.eye(3), np.zeros(lens.coefficients),
-                flags=cv2.CALIB_RATIONAL_MODEL if lens is Lens.RATIONAL else cv2.CALIB_FIX_K3,
-                criteria=_STOP,
-            )  # fmt: skip
+            if lens is Lens.FISHEYE:
+                error, matrix, distortion, turns, shifts = _fisheye(nodes, points, size)
+            else:
+                error, matrix, distortion, turns, shifts = cv2.calibrateCamera(
+                    nodes, points, size, np.eye(3), np.zeros(lens.coefficients),
+                    flags=cv2.CALIB_RATIONAL_MODEL if lens is Lens.RATIONAL else cv2.CALIB_FIX_K3,
+                    criteria=_STOP,
+                )  # fmt: skip
     except cv2.error as failure:
         raise CalibrationError(
             "the views do not determine the camera: show the board tilted, in different directions"
@@ -69,6 +76,40 @@ def calibrate_alone(
         )
     moments = [look.moment for look in looks]
     return Alone(camera, dict(zip(moments, poses, strict=True)), float(error))
+
+
+def _fisheye(nodes: Sequence[Any], points: Sequence[Any], size: tuple[int, int]) -> Any:
+    """Run cv2.fisheye.calibrate from several focal lengths; return the best result.
+
+    A start far from the truth ends in an error or in a wrong minimum.
+    """
+    best, failure = None, None
+    for start in _FISHEYE_STARTS:
+        names = ["CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW"]
+        matrix = np.eye(3)
+        if start is not None:
+            names.append("CALIB_USE_INTRINSIC_GUESS")
+            matrix[[0, 1], [0, 1]] = start * max(size) / math.pi
+            matrix[:2, 2] = size[0] / 2 - 0.5, size[1] / 2 - 0.5
+        # OpenCV 5 moved these flags out of cv2.fisheye.
+        flags = sum(getattr(cv2.fisheye, name, getattr(cv2, name, 0)) for name in names)
+        try:
+            found = cv2.fisheye.calibrate(
+                [each.astype(np.float64).reshape(1, -1, 3) for each in nodes],
+                [each.astype(np.float64).reshape(1, -1, 2) for each in points],
+                size, matrix, np.zeros((4, 1)), flags=flags, criteria=_STOP,
+            )  # fmt: skip
+        except cv2.error as error:
+            failure = error
+            continue
+        if best is None or found[0] < best[0]:
+            best = found
+        if best[0] < _FOUND:
+            break
+    if best is None:
+        assert failure is not None
+        raise failure
+    return best
 
 
 @contextlib.contextmanager

@@ -53,7 +53,7 @@ class MisfitError(CalibrationError):
 class Camera:
     """A calibrated camera, and its pose relative to the first one.
 
-    lens: the model. size: (width, height), px. matrix: (3, 3), px. distortion: 5 or 8
+    lens: the model. size: (width, height), px. matrix: (3, 3), px. distortion: 5, 8 or 4
     coefficients. R: (3, 3), T: (3,): X = R X_first + T, T in `unit`.
     """
 
@@ -114,10 +114,11 @@ class Calibration:
         }
 
     def rig(self) -> StereoRig:
-        """Return the rig of two cameras; raises CalibrationError for another number."""
-        if len(self.cameras) != 2:
-            raise CalibrationError("a rig has two cameras")
-        one, two = self.cameras.values()
+        """Return the rig of two cameras; raises CalibrationError for fisheyes or another number."""
+        cameras = list(self.cameras.values())
+        if len(cameras) != 2 or Lens.FISHEYE in {camera.lens for camera in cameras}:
+            raise CalibrationError("a rig has two cameras, neither of them a fisheye")
+        one, two = cameras
         return StereoRig(
             one.matrix,
             one.distortion,
