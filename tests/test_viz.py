@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import urllib.error
 import urllib.request
 
 import cv2
@@ -300,25 +301,18 @@ def test_a_video_that_cannot_be_written_is_refused_and_leaves_the_old_file(tmp_p
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_a_browser_gets_the_latest_pictures(tmp_path):
+def test_a_browser_gets_the_latest_picture():
     with LiveView() as view, LiveView() as other:
         assert view.address != other.address  # two runs at the same time
         with urllib.request.urlopen(view.address) as page:
-            assert b'<img src="pictures"' in page.read()
-        with urllib.request.urlopen(f"{view.address}/pictures") as stream:
-            for level in (40, 200):
-                view.show(lambda level=level: np.full((30, 50, 3), level, np.uint8))
-                found = []
-                while not found or abs(found[-1].mean() - level) > 2:
-                    found.append(next_picture(stream))
-                assert found[-1].shape == (30, 50, 3)
-            view.close()
-            assert stream.read().endswith(b"--picture--\r\n")
-
-
-def next_picture(stream):
-    """Return the next picture of a stream of pictures."""
-    while not (line := stream.readline()).startswith(b"Content-Length"):
-        assert line
-    stream.readline()
-    return cv2.imdecode(np.frombuffer(stream.read(int(line.split()[1])), np.uint8), 1)
+            assert b'src = "picture?' in page.read()
+        with pytest.raises(urllib.error.HTTPError, match="no picture yet"):
+            urllib.request.urlopen(f"{view.address}/picture?0")
+        for level in (40, 200):
+            view.show(lambda level=level: np.full((30, 50, 3), level, np.uint8))
+            with urllib.request.urlopen(f"{view.address}/picture?1") as picture:
+                found = cv2.imdecode(np.frombuffer(picture.read(), np.uint8), 1)
+            assert found.shape == (30, 50, 3)
+            assert abs(found.mean() - level) < 2
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(view.address)

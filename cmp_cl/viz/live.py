@@ -1,6 +1,5 @@
 """A live view: the latest picture, in any browser, from a server on this machine."""
 
-import contextlib
 import sys
 import threading
 from collections.abc import Callable
@@ -14,12 +13,20 @@ from cmp_cl.closing import Closing
 
 _PORT = 8642  # of the address, if it is free
 _PAGE = b"""<!doctype html><title>cmp-cl</title>
-<body style="margin:0;background:#111;display:grid;place-items:center;height:100vh">
-<img src="pictures" style="max-width:100vw;max-height:100vh">
+<style>body { margin: 0; background: #111; display: grid; place-items: center; height: 100vh }
+img { max-width: 100vw; max-height: 100vh }</style>
+<body><img><script>
+let shown = document.images[0], number = 0
+function ask() {
+    const image = new Image()
+    image.onload = () => { shown.replaceWith(image); shown = image; setTimeout(ask, 30) }
+    image.onerror = () => setTimeout(ask, 500)
+    image.src = "picture?" + number++
+}
+ask()
+</script>
 """
-_PART = b"--picture\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%s\r\n"
 _QUALITY = cv2.IMWRITE_JPEG_QUALITY, 80  # %; 95 has twice the bytes
-_REPEATED = 0.5  # s, after which a picture is sent again: some browsers show it only then
 
 Draw = Callable[[], NDArray[np.uint8]]
 
@@ -27,17 +34,15 @@ Draw = Callable[[], NDArray[np.uint8]]
 class LiveView(Closing):
     """Shows the latest picture to each browser that opens `address`.
 
-    Only this machine can open it. A picture is drawn when a browser is ready for it, so those
-    that come faster are left out, and without a browser none is drawn.
+    Only this machine can open it. A picture is drawn when a browser asks for it, so those that come
+    faster are left out, and without a browser none is drawn. A page that is open at the end keeps
+    the last picture.
     """
 
     def __init__(self) -> None:
         from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer  # takes .1 s
 
-        self._changed = threading.Condition()
         self._draw: Draw | None = None
-        self._count = 0
-        self._open = True
         view = self
 
         class Page(BaseHTTPRequestHandler):
@@ -51,7 +56,6 @@ class LiveView(Closing):
 
         class Server(ThreadingHTTPServer):
             allow_reuse_address = sys.platform != "win32"  # where two could have one port
-            daemon_threads = False  # closing waits for the last pictures
 
             def handle_error(self, *_: Any) -> None:
                 """A browser that goes away is no error."""
@@ -65,37 +69,22 @@ class LiveView(Closing):
 
     def show(self, draw: Draw) -> None:
         """Show a picture. draw: returns it, (H, W, 3) uint8 BGR; in another thread, or never."""
-        with self._changed:
-            self._draw = draw
-            self._count += 1
-            self._changed.notify_all()
+        self._draw = draw
 
     def _answer(self, browser: Any) -> None:
-        pictures = browser.path == "/pictures"
-        kind = "multipart/x-mixed-replace; boundary=picture" if pictures else "text/html"
+        kind, data = "text/html", _PAGE
+        if browser.path.startswith("/picture"):
+            if self._draw is None:
+                browser.send_error(503, "there is no picture yet")
+                return
+            kind, data = "image/jpeg", cv2.imencode(".jpg", self._draw(), _QUALITY)[1].tobytes()
         browser.send_response(200)
         browser.send_header("Content-Type", kind)
+        browser.send_header("Content-Length", str(len(data)))
         browser.end_headers()
-        if not pictures:
-            browser.wfile.write(_PAGE)
-            return
-        seen, open_ = 0, True
-        with contextlib.suppress(OSError):  # the page is closed
-            while open_:
-                with self._changed:
-                    if self._count == seen:
-                        self._changed.wait(_REPEATED)
-                    draw, seen, open_ = self._draw, self._count, self._open
-                if draw is not None:
-                    picture = cv2.imencode(".jpg", draw(), _QUALITY)[1].tobytes()
-                    browser.wfile.write(_PART % (len(picture), picture))
-            browser.wfile.write(b"--picture--\r\n")
+        browser.wfile.write(data)
 
     def close(self) -> None:
-        """End the server; a page that is open keeps the last picture."""
-        with self._changed:
-            self._open = False
-            self._count += 1
-            self._changed.notify_all()
+        """End the server."""
         self._server.shutdown()
         self._server.server_close()
