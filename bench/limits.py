@@ -28,7 +28,7 @@ from cmp_cl.synthetic.scoring import match, total
 SEED = TEST_SEED + 900_000
 CLOSE = 1e-4  # a check so near to its bound may decide either way in float32
 MARKERS = 30
-SHOWN = ("good_features_refined", "chess_opencl", "spectrum_opencl", "chess_corners_lean")
+SHOWN = ("good_features_refined", "chess_opencl", "spectrum_opencl", "chess_corners_saddle")
 Row = dict[str, Any]
 Make = Callable[[float, int], Scene]
 

@@ -12,6 +12,8 @@ import dataclasses
 import importlib
 import json
 import os
+import struct
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -84,6 +86,13 @@ def _good_features_refined(settings: Settings, pattern: Pattern) -> Detect:
     return detect
 
 
+def _find_chessboard(settings: Settings, pattern: Pattern) -> Detect:
+    size = (pattern.markers, pattern.markers)
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH * settings["adaptive"]
+    flags |= cv2.CALIB_CB_NORMALIZE_IMAGE * settings["normalize"]
+    return lambda image: _points(cv2.findChessboardCorners(image, size, flags=flags)[1])
+
+
 def _find_chessboard_sb(settings: Settings, pattern: Pattern) -> Detect:
     size = (pattern.markers, pattern.markers)
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE * settings["normalize"]
@@ -111,17 +120,20 @@ def _module(name: str, install: str) -> Any:
         raise Unavailable(f"not installed; {install}") from error
 
 
-def _chess_corners(settings: Settings, pattern: Pattern) -> Detect:
-    package = _module("chess_corners", "pip install chess_corners")
-    config = (
-        package.DetectorConfig()
-        .with_threshold(settings["threshold"])
-        .without_orientation()
-        .with_uncertainty(package.Uncertainty.OFF)
-        .with_chess(refiner=package.ChessRefiner.center_of_mass())
-    )
-    detector = package.Detector(config)
-    return lambda image: detector.detect(image).xy
+def _chess_corners(refiner: str) -> Callable[[Settings, Pattern], Detect]:
+    def make(settings: Settings, pattern: Pattern) -> Detect:
+        package = _module("chess_corners", "pip install chess_corners")
+        config = (
+            package.DetectorConfig()
+            .with_threshold(settings["threshold"])
+            .without_orientation()
+            .with_uncertainty(package.Uncertainty.OFF)
+            .with_chess(refiner=getattr(package.ChessRefiner, refiner)())
+        )
+        detector = package.Detector(config)
+        return lambda image: detector.detect(image).xy
+
+    return make
 
 
 # calib-targets, PyPI: numbers boards whose corners chess-corners finds
@@ -177,6 +189,50 @@ def _libcbdetect(settings: Settings, pattern: Pattern) -> Detect:
     return detect
 
 
+# mrgingham, Debian: its binding belongs to the system's Python, so it runs in a process of its own
+
+_WORKER = """
+import struct, sys, time
+import mrgingham, numpy
+read, write = sys.stdin.buffer, sys.stdout.buffer
+while len(head := read.read(16)) == 16:
+    rows, columns = struct.unpack("<qq", head)
+    image = numpy.frombuffer(read.read(rows * columns), numpy.uint8).reshape(rows, columns)
+    start = time.perf_counter()
+    answer = mrgingham.find_chessboard_corners(image)
+    spent = time.perf_counter() - start
+    answer = numpy.ascontiguousarray(answer, dtype=numpy.float64)
+    write.write(struct.pack("<dq", spent, answer.size) + answer.tobytes())
+    write.flush()
+"""
+
+
+class _Mrgingham:
+    """A process that runs mrgingham. `seconds`: the time of the last call, taken inside it."""
+
+    def __init__(self) -> None:
+        python = os.environ.get("MRGINGHAM_PYTHON", "/usr/bin/python3")
+        try:
+            check = subprocess.run([python, "-c", "import mrgingham"], capture_output=True)
+        except OSError as error:
+            raise Unavailable(f"no {python} to run mrgingham in: {error}") from error
+        if check.returncode:
+            raise Unavailable("not installed; apt-get install python3-mrgingham")
+        self._process = subprocess.Popen(
+            [python, "-c", _WORKER], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        self.seconds = 0.0
+
+    def __call__(self, image: np.ndarray) -> np.ndarray:
+        to, back = self._process.stdin, self._process.stdout
+        if to is None or back is None:
+            raise Unavailable("mrgingham's process has no pipes")
+        to.write(struct.pack("<qq", *image.shape) + image.tobytes())
+        to.flush()
+        self.seconds, size = struct.unpack("<dq", back.read(16))
+        return np.frombuffer(back.read(8 * size), np.float64).reshape(-1, 2)
+
+
 _FEATURES: dict[str, list[Any]] = {
     "margin": [2, 0],
     "quality": [0.01, 0.05, 0.15],
@@ -199,6 +255,12 @@ PEERS: dict[str, Peer] = {
         _good_features_refined,
         {**_FEATURES, "window": [3, 2, 4, 5], "rounds": [20, 5]},
     ),
+    "find_chessboard": Peer(
+        "findChessboardCorners",
+        _find_chessboard,
+        {"adaptive": [True], "normalize": [True, False]},
+        slow=True,
+    ),
     "find_chessboard_sb": Peer(
         "findChessboardCornersSB",
         _find_chessboard_sb,
@@ -207,7 +269,12 @@ PEERS: dict[str, Peer] = {
     ),
     "chess_opencl": Peer("ChESS, OpenCL", _ring_peer, _CHESS),
     "spectrum_opencl": Peer("Zhang's spectrum, OpenCL", _ring_peer, _SPECTRUM),
-    "chess_corners_lean": Peer("chess-corners, lean, centre of mass", _chess_corners, _LEAN),
+    "chess_corners_lean": Peer(
+        "chess-corners, lean, centre of mass", _chess_corners("center_of_mass"), _LEAN
+    ),
+    "chess_corners_saddle": Peer(
+        "chess-corners, lean, saddle", _chess_corners("saddle_point"), _LEAN
+    ),
     "calib_targets": Peer(
         "calib-targets, its own grid",
         _calib_targets,
@@ -218,6 +285,7 @@ PEERS: dict[str, Peer] = {
         },
         slow=True,
     ),
+    "mrgingham": Peer("mrgingham, corners only", lambda settings, pattern: _Mrgingham(), {}),
     "libcbdetect": Peer(
         "libcbdetect",
         _libcbdetect,
