@@ -181,7 +181,8 @@ def test_the_frame_that_moves_most_is_on_the_sheet_with_the_curves_of_all(record
     _, times, largest, median = np.transpose(summary.curves)
     assert largest[0] == 0
     assert largest[4] == pytest.approx(1.8 if recorded[0].unit == "px" else np.sqrt(5))
-    assert median[4] == pytest.approx(0.9, abs=0.1)
+    assert median[4] == pytest.approx(1.0)
+    assert summary.top == largest[4]
     figure = sheet_figure(summary.moment, summary)
     titles = " ".join(axes.get_title() for axes in figure.axes)
     wanted = "displacement, standard deviation, larger, smaller, over time"
@@ -219,6 +220,10 @@ def test_the_command_writes_a_picture_or_says_why_not(tmp_path, capsys):
         assert why in err
         assert err.count("\n") == 1
         assert (tmp_path / "press.png").read_bytes() == b"old"
+    with SeriesWriter(tmp_path / "empty.npz", rest=lattice()):
+        pass
+    assert main(["plot", str(tmp_path / "empty.npz"), "--out", out]) == 2
+    assert "the series has no" in capsys.readouterr().err
     with SeriesWriter(tmp_path / "live.npz", rest=lattice()) as live:
         live.append(index=0, time_ms=np.nan, displacement=0.5 * lattice())
         assert main(["plot", str(tmp_path / "live.npz.part"), "--out", out]) == 0

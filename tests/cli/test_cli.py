@@ -96,6 +96,7 @@ PATTERN = "pattern", "--grid", "4x4"
         (("detect", BOARD, "--out", "-"), ["--out - must end in .csv"]),
         (("detect", BOARD, BOARD, "--overlay", "o.png"), ["one picture of several: name a folder"]),
         (("detect", BOARD, "--overlay", BOARD), ["would be overwritten"]),
+        (("detect", BOARD, "--overlay", "o.gif"), ["no picture that can be written"]),
         (("detect", BOARD, "--config", "bad.toml"), ["bad.toml", "unknown key 'windoww'"]),
         (
             ("detect", BOARD, "--full-scale", "0"),
