@@ -151,29 +151,21 @@ class Detector(Closing):
         soon as the next one is requested. Calls and other streams may be interleaved. Raises the
         errors of a call, at the frame that causes them.
         """
-        if not (self.shape[0] and self.shape[1]):
-            yield from map(self, _iterated("frames", frames))
-            return
         waiting: Plan | None = None
         try:
             for frame in _iterated("frames", frames):
-                image = self._checked(frame)
-                with self._lock:
-                    self._check_alive()
-                    plan = self._plans.lend()
-                    self._start(plan, [image], self._transfers)
-                    self._plans.keep(plan)
-                    ready, waiting = waiting, plan
-                    done = [] if ready is None else self._finish(ready, self._transfers)
-                    if plan.uploads:
-                        cl.wait_for_events(plan.uploads)
+                if not (self.shape[0] and self.shape[1]):
+                    yield self(frame)
+                    continue
+                plan = self.begin([frame])
+                ready, waiting = waiting, plan
+                done = [] if ready is None else self.finish(ready)[0].corners
+                if plan.uploads:
+                    cl.wait_for_events(plan.uploads)
                 yield from done
             if waiting is not None:
-                with self._lock:
-                    self._check_alive()
-                    ready, waiting = waiting, None
-                    done = self._finish(ready, self._transfers)
-                yield from done
+                ready, waiting = waiting, None
+                yield from self.finish(ready)[0].corners
         finally:
             if waiting is not None:
                 self._plans.take_back(waiting)
