@@ -85,14 +85,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"cmp-cl {cmp_cl.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    devices.add_parser(commands)
-    detect.add_parser(commands)
-    render.add_parser(commands)
-    demo.add_parser(commands)
-    run.add_parser(commands)
-    plot.add_parser(commands)
-    calibrate.add_parser(commands)
-    pattern.add_parser(commands)
+    for command in (demo, pattern, calibrate, run, plot, detect, render, devices):
+        command.add_parser(commands)
     return parser
 
 

@@ -19,7 +19,7 @@ def add_parser(commands: Any) -> None:
         help="draw what a series shows: displacement, strain, height, sigma",
         description="Draws a series of cmp-cl run: by default one sheet with the maps of the "
         "frame of the largest displacement, and curves over time; a name that ends in .mp4 is an "
-        "animation of one map. With one view, lengths are in px or in the unit of --cell, and "
+        "animation of one map. With one view, lengths are in px, or in mm if run had --cell, and "
         "strain is in the plane; with two views, lengths are in the rig's unit, and strain is in "
         "the surface.",
     )

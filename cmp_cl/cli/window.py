@@ -45,7 +45,7 @@ def add_window(parser: argparse.ArgumentParser) -> None:
         "--grid", metavar="40x40", type=grid_shape, help="rows and columns of its corners"
     )
     window.add_argument(
-        "--pitch", metavar="LENGTH", type=positive_number, help="side of its squares"
+        "--pitch", metavar="LENGTH", type=positive_number, help="side of its squares, mm"
     )
     window.add_argument(
         "--step",
