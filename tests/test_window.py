@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from stereo_data import bisected, gel, grid_of, toed_in_rig
+from stereo_data import gel, grid_of, toed_in_rig
 
 from cmp_cl import CalibrationError, StereoRig, Window, build_grid, detect
 from cmp_cl.motion import displacement
 from cmp_cl.space import Bias, PointStatus
 from cmp_cl.synthetic import Scene, default_rig, render_stereo
+from cmp_cl.synthetic.camera import straightened
 
 GEL = Window((0.02, -0.03, 1.0), 20.0, ((5.0, 1.49),), 1.41)
 
@@ -44,7 +45,7 @@ def test_a_point_on_the_ray_of_a_pixel_is_seen_at_that_pixel(window, angle, azim
     point = at[0] + (depth + 1e-9) * ahead[0]
     for seen in (
         window.apparent(centre, point[None]).points[0],
-        bisected(window).straight(centre, point),
+        straightened(window, centre, point),
     ):
         off = np.cross(seen - centre, ray) / np.linalg.norm(seen - centre)
         assert 1000 * np.linalg.norm(off) < 1e-6

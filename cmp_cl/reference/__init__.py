@@ -207,9 +207,9 @@ def _layer(
     fields = {field.name for field in dataclasses.fields(Maps)}
     layer: dict[str, Any] = dict.fromkeys(fields - _LATER)
     if isinstance(rings.criteria, RapidCriteria):
-        layer |= vars(criteria.rapid(binary, inner, outer, rings.criteria))
+        layer |= criteria.rapid(binary, inner, outer, rings.criteria)
     else:
-        layer |= vars(spectral.spectral(binary, inner, outer, rings.criteria))
+        layer |= spectral.spectral(binary, inner, outer, rings.criteria)
     candidate = layer["candidate"] & mask
     response = np.where(candidate, layer["response"], 0)
     return layer | dict(

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pyopencl as cl
 import pytest
-from stereo_data import bisected, grid_of
+from stereo_data import grid_of
 
 from cmp_cl import StereoRig, Window
 from cmp_cl.grid.grid import MEASURED, NodeStatus
@@ -161,7 +161,7 @@ def expected(rig, rest, now, complete):
         there, measured = rest[0].valid, now[0].valid
         status = np.where(now[0].valid, PointStatus.VALID, PointStatus.MISSING)
     else:
-        before, window = rig.triangulate(*rest), rig.window and bisected(rig.window)
+        before, window = rig.triangulate(*rest), rig.window
         points = space.points(
             tuple(grid.xy.astype(float) for grid in complete),
             tuple(grid.status > 0 for grid in now),

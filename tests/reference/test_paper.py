@@ -169,7 +169,7 @@ def test_correlation_and_phase_follow_their_definitions():
         assert shift[k] == phase(values)
 
 
-def around(mask: int, rule: SpectralCriteria, outer: int | None = None) -> spectral.Spectral:
+def around(mask: int, rule: SpectralCriteria, outer: int | None = None) -> dict:
     inner = np.array([[mask]], np.uint16)
     other = inner if outer is None else np.array([[outer]], np.uint16)
     return spectral.spectral(np.zeros((1, 1), np.bool_), inner, other, rule)
@@ -178,12 +178,12 @@ def around(mask: int, rule: SpectralCriteria, outer: int | None = None) -> spect
 def test_a_perfect_corner_passes_and_its_response_is_the_formula():
     found = around(0x0F0F, SpectralCriteria(corrosion_threshold=None))
     f1, f2, f3 = spectral.magnitudes()[0x0F0F]
-    assert found.candidate[0, 0]
-    assert found.response[0, 0] == math.floor(64 * f2 * (f2 - max(f1, f3)) + 0.5)
-    assert found.correlation[0, 0] == 1
-    assert found.phase[0, 0] == 0
-    assert found.spectrum_12[0, 0] == np.float32(f2 - f1)
-    assert found.corrosion is None
+    assert found["candidate"][0, 0]
+    assert found["response"][0, 0] == math.floor(64 * f2 * (f2 - max(f1, f3)) + 0.5)
+    assert found["correlation"][0, 0] == 1
+    assert found["phase"][0, 0] == 0
+    assert found["spectrum_12"][0, 0] == np.float32(f2 - f1)
+    assert found["corrosion"] is None
 
 
 def test_candidates_follow_the_definition():
@@ -205,9 +205,9 @@ def test_candidates_follow_the_definition():
             and 16 * max(values) ** 2 > 9 * product
             and phase(values) * 22.5 < 20
         )
-        assert found.candidate[0, k] == passes
+        assert found["candidate"][0, k] == passes
     assert on_the_bound > 0
-    assert 100 < found.candidate.sum() < 1900
+    assert 100 < found["candidate"].sum() < 1900
 
 
 # the gate, suppression, centroids, and the largest sums
@@ -254,7 +254,7 @@ def test_no_centred_stripe_passes_the_papers_thresholds(width, angle):
     for binary in (stripe, ~stripe):
         inner, outer = (ring.ring_bits(binary, each) for each in (ring.INNER, ring.OUTER_5))
         found = criteria.rapid(binary, inner, outer, RapidCriteria(corrosion_threshold=4))
-        assert not found.candidate[10, 10]
+        assert not found["candidate"][10, 10]
 
 
 # whole images

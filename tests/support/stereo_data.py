@@ -9,8 +9,7 @@ import numpy as np
 from cmp_cl.field import DisplacementField
 from cmp_cl.grid import Grid, NodeStatus
 from cmp_cl.motion import displacement
-from cmp_cl.reference.field import space
-from cmp_cl.space import Points3D, PointStatus, StereoRig, Window
+from cmp_cl.space import Points3D, PointStatus, StereoRig
 
 _ABOVE = Path(__file__).resolve().parents[3:]
 SHARED = next((at for up in _ABOVE if (at := up / "shared" / "data").is_dir()), Path("shared/data"))
@@ -93,14 +92,6 @@ def project(rig: StereoRig, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     right, _ = cv2.projectPoints(flat, rotation, rig.T, rig.K2, rig.D2)
     shape = (*xyz.shape[:-1], 2)
     return left.reshape(shape), right.reshape(shape)
-
-
-def bisected(window: Window) -> space.Window:
-    """Return a window as the oracle takes it, which finds rays by bisection."""
-    thickness, index = np.array([*window.layers, (0.0, window.index)]).T
-    return space.Window(
-        normal=window.normal, distance=window.distance, thickness=thickness[:-1], index=index
-    )
 
 
 def gel(rows: int = 20, columns: int = 20, depth: float = 2.0) -> np.ndarray:

@@ -14,7 +14,7 @@ plane.
    r v + (sqrt(1 - r^2 (1 - i^2)) - r i) w. Then no Sampson's step is made, and the point is the
    middle between these rays. A pixel shows a point at the lateral distance L from the axis w of the
    camera where the sum of d_k s / sqrt(n_k^2 - s^2) is L, over the depths d_k and the indices n_k
-   of all media; s is the sine of the ray in air.
+   of all media; s is the sine of the ray in air: the renderer finds it, by bisection.
 5. One Gauss-Newton step of the reprojection error, weighted by 1 / sigma^2. Its normal matrix is
    the inverse of the covariance. Shifts by bent edges move the point like errors of the pixels.
 6. A node is PARALLEL if the rays in air enclose less than 1 px of the mean focal length, BEHIND if
@@ -23,11 +23,14 @@ plane.
 """
 
 import dataclasses
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.reference.field.filter import bend_shift
+from cmp_cl.synthetic.camera import straightened
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -50,53 +53,30 @@ class Camera:
     move: Floats
 
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Window:
-    """normal: (3,), of length 1. distance: of the first face from the left camera. thickness: (M,),
-    of its layers; index: (M + 1,), of these and of the medium of the pattern."""
+class Window(Protocol):
+    """normal: (3,), of length 1. distance: of the first face from the left camera. layers:
+    thickness and index of each; index: of the medium of the pattern."""
 
     normal: Floats
     distance: float
-    thickness: Floats
-    index: Floats
+    layers: Sequence[tuple[float, float]]
+    index: float
 
-    def behind(self, centre: Floats, direction: Floats) -> tuple[Floats, Floats]:
-        """Return where a ray from a camera leaves the last face, and its direction there."""
-        w = self.normal
-        v = direction / np.linalg.norm(direction)
-        if not w @ v > 0:
-            return np.full(3, np.nan), np.full(3, np.nan)
-        at = centre + v * (self.distance - w @ centre) / (w @ v)
-        before = 1.0
-        for thickness, after in zip([*self.thickness, 0.0], self.index, strict=True):
-            i, r = w @ v, before / after
-            v = r * v + (np.sqrt(1 - r**2 * (1 - i**2)) - r * i) * w
-            at = at + v * thickness / (w @ v)
-            before = after
-        return at, v
 
-    def depth(self, point: Floats) -> float:
-        """Return the distance of a point behind the last face."""
-        return float(self.normal @ point - self.distance - self.thickness.sum())
-
-    def straight(self, centre: Floats, point: Floats) -> Floats:
-        """Return a point on the ray in air of the pixel that shows a point, by bisection."""
-        if not self.depth(point) >= 0:
-            return np.full(3, np.nan)
-        ahead = float(self.normal @ (point - centre))
-        across = point - centre - ahead * self.normal
-        length = float(np.linalg.norm(across))
-        height = self.distance - self.normal @ centre
-        depths = np.array([height, *self.thickness, self.depth(point)])
-        squares = np.square([1.0, *self.index])
-        low, high = 0.0, 1.0
-        for _ in range(60):
-            s = (low + high) / 2
-            reach = (depths * s / np.sqrt(squares - s * s)).sum()
-            low, high = (s, high) if reach < length else (low, s)
-        tangent = low / np.sqrt(1 - low**2)
-        straight: Floats = centre + ahead * (self.normal + tangent * across / max(length, 1e-300))
-        return straight
+def behind(window: Window, centre: Floats, direction: Floats) -> tuple[Floats, Floats]:
+    """Return where a ray from a camera leaves the last face, and its direction there."""
+    w = window.normal
+    v = direction / np.linalg.norm(direction)
+    if not w @ v > 0:
+        return np.full(3, np.nan), np.full(3, np.nan)
+    at = centre + v * (window.distance - w @ centre) / (w @ v)
+    before = 1.0
+    for thickness, after in [*window.layers, (0.0, window.index)]:
+        i, r = w @ v, before / after
+        v = r * v + (np.sqrt(1 - r**2 * (1 - i**2)) - r * i) * w
+        at = at + v * thickness / (w @ v)
+        before = after
+    return at, v
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -178,9 +158,10 @@ def points(
             point = _meeting((np.zeros(3), p), (centre, q @ right.rotation))
             depth = min(point[2], (right.rotation @ point + right.move)[2])
         else:
-            rays = window.behind(np.zeros(3), p), window.behind(centre, turned)
+            rays = behind(window, np.zeros(3), p), behind(window, centre, turned)
             point = _meeting(*rays) if np.isfinite(rays).all() else np.full(3, np.nan)
-            depth = window.depth(point)
+            last = window.distance + sum(thickness for thickness, _ in window.layers)
+            depth = float(window.normal @ point) - last
         status[node] = VALID
         if not depth > 0:
             status[node] = BEHIND
@@ -263,7 +244,7 @@ def _both(cameras: tuple[Camera, Camera], window: Window | None, point: Floats) 
     for camera in cameras:
         at = point
         if window is not None:
-            at = window.straight(-camera.move @ camera.rotation, point)
+            at = straightened(window, -camera.move @ camera.rotation, point)
         x, y, z = camera.rotation @ at + camera.move
         pixels.append(seen(camera, np.array([x / z, y / z])))
     return np.concatenate(pixels)

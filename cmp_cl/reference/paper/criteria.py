@@ -1,7 +1,7 @@
 """The four rapid criteria (section 3.4, Eqs. 18 to 24) on ring bits."""
 
-import dataclasses
 import functools
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,29 +10,16 @@ from cmp_cl.config import RapidCriteria
 from cmp_cl.reference.paper import ring
 
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Rapid:
-    """The quantities of the rapid criteria at every pixel, and the decision.
-
-    Fields are those of `cmp_cl.corners.Maps`; response is before the gate.
-    """
-
-    inner_transitions: NDArray[np.uint8]
-    outer_transitions: NDArray[np.uint8]
-    sector_difference: NDArray[np.uint8]
-    ring_difference: NDArray[np.uint8]
-    corrosion: NDArray[np.int8] | None
-    candidate: NDArray[np.bool_]
-    response: NDArray[np.int32]
-
-
 def rapid(
     binary: NDArray[np.bool_],
     inner: NDArray[np.uint16],
     outer: NDArray[np.uint16],
     criteria: RapidCriteria,
-) -> Rapid:
-    """Evaluate the rapid criteria at every pixel of one binary image and its ring bits."""
+) -> dict[str, Any]:
+    """Evaluate the rapid criteria at every pixel of one binary image and its ring bits.
+
+    Returns fields of `cmp_cl.corners.Maps`; the response is before the gate.
+    """
     d2 = sector_differences()[inner]
     inner_count = inner_transitions(inner)
     outer_count = outer_transitions(outer)
@@ -48,7 +35,7 @@ def rapid(
         cd = corrosion(binary, outer)
         candidate &= cd < criteria.corrosion_threshold
     response = np.where(candidate, criteria.sector_threshold - d2.astype(np.int32), 0)
-    return Rapid(
+    return dict(
         inner_transitions=inner_count,
         outer_transitions=outer_count,
         sector_difference=d2,

@@ -1,9 +1,9 @@
 """The spectral criteria (section 3.3, Eqs. 13 and 17) on ring bits."""
 
-import dataclasses
 import functools
 import math
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,29 +15,16 @@ from cmp_cl.reference.paper.criteria import corrosion
 TIE = 1e-9
 
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Spectral:
-    """The quantities of the spectral criteria at every pixel, and the decision.
-
-    Fields are those of `cmp_cl.corners.Maps`; response is before the gate.
-    """
-
-    spectrum_12: NDArray[np.float32]
-    spectrum_23: NDArray[np.float32]
-    correlation: NDArray[np.float32]
-    phase: NDArray[np.float32]
-    corrosion: NDArray[np.int8] | None
-    candidate: NDArray[np.bool_]
-    response: NDArray[np.int32]
-
-
 def spectral(
     binary: NDArray[np.bool_],
     inner: NDArray[np.uint16],
     outer: NDArray[np.uint16],
     criteria: SpectralCriteria,
-) -> Spectral:
-    """Evaluate the spectral criteria at every pixel of one binary image and its ring bits."""
+) -> dict[str, Any]:
+    """Evaluate the spectral criteria at every pixel of one binary image and its ring bits.
+
+    Returns fields of `cmp_cl.corners.Maps`; the response is before the gate.
+    """
     minus_1, minus_3 = spectrum_differences()
     spectrum_12 = np.minimum(minus_1[inner], minus_1[outer])
     spectrum_23 = np.minimum(minus_3[inner], minus_3[outer])
@@ -55,7 +42,7 @@ def spectral(
         cd = corrosion(binary, outer)
         candidate &= cd < criteria.corrosion_threshold
     product = n1.astype(np.float64) * n2
-    return Spectral(
+    return dict(
         spectrum_12=spectrum_12.astype(np.float32),
         spectrum_23=spectrum_23.astype(np.float32),
         correlation=(largest / np.sqrt(np.maximum(product, 1))).astype(np.float32),
