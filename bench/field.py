@@ -25,7 +25,7 @@ import numpy as np
 from environment import QUICK, parser_of, write_table
 from scenes import TEST_SEED
 
-from cmp_cl import BinocularSplit, Detector, DetectorConfig, StereoRig
+from cmp_cl import BinocularSplit, Detector, DetectorConfig
 from cmp_cl.field import green_lagrange
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import Measured, OneView, TwoViews
@@ -45,7 +45,7 @@ MARKERS = 40
 CELL = 17.5  # px, of such a view
 SMALL, SMALL_CELL = 44, 9.0  # corners a side of a view of 640 x 480, px
 SEED = TEST_SEED + 500
-RIG = StereoRig(*default_rig(VIEW))
+RIG = default_rig(VIEW)
 SPLIT = BinocularSplit.halves(2 * VIEW[1], VIEW[0])
 STEPS = tuple(0.05 * k for k in range(1, 31))  # a press, by at most .15 cells a frame
 LIGHT = "severity to 0.5"

@@ -42,7 +42,7 @@ from cmp_cl.synthetic.camera import PinholeCamera, Pose, facing_both
 from cmp_cl.synthetic.surface import nodes_at_rest, surface
 
 VIEW = 1200, 800
-AIR = StereoRig(*default_rig(VIEW))
+AIR = default_rig(VIEW)
 AXES, CENTRE = facing_both(AIR.R, AIR.T)
 NORMAL = AXES[:, 2]
 PRESS = Scene(shape=VIEW, markers=29, side=24.0, severity=0.5, seed=900001)

@@ -14,7 +14,7 @@ from cmp_cl.synthetic import default_rig
 
 PITCH = 0.8  # mm
 NODES = 26
-RIG = StereoRig(*default_rig((1200, 800)))
+RIG = default_rig((1200, 800))
 NORMAL = (RIG.R[2] + (0, 0, 1)) / np.linalg.norm(RIG.R[2] + (0, 0, 1))
 GEL = 12.0  # mm
 BEHIND = dataclasses.replace(RIG, window=Window(NORMAL, 40.0 - GEL, ((5.0, 1.49),), 1.41))

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+import cmp_cl
 from cmp_cl import synthetic
 from cmp_cl.errors import ConfigError
 from cmp_cl.synthetic import Indenter, Mode, Scene, Surround
@@ -135,7 +136,7 @@ def test_the_gel_at_rest_is_a_flat_sheet_of_the_stated_size_in_front_of_the_came
     np.testing.assert_allclose(alone.truth.mean(axis=(0, 1)), [159.5, 119.5])
     np.testing.assert_allclose(np.ptp(alone.truth, axis=(0, 1)), 0.92 * 240 * 19 / 21)
     matrix = np.array([[500.0, 0, 249.5], [0, 500, 199.5], [0, 0, 1]])
-    parallel = synthetic.Cameras(
+    parallel = cmp_cl.StereoRig(
         matrix, np.zeros(5), matrix, np.zeros(5), np.eye(3), np.array([-6.0, 0, 0])
     )
     flat = Scene(markers=10, shape=(400, 500), indenter=Indenter.NONE)

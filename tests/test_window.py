@@ -164,7 +164,7 @@ def seen_press(scene, rig, device):
 def test_images_through_a_window_show_the_press_as_exactly_as_in_air(device):
     """The renderer bends the light by its own way, bisection of Snell's law."""
     scene = Scene(markers=20, shape=(320, 240), side=22.0, severity=0.5, corrosion=0.5, seed=3)
-    air = StereoRig(*default_rig(scene.shape))
+    air = default_rig(scene.shape)
     facing = np.array([0.0, 0.0, 1.0]) + air.R[2]
     facing /= np.linalg.norm(facing)
     glass = Window(facing, 20.0, ((5.0, 1.49),), 1.41)

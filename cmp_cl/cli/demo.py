@@ -15,7 +15,7 @@ from cmp_cl.cli.messages import shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.measure import Measured, TwoViews
 from cmp_cl.opencl.device import select_device
-from cmp_cl.space import BinocularSplit, StereoRig
+from cmp_cl.space import BinocularSplit
 from cmp_cl.synthetic import Indenter, Mode, Scene, binocular_frame, default_rig, render_stereo
 from cmp_cl.viz import Moment, save_figure, sheet_figure
 from cmp_cl.viz.plots import new_figure
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"--out {shown(folder)} is a file; give the name of a folder")
     (folder / "frames").mkdir(parents=True, exist_ok=True)
-    rig = StereoRig(*default_rig(VIEW))
+    rig = default_rig(VIEW)
     shape = (SCENE.markers, SCENE.markers)
 
     def tell(what: str) -> None:

@@ -1,11 +1,10 @@
 """Rendered gels with exact truth, and how detections are scored against it."""
 
-from cmp_cl.synthetic.camera import Cameras, default_rig
+from cmp_cl.synthetic.camera import default_rig
 from cmp_cl.synthetic.rendering import Rendered, binocular_frame, render, render_stereo
 from cmp_cl.synthetic.scene import Indenter, Mode, Scene, Surround, random_scene
 
 __all__ = [
-    "Cameras",
     "Indenter",
     "Mode",
     "Rendered",

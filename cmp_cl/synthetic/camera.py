@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from cmp_cl.errors import ConfigError, check_shape
+from cmp_cl.space import StereoRig, Window
 from cmp_cl.synthetic.raster import Array
 from cmp_cl.synthetic.scene import Scene
 
@@ -15,21 +16,7 @@ _HALVINGS = 40  # of the range of a sine: below 1e-8 px
 FILL = 0.92  # share of the shorter image side that the pattern covers
 
 
-class Cameras(NamedTuple):
-    """A rig as plain arrays.
-
-    K1, K2: (3, 3), px. D1, D2: (5,), k1 k2 p1 p2 k3. R: (3, 3). T: (3,), mm.
-    """
-
-    K1: Array
-    D1: Array
-    K2: Array
-    D2: Array
-    R: Array
-    T: Array
-
-
-def default_rig(shape: tuple[int, int] = (1200, 800)) -> Cameras:
+def default_rig(shape: tuple[int, int] = (1200, 800)) -> StereoRig:
     """Return two cameras 16 mm apart whose axes meet 45 mm away.
 
     shape: (rows, columns) of each view, px. The pattern of a default scene covers 92 % of the
@@ -42,7 +29,7 @@ def default_rig(shape: tuple[int, int] = (1200, 800)) -> Cameras:
     matrix = np.array([[focal, 0, (columns - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1.0]])
     rotation = rotation_matrix(0.0, 2 * half, 0.0)
     centre = np.array([0.0, 0.0, math.hypot(8.0, DISTANCE)])
-    return Cameras(
+    return StereoRig(
         K1=matrix,
         D1=np.array([-0.06, 0.02, 0.0004, -0.0003, 0.0]),
         K2=matrix + np.array([[3.0, 0, 2.0], [0, 3.0, -1.5], [0, 0, 0]]),
@@ -55,21 +42,22 @@ def default_rig(shape: tuple[int, int] = (1200, 800)) -> Cameras:
 class PinholeCamera:
     """A pinhole camera with OpenCV's distortion k1 k2 p1 p2 k3.
 
-    window: a `cmp_cl.Window` before it, or None.
+    window: before it; None is air.
     """
 
     def __init__(
-        self, matrix: Array, distortion: Array, R: Array, T: Array, window: Any = None
+        self,
+        matrix: Array,
+        distortion: Array,
+        R: Array,
+        T: Array,
+        window: Window | None = None,
     ) -> None:
-        self.matrix = np.asarray(matrix, dtype=np.float64)
-        coefficients = np.asarray(distortion, dtype=np.float64).ravel()
-        if coefficients.size > 5 and np.any(coefficients[5:]):
+        if np.any(distortion[5:]):
             raise ConfigError(
-                f"rendering knows the distortion k1 k2 p1 p2 k3 only, not {coefficients.tolist()}"
+                f"rendering knows the distortion k1 k2 p1 p2 k3 only, not {distortion.tolist()}"
             )
-        self.distortion = np.concatenate([coefficients, np.zeros(5)])[:5]
-        self.R = np.asarray(R, dtype=np.float64)
-        self.T = np.asarray(T, dtype=np.float64)
+        self.matrix, self.distortion, self.R, self.T = matrix, distortion[:5], R, T
         self.window = window
 
     def project(self, points: Array) -> Array:
@@ -96,10 +84,8 @@ class PinholeCamera:
         )
 
 
-def straightened(window: Any, centre: Array, points: Array) -> Array:
+def straightened(window: Window, centre: Array, points: Array) -> Array:
     """Return points (..., 3) on the straight rays by which a camera at `centre` sees points.
-
-    window: a `cmp_cl.Window`, mm.
 
     The ray of a point with the sine s in air has the sine s / n in a medium of index n, and moves
     sideways by s / sqrt(n^2 - s^2) per depth there. All media together move it by the lateral
@@ -120,7 +106,7 @@ def straightened(window: Any, centre: Array, points: Array) -> Array:
             reach += thickness * s / np.sqrt(index**2 - s * s)
         short = reach < lateral
         low, high = np.where(short, s, low), np.where(short, high, s)
-    tangent = np.where(behind >= 0, s / np.sqrt(1 - s * s), np.nan)
+    tangent = np.where(behind >= 0, low / np.sqrt(1 - low * low), np.nan)
     stretch = depth * tangent / np.maximum(lateral, 1e-300)
     straight: Array = centre + depth[..., None] * window.normal + stretch[..., None] * across
     return straight

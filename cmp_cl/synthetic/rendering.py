@@ -5,7 +5,6 @@ map: which material point each sample of each pixel shows. Both agree to a thous
 """
 
 import dataclasses
-from typing import Any
 
 import cv2
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, check_kind
 from cmp_cl.image import GreyImage
+from cmp_cl.space import StereoRig
 from cmp_cl.synthetic.camera import (
     DISTANCE,
     FILL,
@@ -68,10 +68,10 @@ def render(scene: Scene) -> Rendered:
     return _render_view(scene, pose, camera, view=0)
 
 
-def render_stereo(scene: Scene, rig: Any) -> tuple[Rendered, Rendered, Array]:
+def render_stereo(scene: Scene, rig: StereoRig) -> tuple[Rendered, Rendered, Array]:
     """Render both views of the scene.
 
-    rig: the two cameras, a `cmp_cl.StereoRig` or `Cameras`, mm.
+    rig: the two cameras, mm.
 
     The gel faces both cameras alike, where their optical axes meet. If the axes do not meet, it
     stands 45 mm in front of the midpoint between the cameras. If the rig has a window, the light
@@ -84,9 +84,9 @@ def render_stereo(scene: Scene, rig: Any) -> tuple[Rendered, Rendered, Array]:
     would fold over in one of the images.
     """
     check_kind("scene", scene, Scene, ConfigError)
-    window = getattr(rig, "window", None)
-    left = PinholeCamera(rig.K1, rig.D1, np.eye(3), np.zeros(3), window)
-    right = PinholeCamera(rig.K2, rig.D2, rig.R, rig.T, window)
+    check_kind("rig", rig, StereoRig, ConfigError)
+    left = PinholeCamera(rig.K1, rig.D1, np.eye(3), np.zeros(3), rig.window)
+    right = PinholeCamera(rig.K2, rig.D2, rig.R, rig.T, rig.window)
     axes, centre = facing_both(rig.R, rig.T)
     pose = Pose.of(scene, axes, centre, float(left.matrix[0, 0]))
     xyz = pose.place(surface(scene, nodes_at_rest(scene)))

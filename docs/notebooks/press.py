@@ -22,7 +22,7 @@ import numpy as np
 import cmp_cl
 from cmp_cl.synthetic import Indenter, Scene, default_rig, render_stereo
 
-rig = cmp_cl.StereoRig(*default_rig((480, 480)))
+rig = default_rig((480, 480))
 scene = Scene(markers=20, shape=(480, 480), indenter=Indenter.BALL, severity=0.8, seed=900_200)
 left_rest, right_rest, truth_rest = render_stereo(scene.at_rest(), rig)
 left_now, right_now, truth_now = render_stereo(scene, rig)

@@ -144,7 +144,7 @@ def test_no_output_goes_over_an_input_or_another_output(run, arguments):
     cmp_cl.DetectorConfig().save("a.csv")
     cmp_cl.DetectorConfig().save("a.npz")
     media.write_image("a.png", media.read_image(BOARD))
-    cmp_cl.StereoRig(*synthetic.default_rig((300, 300))).save("rig.yaml")
+    synthetic.default_rig((300, 300)).save("rig.yaml")
     os.rename("rig.yaml", "rig.npz")
     for name in ("board.yaml", "frame.toml"):
         Path(name).write_text("an input")

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from gels import CAMERAS, GEL, RIG, VIEW
+from gels import GEL, RIG, VIEW
 from messages import fails_in_one_line
 from stereo_data import photographs
 
@@ -37,8 +37,8 @@ def test_demo_measures_what_it_rendered(run, small_demo, tmp_path):
     folder = tmp_path / "shown"
     assert cv2.imread(str(folder / "sheet.png")).std() > 20
     field = np.load(folder / "field.npz")
-    _, _, rest = render_stereo(demo.SCENE.at_rest(), CAMERAS)
-    _, _, now = render_stereo(demo.SCENE, CAMERAS)
+    _, _, rest = render_stereo(demo.SCENE.at_rest(), RIG)
+    _, _, now = render_stereo(demo.SCENE, RIG)
     off = np.linalg.norm(field["displacement"] - (now - rest), axis=2)
     rms = np.sqrt(np.mean(off**2))
     assert rms < 0.05  # mm, a third of a pixel
@@ -69,7 +69,7 @@ def boards():
             rotation=0.1 * number,
             seed=number,
         )
-        left, right, _ = render_stereo(scene, CAMERAS)
+        left, right, _ = render_stereo(scene, RIG)
         frames.append((left.image, right.image))
     return frames
 

@@ -12,7 +12,7 @@ from cmp_cl import StereoRig, Window
 from cmp_cl.synthetic import Scene, default_rig, render_stereo
 
 VIEW = (320, 270)
-AIR = StereoRig(*default_rig(VIEW))
+AIR = default_rig(VIEW)
 BEHIND = dataclasses.replace(AIR, window=Window(AIR.R[2] + (0, 0, 1), 20.0, ((5.0, 1.49),), 1.41))
 TILTS = (0.4, 0.1), (-0.3, 0.3), (0.1, -0.45), (-0.4, -0.2), (0.2, 0.3), (-0.2, -0.4)
 BOARD = "--stereo", "--board", "7x7", "--square", "4", "--out", "rig.yaml"

@@ -40,9 +40,8 @@ WINDOWS = {
 
 
 def rig_with(lens="pinhole", window="no window"):
-    k1, _, k2, _, r, t = default_rig(SHAPE)[:6]
     one, two = LENSES[lens]
-    return StereoRig(k1, one, k2, two, r, t, window=WINDOWS[window])
+    return dataclasses.replace(default_rig(SHAPE), D1=one, D2=two, window=WINDOWS[window])
 
 
 def views_of(rig, xyz, rng, noise=0.03, shared=0.0):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl import BinocularSplit, StereoRig
+from cmp_cl import BinocularSplit
 from cmp_cl.synthetic import (
     Indenter,
     Mode,
@@ -19,8 +19,7 @@ from cmp_cl.synthetic import (
 )
 
 VIEW = (240, 216)
-CAMERAS = default_rig(VIEW)
-RIG = StereoRig(*CAMERAS)
+RIG = default_rig(VIEW)
 SPLIT = BinocularSplit.halves(2 * VIEW[1], VIEW[0])
 NODES = (12, 12)
 GEL = Scene(markers=12, shape=VIEW, indenter=Indenter.TORUS, mode=Mode.TWIST, seed=5)
@@ -41,4 +40,4 @@ class Shot(NamedTuple):
 @functools.cache
 def pressed(severity: float) -> Shot:
     """Return the gel pressed so strongly; 0 is at rest."""
-    return Shot(*render_stereo(dataclasses.replace(GEL, severity=severity), CAMERAS))
+    return Shot(*render_stereo(dataclasses.replace(GEL, severity=severity), RIG))

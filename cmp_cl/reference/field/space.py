@@ -23,13 +23,12 @@ plane.
 """
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.reference.field.filter import bend_shift
+from cmp_cl.space.window import Window
 from cmp_cl.synthetic.camera import straightened
 
 Floats = NDArray[np.float64]
@@ -51,16 +50,6 @@ class Camera:
     distortion: Floats
     rotation: Floats
     move: Floats
-
-
-class Window(Protocol):
-    """normal: (3,), of length 1. distance: of the first face from the left camera. layers:
-    thickness and index of each; index: of the medium of the pattern."""
-
-    normal: Floats
-    distance: float
-    layers: Sequence[tuple[float, float]]
-    index: float
 
 
 def behind(window: Window, centre: Floats, direction: Floats) -> tuple[Floats, Floats]:
@@ -129,7 +118,7 @@ def points(
 ) -> Points:
     """Triangulate. nodes: of each view, (R, C, 2), complete. shown: (R, C), whether the view shows
     the node. sigma: (R, C), px, not positive if unknown. radii: of the corners' discs, px. window:
-    None is air."""
+    None is air; the oracle takes its numbers alone."""
     there = shown[0] & shown[1]
     shape = there.shape
     left, right = cameras
