@@ -60,14 +60,14 @@ def build_grid(
 
     If several boards are seen, the grid is of the one that fits the known size, or the print and
     the borders of `like`; without either of the largest that is seen whole, a full rectangle with
-    its borders, and of the largest if none is. A second that is comparable is an error, or is told
-    by `Grid.others`, unless it is the ground of a whole one: a lattice that ends nowhere. A smaller
-    one is told if it is whole too.
+    its borders, and of the largest if none is. A second that is comparable is an error, a smaller
+    one is told by `Grid.others`; the ground behind a whole one, a lattice that ends nowhere, is
+    neither.
 
     Raises GridError if corners have no finite position or no edge angles, if two comparable
-    boards are seen, if the board holds few of the corners, if a shape is far larger than the number
-    of corners, if `like` is empty or contradicts `shape`; ImageError for an image that is not one,
-    or not the corners' own; DeviceError.
+    boards are seen, if the board holds few of the corners, if a shape has millions of nodes, if
+    `like` is empty or contradicts `shape`; ImageError for an image that is not one, or not the
+    corners' own; DeviceError.
     """
     asked = asked_of(shape, like, previous)
     inside, found = _boards_of(corners, image, region, device)

@@ -69,24 +69,15 @@ class Found:
         return missing if missing >= max(K.least_board, K.gap * np.count_nonzero(inside)) else 0
 
     @functools.cached_property
-    def smooth(self) -> float:
-        """Return the share of its places that have a corner which is not rough."""
-        board = self.board
-        return np.count_nonzero((board.owner >= 0) & ~board.torn) / board.owner.size
-
-    @property
-    def is_full(self) -> bool:
-        """Return whether it is a full rectangle, but for a few corners."""
-        return self.smooth >= K.least_line
-
-    @functools.cached_property
     def is_whole(self) -> bool:
-        """Return whether it is a full rectangle whose border is seen, but for one side; or one that
-        has every corner, and a further line on any side would be in view."""
-        border = self.board.border
+        """Return whether it is a full rectangle, but for a few corners, whose border is seen, but
+        for one side; or one that has every corner, and a further line on any side would be in
+        view."""
+        board, border = self.board, self.board.border
+        smooth = np.count_nonzero((board.owner >= 0) & ~board.torn) / board.owner.size
         ended = np.count_nonzero(border.ends) >= 3
-        alone = self.smooth == 1 and bool((border.room & ~border.follows).all())
-        return self.is_full and bool(ended or alone)
+        alone = smooth == 1 and bool((border.room & ~border.follows).all())
+        return bool(smooth >= K.least_line and (ended or alone))
 
     def fills(self, shape: tuple[int, int]) -> bool:
         """Return whether it has nearly all nodes of a known size."""
@@ -140,7 +131,8 @@ def reference_of(grid: Grid) -> Reference:
 
 
 def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | None, int]:
-    """Return the board that is meant, None without any, and the corners of another that may be.
+    """Return the board that is meant, None without any, and the corners of another that may be, or
+    how many are missing inside it.
 
     count: corners that may belong to it.
 
@@ -149,7 +141,7 @@ def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | Non
     if not found:
         return None, 0
     if asked.like is not None:
-        chosen, others = _alike(found, asked.like)
+        chosen, others = _alike(found)
         sure, least = False, K.few * count
     elif asked.shape is not None:
         chosen, others = _fitting(found, asked.shape), 0
@@ -162,19 +154,14 @@ def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | Non
             f"the largest board has {chosen.size} of {count} corners, expected at least "
             f"{math.ceil(least)}; give the shape, a region, or a cut-out of the image"
         )
-    return chosen, others
+    return chosen, others or chosen.gap
 
 
-def _alike(found: list[Found], rest: Grid) -> tuple[Found, int]:
+def _alike(found: list[Found]) -> tuple[Found, int]:
     """Return the board that fits the print and the borders of the pattern at rest; and the corners
-    of the largest other that fits about as well, 0 without one.
-
-    A board of less than half the nodes of the largest, and of the pattern, is a part or texture.
-    """
-    nodes = min(found[0].size, int(np.count_nonzero(rest.valid)))
-    fair = [each for each in found if 2 * each.size >= nodes]
-    best = max(each.decision.best.nats for each in fair)
-    chosen, *others = [each for each in fair if each.decision.best.nats > best - K.sure_nats]
+    of the largest other that fits about as well, 0 without one."""
+    best = max(each.decision.best.nats for each in found)
+    chosen, *others = [each for each in found if each.decision.best.nats > best - K.sure_nats]
     return chosen, others[0].size if others else 0
 
 
@@ -196,20 +183,17 @@ def _alone(found: list[Found]) -> tuple[Found, int]:
     Beside a whole board, a large one that ends nowhere is the ground behind it, and a small one
     counts if it is whole too.
 
-    Raises GridError if another is comparable, unless it has gaps and the first is whole.
+    Raises GridError if another is comparable, and is not the ground.
     """
     chosen = next((each for each in found if each.is_whole), found[0])
     others = [each for each in found if each is not chosen]
+    if chosen.is_whole:
+        others = [each for each in others if each.is_whole or each.board.border.ends.any()]
     rivals = [each for each in others if each.is_comparable(chosen)]
-    if not chosen.is_whole and rivals:
+    if rivals:
         raise _two(chosen, rivals[0])
-    if not chosen.is_whole:
-        return chosen, others[0].size if others else chosen.gap
-    full = [each for each in rivals if each.is_full]
-    if full:
-        raise _two(chosen, full[0])
-    told = [e for e in others if e.is_whole or (e in rivals and e.board.border.ends.any())]
-    return chosen, told[0].size if told else chosen.gap
+    told = [each.size for each in others if each.is_whole or not chosen.is_whole]
+    return chosen, told[0] if told else 0
 
 
 def _two(one: Found, other: Found) -> GridError:

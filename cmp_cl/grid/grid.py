@@ -105,7 +105,7 @@ class Grid:
     others: corners of the largest other lattice in view that may be the pattern that is meant,
         0 where none is: squares behind a board, or a part of a torn pattern without numbers. Places
         inside the grid that show no corner count too, if they are many: two patterns that touch
-        leave such a gap. It is not looked for where the shape is known.
+        leave such a gap, and a part of a torn pattern that is numbered wrongly.
     edge_radius: the `edge_radius` of the corners, px. The filters of positions and displacements
         use it to remove the effect of bent edges. NaN if unknown.
     """
@@ -173,7 +173,7 @@ class Grid:
         if self.others:
             found.append(
                 f"another pattern of {self.others} corners is seen, or so many are missing inside "
-                "this one; give a region without it, or the number of rows and columns"
+                "this one, beside which numbers may be wrong; give a region without it"
             )
         if self.ambiguous and self.seen_shape is None:
             other = ""

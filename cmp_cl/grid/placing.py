@@ -20,7 +20,7 @@ def placed(found: Found, corners: Corners, asked: Asked, others: int) -> Grid:
     status = mine.astype(np.uint8) * np.uint8(NodeStatus.DETECTED)
     status[mine & board.torn] = NodeStatus.ATTACHED
     status[board.owner == LOOKED] = NodeStatus.INTERPOLATED
-    corner = board.owner[mine]
+    corner = board.owner[mine].astype(np.int64)
     index = np.full((len(corners), 2), -1, np.int32)
     index[corner] = np.argwhere(mine)
     sigma = np.full(size, np.nan, np.float32)

@@ -48,8 +48,8 @@ class Placement(NamedTuple):
 def joined(
     units: Units, votes: Votes, corners: int, k: LatticeConstants, main: int, others: Iterable[int]
 ) -> Placed:
-    """Return the main part with each of the others that is sure where it belongs, the surest
-    first."""
+    """Return the main part with each of the others, in their order, that is sure where it
+    belongs."""
     return _Joining(units, votes, corners, k).run(main, others)
 
 
@@ -67,19 +67,9 @@ class _Joining:
     def run(self, main: int, others: Iterable[int]) -> Placed:
         order = [self.place(main, Placement(0, 0j))]
         left = list(others)
-        while left:
-            found = [(self.sure(p), p) for p in left]
-            best = max(
-                ((r, -p, at) for (r, at), p in found if at is not None),
-                default=None,
-                key=lambda each: each[:2],
-            )
-            if best is None:
-                break
-            part = -best[1]
-            assert best[2] is not None
-            order.append(self.place(part, best[2]))
-            left.remove(part)
+        while found := next(((p, at) for p in left if (at := self.sure(p))), None):
+            order.append(self.place(*found))
+            left.remove(found[0])
         corner = np.concatenate(order)
         _, first = np.unique(_keys(self.placed.number[corner]), return_index=True)
         self.placed.unit[np.delete(corner, first)] = -1  # a number goes to the part placed first
@@ -117,8 +107,8 @@ class _Joining:
         quarter, number, weight, unit = (np.concatenate(each) for each in zip(*rows, strict=True))
         return quarter, number - units.number[unit] * DIRECTIONS[quarter], weight
 
-    def sure(self, part: int) -> tuple[float, Placement | None]:
-        """Return the placement of a part if it is sure, and by how much its surface is better.
+    def sure(self, part: int) -> Placement | None:
+        """Return the placement of a part if it is sure.
 
         It has the most votes, and the surface bends least there. Neither is enough alone: squeezed
         cells can get lost between the parts, which makes counts too short; and where cells are long
@@ -128,11 +118,10 @@ class _Joining:
         _, first, which = np.unique(_keys(offset) + quarter * FAR * FAR, True, True)
         votes = np.bincount(which, weight)
         if not len(votes) or votes.max() < self.k.join_votes:
-            return 0.0, None
+            return None
         best = first[votes.argmax()]
         at = Placement(int(quarter[best]), complex(np.rint(offset[best])))
-        ratio = self.ratio(part, at)
-        return (ratio, at) if ratio >= self.k.join_bend else (0.0, None)
+        return at if self.ratio(part, at) >= self.k.join_bend else None
 
     def ratio(self, part: int, at: Placement) -> float:
         """Return by what factor the surface bends more at the second best offset; 0 if this one is

@@ -177,8 +177,6 @@ def _of_ends(
         elif now.ends[n] and rest.follows[n]:
             same = -nats_now[n]
         fewer = -nats_now[n]
-        if now.room[n] and not (now.ends[n] or now.follows[n]):
-            fewer = -k.end_nats / 2
         total += np.where(lines == 0, same, np.where(lines > 0, -nats_rest[n], fewer))
     return total
 
@@ -247,8 +245,7 @@ def _unmoved(at: Numbers, reference: Reference) -> Float:
     place, nodes = np.argwhere(~np.isnan(at)), np.argwhere(~np.isnan(there))
     z, others = at[tuple(place.T)], there[tuple(nodes.T)]
     middle = complex(np.median(z.real), np.median(z.imag))
-    some = np.argsort(np.abs(z - middle), kind="stable")[: max(len(z) // 2, 9)]
-    some = some[:: max(len(some) // VOTERS, 1)]
+    some = np.argsort(np.abs(z - middle), kind="stable")[:: max(len(z) // VOTERS, 1)]
     place, z = place[some], z[some]
     nearest = np.abs(np.subtract.outer(z, others)).argmin(axis=1)
     off, area = z - others[nearest], (along.conjugate() * down).imag or 1.0
