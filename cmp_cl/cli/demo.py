@@ -55,7 +55,6 @@ def add_parser(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
-    begin = time.perf_counter()
     device = select_device(arguments.device)
     new_figure((1, 1))  # matplotlib is missed now, not after the rendering
     folder = Path(arguments.out)
@@ -64,32 +63,21 @@ def run(arguments: argparse.Namespace) -> int:
     (folder / "frames").mkdir(parents=True, exist_ok=True)
     rig = default_rig(VIEW)
     shape = (SCENE.markers, SCENE.markers)
-
-    def tell(what: str) -> None:
-        print(f"{time.perf_counter() - begin:5.1f} s  {what}", flush=True)
-
     *views, rest = render_stereo(SCENE.at_rest(), rig)
     at_rest = binocular_frame(*views)
     *views, now = render_stereo(SCENE, rig)
     pressed = binocular_frame(*views)
     rows, columns = pressed.shape
-    tell(
-        f"rendered a gel at rest and pressed, {columns} x {rows} px, {shape[0]} x {shape[1]} "
-        "corners per view"
-    )
+    print(f"rendered a gel at rest and pressed, {columns} x {rows} px", flush=True)
     split = BinocularSplit.halves(columns, rows)
     with TwoViews(at_rest, rig, split, shape=shape, device=device) as measure:
-        tell(f"found and numbered the pattern at rest on {device}")
         times = []
         for _ in range(_TIMES):
             start = time.perf_counter()
             measured = measure(pressed)
             times.append(time.perf_counter() - start)
         spent = statistics.median(times)
-    tell(
-        f"found, numbered and triangulated {measured.nodes} nodes of the pressed gel in "
-        f"{spent * 1e3:.0f} ms"
-    )
+    print(f"measured it on {device}", flush=True)
     table = _table(measured, spent, now - rest)
     media.write_image(folder / "frames" / "000-rest.png", at_rest)
     media.write_image(folder / "frames" / "001-press.png", pressed)
@@ -99,7 +87,6 @@ def run(arguments: argparse.Namespace) -> int:
     told = "; ".join(f"{what} {value}" for what, value in table)
     sheet = sheet_figure(Moment.of(measured.field, 1), title=f"A torus presses and twists: {told}")
     save_figure(folder / "sheet.png", sheet)
-    tell("wrote the files")
     width = max(len(what) for what, _ in table)
     for what, value in table:
         print(f"  {what:{width}}  {value}")
