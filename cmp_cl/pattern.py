@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError, check_pair, check_range, check_shape, extra
+from cmp_cl.errors import ConfigError, check_range, check_shape, extra
 from cmp_cl.files import suffix_of, whole_file
 
 PAPERS = {  # mm, upright
@@ -43,14 +43,14 @@ class Checkerboard:
     cell: side of a cell, mm, 0.01 to 1000.
     bare: leave out the white border around the cells, one cell wide, and the scale bars along x and
         y, for a mask that covers a gel up to its rim.
-    paper: width and height of the sheet, mm; the pattern is centred on it. None means a sheet that
-        just holds the pattern.
+    paper: the sheet, one of PAPERS, on which the pattern is centred, upright or on its side as the
+        pattern is; None means a sheet that just holds it.
     """
 
     shape: tuple[int, int]
     cell: float
     bare: bool = False
-    paper: tuple[float, float] | None = None
+    paper: str | None = None
 
     def __post_init__(self) -> None:
         check_shape(self.shape, ConfigError)
@@ -60,8 +60,8 @@ class Checkerboard:
                 f"{rows} x {columns} corners are more than {_MOST_CELLS} cells; draw fewer"
             )
         check_range("cell", self.cell, 0.01, 1000)
-        if self.paper is not None:
-            check_pair("paper", self.paper, 10, 2000)
+        if self.paper is not None and self.paper not in PAPERS:
+            raise ConfigError(f"paper must be one of {', '.join(PAPERS)}, not {self.paper!r}")
         needed, sheet = self._needed(), self.size
         if needed[0] > sheet[0] or needed[1] > sheet[1]:
             raise ConfigError(
@@ -77,7 +77,11 @@ class Checkerboard:
     @property
     def size(self) -> tuple[float, float]:
         """Return the width and height of the sheet, mm."""
-        return self._needed() if self.paper is None else self.paper
+        width, height = self._needed()
+        if self.paper is None:
+            return width, height
+        short, long = PAPERS[self.paper]
+        return (long, short) if width > height else (short, long)
 
     @property
     def corners(self) -> NDArray[np.float64]:

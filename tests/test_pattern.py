@@ -68,7 +68,8 @@ def test_a_png_states_its_resolution(tmp_path):
         ({"shape": (2000, 2000)}, "more than"),
         ({"cell": -1}, "cell"),
         ({"cell": float("nan")}, "cell"),
-        ({"paper": (20, 20)}, "the paper has"),
+        ({"cell": 90, "paper": "a4"}, "the paper has"),
+        ({"paper": "a0"}, "paper must be one of a5, a4"),
     ],
 )
 def test_patterns_that_cannot_be_drawn_are_refused(wrong, says):

@@ -1,7 +1,6 @@
 """`cmp-cl pattern`: the checkerboard to print."""
 
 import argparse
-import dataclasses
 from typing import Any
 
 from cmp_cl.cli.arguments import grid_shape, positive_number
@@ -52,14 +51,8 @@ def run(arguments: argparse.Namespace) -> int:
     if cell is None:
         cell = arguments.size / (max(arguments.grid) + 1)
     board = Checkerboard(
-        shape=arguments.grid,
-        cell=cell,
-        bare=arguments.bare,
+        shape=arguments.grid, cell=cell, bare=arguments.bare, paper=arguments.paper
     )
-    if arguments.paper is not None:
-        short, long = PAPERS[arguments.paper]
-        upright = board.size[1] >= board.size[0]
-        board = dataclasses.replace(board, paper=(short, long) if upright else (long, short))
     board.save(arguments.out, dpi=arguments.dpi)
     rows, columns = board.shape
     width, height = board.size
