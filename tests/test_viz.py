@@ -223,7 +223,7 @@ def test_the_command_writes_a_picture_or_says_why_not(tmp_path, capsys):
     with SeriesWriter(tmp_path / "empty.npz", rest=lattice()):
         pass
     assert main(["plot", str(tmp_path / "empty.npz"), "--out", out]) == 2
-    assert "the series has no" in capsys.readouterr().err
+    assert "the series has no frame" in capsys.readouterr().err
     with SeriesWriter(tmp_path / "live.npz", rest=lattice()) as live:
         live.append(index=0, time_ms=np.nan, displacement=0.5 * lattice())
         assert main(["plot", str(tmp_path / "live.npz.part"), "--out", out]) == 0

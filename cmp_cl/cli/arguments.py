@@ -84,6 +84,12 @@ def add_split(parser: argparse._ActionsContainer) -> None:
     )
 
 
+def check_split(arguments: argparse.Namespace, *, both: bool) -> None:
+    """Raise ConfigError if --split or --mirror is given; both: whether frames show both views."""
+    if (arguments.split or arguments.mirror) and not both:
+        raise ConfigError("--split and --mirror need --stereo and frames that show both views")
+
+
 def positive_number(text: str) -> float:
     """Parse a finite number above 0; raises ArgumentTypeError."""
     with contextlib.suppress(ValueError):

@@ -14,6 +14,7 @@ from cmp_cl.cli.arguments import (
     add_full_scale,
     add_split,
     check_files,
+    check_split,
     check_suffix,
     grid_shape,
     positive_number,
@@ -199,8 +200,7 @@ def _names(files: Mapping[str, list[Path]]) -> dict[str, list[str]]:
 
 
 def _check(arguments: argparse.Namespace, files: Mapping[str, list[Path]], picture: Path) -> None:
-    if (arguments.split or arguments.mirror) and not arguments.stereo:
-        raise ConfigError("--split and --mirror need --stereo: frames that show two views")
+    check_split(arguments, both=arguments.stereo)
     if arguments.free_board and sum(arguments.board) % 2 == 0:
         rows, columns = arguments.board
         raise ConfigError(

@@ -139,8 +139,6 @@ def _check(arguments: argparse.Namespace) -> None:
         raise ConfigError(f"--rest-frame must be 0 or more, not {arguments.rest_frame}")
     sources.check(arguments)
     results.check(arguments)
-    if arguments.stereo is None and (arguments.split or arguments.mirror):
-        raise ConfigError("--split and --mirror need --stereo")
     if arguments.out == "-" and sys.__stdout__ is None:
         raise ConfigError("--out - needs standard output, which is closed")
 

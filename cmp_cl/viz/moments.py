@@ -154,9 +154,11 @@ def moments_of(series: Mapping[str, NDArray[Any]]) -> list[Moment]:
 
     Raises FieldError without a frame, or without positions at rest and displacements.
     """
+    if not len(series.get("index", ())):
+        raise FieldError("the series has no frame")
     missing = [name for name in NEEDED[:4] if name not in series]
-    if missing or not len(series["index"]):
-        raise FieldError(f"the series has no {' and no '.join(missing or ['frame'])}")
+    if missing:
+        raise FieldError(f"the series has no {' and no '.join(missing)}")
     rest, shift = np.asarray(series["rest"], np.float64), series["displacement"]
     sigma = series.get("sigma", np.broadcast_to(np.nan, shift.shape[:3]))
     unit = str(series.get("unit", "px"))

@@ -5,6 +5,7 @@ import contextlib
 from collections.abc import Generator
 from typing import Any
 
+from cmp_cl.cli.arguments import check_split
 from cmp_cl.cli.messages import counted, in_shell, shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.image import GreyImage
@@ -55,8 +56,7 @@ def check(arguments: argparse.Namespace) -> None:
         raise ConfigError("give SOURCE, or --left and --right")
     if two and (arguments.left is None or arguments.right is None or arguments.stereo is None):
         raise ConfigError("--left and --right need each other, and --stereo")
-    if two and (arguments.split or arguments.mirror):
-        raise ConfigError("--split and --mirror are for frames that show both views")
+    check_split(arguments, both=arguments.stereo is not None and not two)
 
 
 def opened(arguments: argparse.Namespace) -> Source | Pairs:
