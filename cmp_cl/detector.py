@@ -277,7 +277,7 @@ class Detector(Closing):
             )
         asked = asked_of(shape, like, previous)
         corners, found = self._boards(image)
-        return corners, grid_of(found, corners, asked, len(corners), strict=strict)
+        return corners, grid_of(found, corners, np.arange(len(corners)), asked, strict=strict)
 
     def grids(
         self,

@@ -71,19 +71,19 @@ def build_grid(
     """
     asked = asked_of(shape, like, previous)
     inside, found = _boards_of(corners, image, region, device)
-    return grid_of(found, corners, asked, len(inside), strict=strict)
+    return grid_of(found, corners, inside, asked, strict=strict)
 
 
 def grid_of(
     found: Iterable[Board],
     corners: Corners,
+    inside: Whole,
     asked: Asked,
-    count: int,
     *,
     strict: bool,
 ) -> Grid:
-    """Return the grid of the board that is meant; count: corners that may belong to it."""
-    chosen, others = chosen_of(found_in(found, asked), asked, count)
+    """Return the grid of the board that is meant; inside: (M,), corners that may belong to it."""
+    chosen, others = chosen_of(found_in(found, asked, corners, inside), asked, len(inside))
     if chosen is None:
         grid = empty_grid(len(corners), asked.shape, asked.like)
     else:
@@ -109,7 +109,8 @@ def build_grids(
     Raises the errors of `build_grid` for its arguments.
     """
     asked = asked_of(shape, None, None)
-    found = found_in(_boards_of(corners, image, region, device)[1], asked)
+    inside, every = _boards_of(corners, image, region, device)
+    found = found_in(every, asked, corners, inside)
     if shape is not None:
         found = [each for each in found if 2 * each.size >= shape[0] * shape[1]]
     return [placed(each, corners, asked, 0) for each in found]

@@ -8,9 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
+from cmp_cl.grid.further import with_further_lines
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
-from cmp_cl.lattice.arrays import NONE, Board, Border, Mask
+from cmp_cl.lattice.arrays import NONE, Board, Border, Mask, Whole
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.numbers import (
     Decision,
@@ -34,10 +36,12 @@ class Asked(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Found:
-    """A board in a view, upright; the number of its first node and how sure it is."""
+    """A board in a view, upright; the number of its first node and how sure it is; the corners that
+    are none of its own and look like its next lines."""
 
     board: Board
     decision: Decision
+    further: int
 
     @functools.cached_property
     def size(self) -> int:
@@ -76,8 +80,9 @@ class Found:
         board, border = self.board, self.board.border
         smooth = np.count_nonzero((board.owner >= 0) & ~board.torn) / board.owner.size
         ended = np.count_nonzero(border.ends) >= 3
-        alone = smooth == 1 and bool((border.room & ~border.follows).all())
-        return bool(smooth >= K.least_line and (ended or alone))
+        alone = smooth == 1 and bool(border.room.all())
+        whole = smooth >= K.least_line and (ended or alone)
+        return bool(whole and not border.follows.any())
 
     def fills(self, shape: tuple[int, int]) -> bool:
         """Return whether it has nearly all nodes of a known size."""
@@ -89,9 +94,16 @@ class Found:
         return self.decision.best.nats > -K.end_nats
 
 
-def found_in(boards: Iterable[Board], asked: Asked) -> list[Found]:
-    """Return the boards of a view with their numbers, those of more corners first."""
-    found = [Found(board, _decided(board, asked)) for board in boards if (board.owner >= 0).any()]
+def found_in(boards: Iterable[Board], asked: Asked, corners: Corners, inside: Whole) -> list[Found]:
+    """Return the boards of a view with their numbers, those of more corners first.
+
+    inside: (M,), the corners that may belong to them.
+    """
+    found = []
+    for board in boards:
+        if (board.owner >= 0).any():
+            board.border, further = with_further_lines(board, corners, inside)
+            found.append(Found(board, _decided(board, asked), further))
     return sorted(found, key=lambda each: -each.size)
 
 
@@ -132,7 +144,7 @@ def reference_of(grid: Grid) -> Reference:
 
 def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | None, int]:
     """Return the board that is meant, None without any, and the corners of another that may be, or
-    how many are missing inside it.
+    how many are missing inside it or beside it.
 
     count: corners that may belong to it.
 
@@ -154,7 +166,8 @@ def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | Non
             f"the largest board has {chosen.size} of {count} corners, expected at least "
             f"{math.ceil(least)}; give the shape, a region, or a cut-out of the image"
         )
-    return chosen, others or chosen.gap
+    complete = asked.shape is not None and chosen.size == math.prod(asked.shape)
+    return chosen, others or chosen.gap or (0 if complete else chosen.further)
 
 
 def _alike(found: list[Found]) -> tuple[Found, int]:

@@ -105,7 +105,8 @@ class Grid:
     others: corners of the largest other lattice in view that may be the pattern that is meant,
         0 where none is: squares behind a board, or a part of a torn pattern without numbers. Places
         inside the grid that show no corner count too, if they are many: two patterns that touch
-        leave such a gap, and a part of a torn pattern that is numbered wrongly.
+        leave such a gap, and a part of a torn pattern that is numbered wrongly. So do corners that
+        look like its next lines.
     edge_radius: the `edge_radius` of the corners, px. The filters of positions and displacements
         use it to remove the effect of bent edges. NaN if unknown.
     """
@@ -172,8 +173,8 @@ class Grid:
             found.append(f"the board looks like {seen} corners; {rows} x {columns} were asked for")
         if self.others:
             found.append(
-                f"another pattern of {self.others} corners is seen, or so many are missing inside "
-                "this one, beside which numbers may be wrong; give a region without it"
+                f"another pattern of {self.others} corners is seen, or so many of this one are no "
+                "nodes, beside which numbers may be wrong; give a region without it"
             )
         if self.ambiguous and self.seen_shape is None:
             other = ""

@@ -113,7 +113,8 @@ def _shifts(
     high = np.maximum(origin + shape - 1, about + 3)
     row, column = (np.arange(low[n], high[n] + 1) for n in (0, 1))
     away = np.square(row - unmoved[0])[:, None] + np.square(column - unmoved[1])
-    score = nats - np.minimum(away / (2 * sd_cells**2), k.motion_nats)
+    moved = np.minimum(away / (2 * sd_cells**2), k.motion_nats)
+    score = -np.minimum(moved - nats, k.turn_nats)  # what was turned by hand was moved too
     score += agreement(rest.prints, prints, row - origin[0], column - origin[1], k)
     here, there = now.outer_lines, rest.board.outer_lines
     for axis, first in ((0, row), (1, column)):

@@ -1,0 +1,63 @@
+"""What corners and their distances add to what the image shows at the sides of a board."""
+
+import numpy as np
+
+from cmp_cl.corners import Corners
+from cmp_cl.lattice.arrays import Board, Border, Mask, Numbers, Whole
+from cmp_cl.lattice.constants import LatticeConstants
+
+K = LatticeConstants()
+
+
+def with_further_lines(board: Board, corners: Corners, inside: Whole) -> tuple[Border, int]:
+    """Return the border of a board, and the number of corners on the lines that follow.
+
+    inside: (M,), the corners that may belong to the board.
+
+    The steps of a tilted board grow from line to line, so its squares reach as far as the next step
+    would. A line of corners past a side follows, though no sides of cells link it. Where half a
+    line has corners its places are not empty.
+    """
+    border, owner, at = board.border, board.owner, board.at
+    free = np.zeros(len(corners), np.bool_)
+    free[inside] = True
+    free[owner[owner >= 0]] = False
+    growth, found, places = np.ones(4), np.zeros(4, np.int64), np.array(owner.shape)[[1, 1, 0, 0]]
+    from_side = [(each, each[::-1], each.T, each.T[::-1]) for each in (owner, at)]
+    for side, (owners, positions) in enumerate(zip(*from_side, strict=True)):
+        if border.ends[side]:
+            growth[side] = _growth(positions)
+        elif len(owners) > 1 and free.any():
+            found[side] = _further(owners, corners, free)
+    follows = border.follows | (found >= K.least_line * places)
+    some = 2 * found >= places
+    changed = Border(border.reach / growth, border.past, follows, border.room & ~some)
+    return changed, int(found[some].sum())
+
+
+def _growth(places: Numbers) -> float:
+    """Return by which factor the step between the first two lines exceeds the one after it."""
+    steps = np.abs(places[:-1][:2] - places[1:][:2])
+    known = ~np.isnan(steps).any(axis=0)
+    if len(steps) < 2 or not known.any():
+        return 1.0
+    first, second = steps[:, known].sum(axis=1)
+    return float(first / second)
+
+
+def _further(lines: Whole, corners: Corners, free: Mask) -> int:
+    """Return how many places of the line before the first one have a free corner.
+
+    It lies within half a step of where the first two lines lead, and the first node and it could be
+    linked: boundaries of unlike colours point from each to the other.
+    """
+    first, second = lines[:2, (lines[:2] >= 0).all(axis=0)]
+    at: Numbers = corners.xy @ np.array([1, 1j])
+    ways = np.exp(1j * corners.edges)
+    chord, step = at[free] - at[first, None], at[first] - at[second]
+    near = np.abs(chord - step[:, None]) < abs(step[:, None]) / 2
+    way = (chord / np.abs(chord))[..., None]
+    here, there = (ways[first, None] / way).real, (-ways[free] / way).real
+    near &= np.minimum(here.max(axis=2), there.max(axis=2)) > K.least_cosine
+    near &= (here.argmax(axis=2) + there.argmax(axis=2)) % 2 == 1
+    return int(np.count_nonzero(near.any(axis=1)))
