@@ -31,10 +31,7 @@ from cmp_cl.series import SERIES_SUFFIXES, complete, read_series
 PACKAGES = {".h5": "h5py", ".mcap": "mcap_ros2"}
 FORMATS = SERIES_SUFFIXES
 READABLE = [".npz", ".h5"]
-ABOUT = {
-    "units": {"displacement": "mm", "sigma": "mm", "rest": "mm"},
-    "settings": {"configuration": "nms = 3"},
-}
+ABOUT = {"settings": {"configuration": "nms = 3"}}
 SHAPE = (12, 15)
 
 
@@ -170,14 +167,15 @@ def test_hdf5_holds_units_version_time_and_configuration(tmp_path):
 
 
 def test_a_csv_has_a_row_for_each_node_and_metadata_beside_it(tmp_path):
-    about = {"units": {"displacement": "mm", "area": "mm2"}, "settings": {"nms": "3"}}
     arrays = frame(2) | {"strain": np.full((*SHAPE, 3), 0.5), "area": 7.5, "zoom": np.ones(2)}
-    with SeriesWriter(tmp_path / "press.csv", **about, rest=rest()) as series:
+    with SeriesWriter(tmp_path / "press.csv", **ABOUT, rest=rest(), unit="mm") as series:
         series.append(index=12, time_ms=40.0, **arrays)
     rows = list(csv.DictReader((tmp_path / "press.csv").read_text().splitlines()))
     assert len(rows) == SHAPE[0] * SHAPE[1]
-    names = "frame time_ms row column displacement_x_mm displacement_y_mm displacement_z_mm sigma"
-    names += " status strain_11 strain_22 strain_12 ambiguous area_mm2 zoom_x zoom_y"
+    names = (
+        "frame time_ms row column displacement_x_mm displacement_y_mm displacement_z_mm sigma_mm"
+    )
+    names += " status strain_11 strain_22 strain_12 ambiguous area zoom_x zoom_y"
     assert list(rows[0]) == names.split()
     assert rows[0]["displacement_x_mm"] == "nan"
     last = list(rows[-1].values())
@@ -185,7 +183,7 @@ def test_a_csv_has_a_row_for_each_node_and_metadata_beside_it(tmp_path):
     np.testing.assert_allclose([float(cell) for cell in last[4:8]], [0.78, 0.72, 0.9, 0.03])
     assert last[8:] == ["1", "0.5", "0.5", "0.5", "0", "7.5", "1", "1"]
     about = json.loads((tmp_path / "press.csv-metadata.json").read_text())
-    assert (about["units"]["displacement"], about["nms"]) == ("mm", "3")
+    assert (about["units"]["displacement"], about["configuration"]) == ("mm", "nms = 3")
 
 
 def test_json_lines_go_through_a_pipe():
@@ -271,7 +269,7 @@ def test_an_older_file_is_replaced_at_the_end_and_gives_its_mode(tmp_path, suffi
     path = tmp_path / f"old{suffix}"
     path.write_bytes(b"old")
     path.chmod(0o600)
-    new = {**ABOUT, "rest": rest()}
+    new = {**ABOUT, "rest": rest(), "unit": "mm"}
     with pytest.raises(KeyboardInterrupt), SeriesWriter(path, **new):
         raise KeyboardInterrupt
     assert list(tmp_path.iterdir()) == [path]

@@ -186,7 +186,7 @@ class Sensor(Frames):
     def _keep(self, measure: TwoViews, measured: Measured, index: int, time_ms: float) -> None:
         with self._lock:
             if self._path is not None and not self._new_rest:  # else measure has the old one
-                self._series = SeriesWriter(self._path, units={}, settings={}, **measure.constants)
+                self._series = SeriesWriter(self._path, settings=None, **measure.constants)
                 self._path = None
             if self._series is not None:
                 ambiguous = measured.ambiguous

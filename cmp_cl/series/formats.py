@@ -66,7 +66,7 @@ def write_hdf5(series: Stored, path: Path, _target: Path) -> None:
 
     needed = sum(each.nbytes + _ROOM_OF_FRAME * len(each) for each in series.arrays.values())
     _check_room(path.parent, needed + _ROOM)
-    units = {"time_ms": "ms", **series.about["units"]}
+    units = series.about["units"]
     try:
         with h5py.File(path, "w", libver="latest") as file:
             file.attrs.update({k: v for k, v in series.about.items() if isinstance(v, str)})

@@ -33,6 +33,14 @@ _PACKAGES = {".h5": ("hdf5", "h5py"), ".mcap": ("mcap", "mcap_ros2.writer")}
 _OF_NODES = (".csv", ".pvd", ".mcap")  # these need what `formats.moved_by` returns
 SERIES_SUFFIXES = tuple(_FORMATS)
 
+# What this library writes of a recording, by the unit.
+_LENGTHS = [f"{raw}{name}" for raw in ("", "raw_") for name in ("rest", "displacement", "sigma")]
+_OTHERS = {
+    "px": ["xy", "left", "right", "xy_rest", "left_rest", "right_rest"],
+    "rad": ["direction", "direction_sigma"],
+    "ms": ["time_ms"],
+}
+
 
 def complete(part: str | PathLike[str], target: str | PathLike[str]) -> None:
     """Make the file of a series from its part, in the format of the suffix, and remove the part.
@@ -84,10 +92,10 @@ class _Lines:
 class SeriesWriter(Closing):
     """Writes a series frame by frame, in the format of the suffix; memory does not grow with it.
 
-    path: .npz, .h5, .csv, .pvd or .mcap, or `-` for JSON lines on standard output. units: units of
-    the arrays, by name; arrays without an entry have none. settings: texts by name that are stored
-    too, such as the configuration. constants: arrays that hold for all frames, such as the
-    positions at rest and the unit.
+    path: .npz, .h5, .csv, .pvd or .mcap, or `-` for JSON lines on standard output. settings: texts
+    by name that are stored too, such as the configuration. constants: arrays that hold for all
+    frames, such as `rest`, the positions at rest, and `unit`, that of the lengths. With it, the
+    arrays of a recording (docs/formats.md) have their units in the file.
 
         with SeriesWriter("press.npz", rest=rest.xyz, unit="mm") as series:
             series.append(index=i, time_ms=t, displacement=field.displacement)
@@ -111,7 +119,6 @@ class SeriesWriter(Closing):
         path: str | PathLike[str],
         /,
         *,
-        units: Mapping[str, str] | None = None,
         settings: Mapping[str, str] | None = None,
         **constants: ArrayLike,
     ) -> None:
@@ -123,7 +130,7 @@ class SeriesWriter(Closing):
         self._open = True
         self.earlier: list[Path] = []
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        about = {"units": dict(units or {}), "cmp_cl": __version__, "written": now}
+        about = {"units": _units(constants.get("unit")), "cmp_cl": __version__, "written": now}
         about |= dict(settings or {})
         self._target = Path("-")
         self._of_nodes = False
@@ -192,6 +199,12 @@ class SeriesWriter(Closing):
             frames = "1 frame" if self._count == 1 else f"{self._count} frames"
             why = f"{error.strerror or error}; what was added, {frames}, is in {self._sink.path}"
             raise OSError(error.errno, why, str(self._target)) from error
+
+
+def _units(length: ArrayLike | None) -> dict[str, str]:
+    """Return the units of the arrays of a recording by name; length: that of lengths, if known."""
+    names = _OTHERS if length is None else {str(length): [*_LENGTHS, "bias_sigma"], **_OTHERS}
+    return {name: unit for unit, named in names.items() for name in named}
 
 
 def _known_suffix(path: str | PathLike[str]) -> str:

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import math
+import statistics
 import time
 from collections import deque
 from typing import Any
@@ -83,7 +84,7 @@ class Results(Closing):
 
     settings: what the series says of the run. period_ms: time between frames, NaN if unknown.
     in_air: whether a window would be missed without a word.
-    frames, ambiguous, left_out: numbers of frames. error: why a picture was not written, else None.
+    ambiguous, left_out: numbers of frames. error: why a picture was not written, else None.
     """
 
     def __init__(
@@ -97,8 +98,8 @@ class Results(Closing):
     ) -> None:
         self._in_air = in_air
         self._arguments, self._unit, self._of_pattern = arguments, measure.unit, measure.nodes
-        self.frames = self.ambiguous = self.left_out = self._empty = 0
-        self._nodes, self._fewest = 0, measure.nodes
+        self.ambiguous = self.left_out = 0
+        self._nodes: list[int] = []  # that were measured in each frame
         self._summary = Summary()
         self._times: deque[float] = deque(maxlen=_RATED)
         self.error: Exception | None = None
@@ -109,12 +110,7 @@ class Results(Closing):
                 fps = _USUAL_RATE if math.isnan(period_ms) else 1e3 / period_ms
                 self._video = stack.enter_context(VideoFile(f"{arguments.plot}.mp4", fps=fps))
             self._series = stack.enter_context(
-                SeriesWriter(
-                    arguments.out,
-                    units=_units(measure),
-                    settings=settings,
-                    **measure.constants,
-                )
+                SeriesWriter(arguments.out, settings=settings, **measure.constants)
             )
             if arguments.show:
                 self._live = stack.enter_context(LiveView())
@@ -126,6 +122,11 @@ class Results(Closing):
                 "it holds all frames up to then; delete it if you need none of them"
             )
 
+    @property
+    def frames(self) -> int:
+        """Return the number of frames so far."""
+        return len(self._nodes)
+
     def write(self, frame: Frame, measured: Measured) -> None:
         """Write a frame, then count it and draw it."""
         self._series.append(
@@ -134,12 +135,8 @@ class Results(Closing):
             ambiguous=measured.ambiguous,
             **measured.arrays,
         )
-        self.frames += 1
-        self._empty += not measured.nodes
-        if measured.nodes:
-            self._nodes += measured.nodes
-            self._fewest = min(self._fewest, measured.nodes)
-            self.ambiguous += measured.ambiguous
+        self._nodes.append(measured.nodes)
+        self.ambiguous += measured.ambiguous and measured.nodes > 0
         moment = Moment.of(measured.field, frame.index, frame.time_ms)
         self._summary.add(moment)
         self._draw(measured, moment)
@@ -197,9 +194,10 @@ class Results(Closing):
     def line(self) -> str:
         """Return the counts as text."""
         parts = [counted(self.frames, "frame")]
-        if self._nodes and self._summary.moment is not None:
-            mean = f"{self._nodes / (self.frames - self._empty):.1f} of {self._of_pattern}"
-            parts.append(f"{mean} nodes on average, at least {self._fewest}")
+        seen = [count for count in self._nodes if count]
+        if seen and self._summary.moment is not None:
+            mean = f"{statistics.fmean(seen):.1f} of {self._of_pattern}"
+            parts.append(f"{mean} nodes on average, at least {min(seen)}")
             where = f"(frame {self._summary.moment.index})"
             moved = f"moved by up to {self._summary.top:.3g} {self._unit} {where}"
             if self._unit == "px":
@@ -208,21 +206,10 @@ class Results(Closing):
                 moved += ", depth as in air: calibrate --window is for acrylic or gel"
             parts.append(moved)
         for count, what in (
-            (self._empty, "without the pattern"),
+            (self.frames - len(seen), "without the pattern"),
             (self.ambiguous, "whose numbers may be wrong"),
             (self.left_out, "left out"),
         ):
             if count:
                 parts.append(f"{count} {what}")
         return "; ".join(parts)
-
-
-def _units(measure: OneView | TwoViews) -> dict[str, str]:
-    """Return the units of the arrays of a series."""
-    unit, views = measure.unit, ("xy",) if isinstance(measure, OneView) else ("left", "right")
-    lengths = [raw + name for raw in ("", "raw_") for name in ("rest", "displacement", "sigma")]
-    return {
-        **dict.fromkeys([*lengths, "bias_sigma"], unit),
-        **dict.fromkeys((view + when for view in views for when in ("", "_rest")), "px"),
-        **dict.fromkeys(("direction", "direction_sigma"), "rad"),
-    }
