@@ -11,6 +11,7 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 
+import cv2
 import numpy as np
 from environment import environment, parser_of, write_table
 from patterns import gels, torn, torn_otherwise
@@ -22,6 +23,7 @@ from cmp_cl.image import GreyImage
 SEED = 5_300_000
 ROUNDS = 60
 FINE, ANGLE, SIZE = 6.0, 17.0, (1200, 1600)  # px, degrees, of the finest board
+SMALL = 10  # px, cells of many boards
 
 
 def frames() -> Iterator[tuple[str, GreyImage, float]]:
@@ -30,6 +32,7 @@ def frames() -> Iterator[tuple[str, GreyImage, float]]:
     for views in (torn(SEED, 6), torn_otherwise(SEED, 6)):
         yield from (("torn gels", view.image, view.cell) for view in views)
     yield "cells of 6 px", fine(), FINE
+    yield "400 boards", many(), SMALL
 
 
 def fine() -> GreyImage:
@@ -41,6 +44,13 @@ def fine() -> GreyImage:
     level = bright.reshape(SIZE[0], 3, SIZE[1], 3).mean(axis=(1, 3)) * 130 + 60
     level += np.random.default_rng(SEED).normal(0, 2, SIZE)
     return level.clip(0, 255).astype(np.uint8)
+
+
+def many() -> GreyImage:
+    """Return 400 boards of 25 corners on grey."""
+    colours = np.kron(np.indices((6, 6)).sum(axis=0) % 2, np.ones((SMALL, SMALL)))
+    image = np.tile(np.pad(60 + 130 * colours, (0, 15), constant_values=125), (20, 20))
+    return cv2.GaussianBlur(image, (0, 0), 0.8).astype(np.uint8)
 
 
 def spent(call: Callable[[], object]) -> tuple[float, float]:
@@ -78,7 +88,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     print(f"cores at other work: {environment()['others']}")
     kinds: dict[str, list[dict[str, float]]] = {}
     for kind, image, cell in frames():
-        rounds = 4 if kind == "cells of 6 px" else ROUNDS
+        rounds = ROUNDS if "gels" in kind else 4
         found = times(image, cell, max(rounds // (3 if arguments.quick else 1), 3))
         kinds.setdefault(kind, []).append(found)
     rows, gel = [], 0.0

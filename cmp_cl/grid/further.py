@@ -53,11 +53,11 @@ def _further(lines: Whole, corners: Corners, free: Mask) -> int:
     """
     first, second = lines[:2, (lines[:2] >= 0).all(axis=0)]
     at: Numbers = corners.xy @ np.array([1, 1j])
-    ways = np.exp(1j * corners.edges)
     chord, step = at[free] - at[first, None], at[first] - at[second]
-    near = np.abs(chord - step[:, None]) < abs(step[:, None]) / 2
-    way = (chord / np.abs(chord))[..., None]
-    here, there = (ways[first, None] / way).real, (-ways[free] / way).real
-    near &= np.minimum(here.max(axis=2), there.max(axis=2)) > K.least_cosine
-    near &= (here.argmax(axis=2) + there.argmax(axis=2)) % 2 == 1
-    return int(np.count_nonzero(near.any(axis=1)))
+    place, new = np.nonzero(np.abs(chord - step[:, None]) < abs(step[:, None]) / 2)
+    way = chord[place, new, None] / np.abs(chord[place, new, None])
+    here = (np.exp(1j * corners.edges[first[place]]) / way).real
+    there = (-np.exp(1j * corners.edges[free][new]) / way).real
+    linked = np.minimum(here.max(axis=1), there.max(axis=1)) > K.least_cosine
+    linked &= (here.argmax(axis=1) + there.argmax(axis=1)) % 2 == 1
+    return len(np.unique(place[linked]))

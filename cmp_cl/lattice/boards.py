@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.lattice.arrays import Board, Mask
-from cmp_cl.lattice.joins import Placed, joined
+from cmp_cl.lattice.joins import Joining, Placed
 from cmp_cl.lattice.plan import LatticePlan
 
 LEAST_FACES = 4  # of a part where no other is larger
@@ -28,19 +28,19 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
     units = plan.units(xy, k.least_part)
     if not len(units.part):
         units = plan.units(xy, LEAST_FACES)
-    votes = plan.votes(units)
+    joining = Joining(units, plan.votes(units), len(xy), k)
     taken = np.zeros(len(xy), np.bool_)
     left = list(range(int(units.part.max(initial=-1)) + 1))
     while left:
         main, *left = left
-        placed = joined(units, votes, len(xy), k, main, left)
+        placed = joining.run(main, left)
         placed.unit[taken] = -1
         board = plan.settle(numbers_of(placed))
         owner = board.owner[board.owner >= 0]
         if np.count_nonzero(board.there) < k.least_board:
             continue
         taken[owner] = True
-        left = [part for part in left if _is_free(taken[units.corner[units.part == part]])]
+        left = [part for part in left if _is_free(taken[units.corner[joining.members[part]]])]
         yield board
 
 

@@ -9,6 +9,7 @@ apart.
 
 import dataclasses
 import itertools
+from collections import defaultdict
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ DIRECTIONS = np.array([1, 1j, -1, -1j])
 # Shifts that keep the colours, of which the one of least bending is looked for.
 SHIFTS = np.array([x + 1j * y for x in range(-2, 3) for y in range(-2, 3) if (x + y) % 2 == 0])
 TREND = 6  # terms of a quadratic
+MOST_PARTS = 4  # of a corner, which has four faces
 FAR = 1 << 20  # farther than any number
 
 
@@ -45,30 +47,28 @@ class Placement(NamedTuple):
     offset: complex
 
 
-def joined(
-    units: Units, votes: Votes, corners: int, k: LatticeConstants, main: int, others: Iterable[int]
-) -> Placed:
-    """Return the main part with each of the others, in their order, that is sure where it
-    belongs."""
-    return _Joining(units, votes, corners, k).run(main, others)
+class Joining:
+    """Joins the parts of a frame. units, votes: of its parts; corners: their number."""
 
-
-class _Joining:
     def __init__(self, units: Units, votes: Votes, corners: int, k: LatticeConstants) -> None:
         self.units, self.votes, self.k = units, votes, k
         bounds = np.searchsorted(units.part, np.arange(units.part.max(initial=-1) + 2))
         self.members = [slice(*each) for each in itertools.pairwise(bounds.tolist())]
-        self.placed = Placed(
-            np.full(corners, -1),
-            np.zeros(corners, np.complex128),
-            np.zeros(corners, np.int64),
-        )
+        self.corners, self.beside = corners, _neighbours(units, votes)
 
     def run(self, main: int, others: Iterable[int]) -> Placed:
+        """Return the main part with each of the others, in their order, that is sure where it
+        belongs."""
+        self.placed = Placed(
+            np.full(self.corners, -1),
+            np.zeros(self.corners, np.complex128),
+            np.zeros(self.corners, np.int64),
+        )
         order = [self.place(main, Placement(0, 0j))]
-        left = list(others)
-        while found := next(((p, at) for p in left if (at := self.sure(p))), None):
+        near, left = set(self.beside[main]), list(others)
+        while found := next(((p, at) for p in left if p in near and (at := self.sure(p))), None):
             order.append(self.place(*found))
+            near |= self.beside[found[0]]
             left.remove(found[0])
         corner = np.concatenate(order)
         _, first = np.unique(_keys(self.placed.number[corner]), return_index=True)
@@ -136,6 +136,23 @@ class _Joining:
         first, second = np.sort(energy)[:2]
         best = SHIFTS[energy.argmin()] == 0 and np.isfinite(first)
         return float(second / first) if best else 0.0
+
+
+def _neighbours(units: Units, votes: Votes) -> dict[int, set[int]]:
+    """Return the parts beside each part: they have votes for each other, or corners in common."""
+    order = np.argsort(units.corner, kind="stable")
+    corner, part = units.corner[order], units.part[order]
+    ones, others = [units.part[votes.first]], [units.part[votes.second]]
+    for apart in range(1, MOST_PARTS):
+        same = corner[apart:] == corner[:-apart]
+        ones.append(part[apart:][same])
+        others.append(part[:-apart][same])
+    found = defaultdict[int, set[int]](set)
+    pairs = np.stack([np.concatenate(ones), np.concatenate(others)], axis=1)
+    for one, other in np.unique(pairs, axis=0).tolist():
+        found[one].add(other)
+        found[other].add(one)
+    return found
 
 
 def _keys(number: Numbers) -> Whole:
