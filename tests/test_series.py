@@ -167,21 +167,20 @@ def test_hdf5_holds_units_version_time_and_configuration(tmp_path):
 
 
 def test_a_csv_has_a_row_for_each_node_and_metadata_beside_it(tmp_path):
-    arrays = frame(2) | {"strain": np.full((*SHAPE, 3), 0.5), "area": 7.5, "zoom": np.ones(2)}
+    arrays = frame(2) | {"strain": np.full((*SHAPE, 3), 0.5), "direction": np.full(SHAPE, 0.25)}
+    arrays |= {"area": 7.5, "zoom": np.ones(2)}
     with SeriesWriter(tmp_path / "press.csv", **ABOUT, rest=rest(), unit="mm") as series:
         series.append(index=12, time_ms=40.0, **arrays)
     rows = list(csv.DictReader((tmp_path / "press.csv").read_text().splitlines()))
     assert len(rows) == SHAPE[0] * SHAPE[1]
-    names = (
-        "frame time_ms row column displacement_x_mm displacement_y_mm displacement_z_mm sigma_mm"
-    )
-    names += " status strain_11 strain_22 strain_12 ambiguous area zoom_x zoom_y"
-    assert list(rows[0]) == names.split()
+    names = "frame time_ms row column direction_rad displacement_x_mm displacement_y_mm"
+    names += " displacement_z_mm sigma_mm status strain_11 strain_22 strain_12 ambiguous area"
+    assert list(rows[0]) == [*names.split(), "zoom_x", "zoom_y"]
     assert rows[0]["displacement_x_mm"] == "nan"
     last = list(rows[-1].values())
     assert last[:4] == ["12", "40", str(SHAPE[0] - 1), str(SHAPE[1] - 1)]
-    np.testing.assert_allclose([float(cell) for cell in last[4:8]], [0.78, 0.72, 0.9, 0.03])
-    assert last[8:] == ["1", "0.5", "0.5", "0.5", "0", "7.5", "1", "1"]
+    np.testing.assert_allclose([float(cell) for cell in last[4:9]], [0.25, 0.78, 0.72, 0.9, 0.03])
+    assert last[9:] == ["1", "0.5", "0.5", "0.5", "0", "7.5", "1", "1"]
     about = json.loads((tmp_path / "press.csv-metadata.json").read_text())
     assert (about["units"]["displacement"], about["configuration"]) == ("mm", "nms = 3")
 
