@@ -204,28 +204,18 @@ class Detector(Closing):
             found = self._found(plan, self._transfers)
             return found, self.regrown == before
 
-    def batch(self, stack: NDArray[Any] | Sequence[GreyImage] | cl.Buffer) -> list[Corners]:
+    def batch(self, stack: NDArray[Any] | Sequence[GreyImage]) -> list[Corners]:
         """Find the corners of each frame of a stack, with one launch per stage for all of them.
 
-        stack: (B, H, W), a sequence of frames, or a pyopencl.Buffer.
-
-        Frames that are already on the device are passed as one pyopencl.Buffer without gaps, in the
-        context of this detector's `queue`. They are read in the order of that queue, so commands
-        enqueued there later may overwrite them. The results share one block of memory: copy a
-        result to keep it without the others. Raises the errors of a call, ImageError if the buffer
-        does not hold whole frames, DeviceError if it is of another context.
+        stack: (B, H, W), or a sequence of frames. The results share one block of memory: copy a
+        result to keep it without the others. Raises the errors of a call.
         """
-        if isinstance(stack, cl.Buffer):
-            frames: cl.Buffer | list[GreyImage] = stack
-            count = self._frames_in(stack)
-        else:
-            frames = [self._checked(frame) for frame in _iterated("stack", stack)]
-            count = len(frames)
-        if not count or not (self.shape[0] and self.shape[1]):
-            return [no_corners(str(self.device)) for _ in range(count)]
+        frames = [self._checked(frame) for frame in _iterated("stack", stack)]
+        if not frames or not (self.shape[0] and self.shape[1]):
+            return [no_corners(str(self.device)) for _ in frames]
         with self._lock:
             self._check_alive()
-            return self._whole(self._plans.lend(count), frames)
+            return self._whole(self._plans.lend(len(frames)), frames)
 
     def maps(self, frame: GreyImage) -> Maps | HarmonicMaps:
         """Return every intermediate image of a frame. Raises the errors of a call."""
@@ -339,16 +329,10 @@ class Detector(Closing):
             self._lattice = LatticePlan.of(plan, self._programs)
         return self._lattice
 
-    def _start(
-        self, plan: Plan, frames: list[GreyImage] | cl.Buffer, transfers: cl.CommandQueue
-    ) -> None:
+    def _start(self, plan: Plan, frames: list[GreyImage], transfers: cl.CommandQueue) -> None:
         plan.events.clear()
         try:
-            if isinstance(frames, list):
-                plan.launch(plan.upload(transfers, frames))
-            else:
-                plan.copy(frames)
-                plan.launch(plan.launches)
+            plan.launch(plan.upload(transfers, frames))
         except cl.MemoryError as error:
             raise plan.refused(error) from error
 
@@ -366,7 +350,7 @@ class Detector(Closing):
         except cl.MemoryError as error:
             raise plan.refused(error) from error
 
-    def _whole(self, plan: Plan, frames: list[GreyImage] | cl.Buffer) -> list[Corners]:
+    def _whole(self, plan: Plan, frames: list[GreyImage]) -> list[Corners]:
         self._start(plan, frames, self._queue)
         return self._finish(plan, self._queue)
 
@@ -390,22 +374,6 @@ class Detector(Closing):
                 "make a Detector for that shape and dtype"
             )
         return image
-
-    def _frames_in(self, buffer: cl.Buffer) -> int:
-        """Return the number of frames that a buffer on the device holds."""
-        check_process()
-        if buffer.context != self._queue.context:
-            raise DeviceError(
-                "the buffer is of another OpenCL context; make the detector with queue=, a queue "
-                "of the context that the buffer is of"
-            )
-        frame = self.shape[0] * self.shape[1] * self.dtype.itemsize
-        if not frame or buffer.size % frame:
-            raise ImageError(
-                f"the buffer holds {buffer.size} bytes, which are not whole frames of {self.shape} "
-                f"{self.dtype}, {frame} bytes each"
-            )
-        return buffer.size // frame
 
     def _check_alive(self) -> None:
         if self._closed:

@@ -189,39 +189,6 @@ def test_a_frame_is_the_same_alone_in_a_stream_and_in_a_batch(detector_for, name
     assert any(len(corners) for corners in alone)
 
 
-@pytest.mark.parametrize("scale", [1.0, 0.5])
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_a_batch_on_the_device_equals_the_single_frames(device, dtype, scale):
-    frames = np.stack(FRAMES).astype(dtype)
-    context = cl.Context([device.handle])
-    config = DetectorConfig(detection=RingHarmonic(octaves=0), full_scale=255, scale=scale)
-    with (
-        cl.CommandQueue(context) as queue,
-        Detector(shape=images.SHAPE, dtype=dtype, config=config, queue=queue) as detector,
-    ):
-        expected = [detector(frame) for frame in frames]
-        assert sum(map(len, expected)) > 20
-        for count in (1, len(frames)):
-            buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, frames[:count].nbytes)
-            cl.enqueue_copy(queue, buffer, frames[:count], is_blocking=False)
-            results = detector.batch(buffer)
-            cl.enqueue_fill_buffer(queue, buffer, np.uint8(0), 0, buffer.size)
-            for corners, one in zip(results, expected[:count], strict=True):
-                assert_same_bytes(corners, one)
-
-
-def test_a_buffer_that_is_no_batch_is_refused(device, detector):
-    context = cl.Context([device.handle])
-    frame = BOARD.nbytes
-    with cl.CommandQueue(context) as queue:
-        with Detector(shape=images.SHAPE, queue=queue) as own:
-            buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, frame + 1)
-            with pytest.raises(ImageError, match=rf"{frame + 1} bytes.* whole frames"):
-                own.batch(buffer)
-        with pytest.raises(DeviceError, match="of another OpenCL context"):
-            detector.batch(cl.Buffer(context, cl.mem_flags.READ_WRITE, frame))
-
-
 def test_empty_streams_and_batches_give_nothing(detector):
     assert list(detector.stream([])) == []
     assert detector.batch([]) == []

@@ -275,21 +275,6 @@ class Plan(PlanBase):
         for n, frame in enumerate(frames):
             self._here["image"][n * rows : (n + 1) * rows] = frame
 
-    def copy(self, frames: cl.Buffer) -> None:
-        """Take the frames from a buffer of the device that holds them without gaps."""
-        (rows, columns), size = self.shape, self.dtype.itemsize
-        step = self.full_step * size
-        _copy_rectangle(
-            self.queue,
-            self.buffers["image"],
-            frames,
-            src_origin=(0, 0, 0),
-            dst_origin=(self.pad * size, 1, 0),
-            region=(columns * size, rows, self.frames),
-            src_pitches=(columns * size, rows * columns * size),
-            dst_pitches=(step, rows * step),
-        )
-
     def launch(self, stages: Sequence[Launch]) -> None:
         """Enqueue the stages in order, after the upload."""
         queue, before = self.queue, self.uploads
