@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plane_images import moved_board
+
+from cmp_cl.synthetic import boards
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "ros_node.py"
 
@@ -68,9 +69,9 @@ def image_message(number, image, encoding):
 
 def test_the_example_node_publishes_displacements_with_the_images_header(node):
     deformation = node.Deformation()
-    board = (30, 30, 190, 190)
     for number, shift in enumerate((0.0, 1.5)):
-        image = moved_board((220, 220), 20, lambda q, s=shift: 0 * q + [s, 0], board=board, noise=1)
+        camera = boards.plane(cell=20, middle=(40 + shift, 40))
+        image = boards.drawn(camera, (220, 220), (8, 8)).image
         deformation.take(image_message(number, image, "mono8"))
     deformation.take(image_message(2, image, "rgb8"))
     deformation.close()

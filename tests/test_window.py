@@ -6,7 +6,7 @@ import math
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from stereo_data import gel, grid_of, toed_in_rig
 
@@ -33,6 +33,7 @@ def windows(draw):
     return Window((*tilt, 1.0), draw(st.floats(1, 40)), layers, draw(medium))
 
 
+@settings(deadline=None)
 @given(windows(), st.floats(0, math.radians(60)), st.floats(-4, 4), st.floats(0, 50))
 def test_a_point_on_the_ray_of_a_pixel_is_seen_at_that_pixel(window, angle, azimuth, depth):
     """Within 1e-6 px of a camera with a focal length of 1000 px, up to 60 degrees off the normal,

@@ -15,7 +15,6 @@ from disks import full_after
 from gels import RIG, VIEW, pressed
 from lattices import drawn
 from messages import fails_in_one_line
-from plane_images import moved_board
 from videos import write_deep_video, write_video
 
 from cmp_cl import (
@@ -29,6 +28,7 @@ from cmp_cl import (
 from cmp_cl.measure import TwoViews
 from cmp_cl.media import Frame
 from cmp_cl.series import SeriesWriter, read_series
+from cmp_cl.synthetic import boards
 from cmp_cl.viz.live import LiveView
 
 CLOSE = 0.05  # mm, a third of a pixel
@@ -436,11 +436,9 @@ def test_strain_is_in_the_series_if_requested(run, recording):
 def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
     pytest.importorskip("h5py", reason="h5py is not installed")
     os.mkdir("frames")
-    stretch = np.array([[1.01, 0.0], [0.0, 1.0]])
-    for number, by in enumerate((np.eye(2), stretch)):
-        picture = moved_board(
-            (150, 150), 12, lambda q, by=by: (q - 75) @ (by - np.eye(2)).T, board=(24, 24, 120, 120)
-        )
+    for number, stretch in enumerate((1.0, 1.01)):
+        camera = boards.homography(np.array([[12 * stretch, 0, 36], [0, 12, 36], [0, 0, 1]]))
+        picture = boards.drawn(camera, (150, 150), (7, 7), noise=0, count=16).image
         cv2.imwrite(f"frames/{number}.png", picture)
     flat = ("run", "frames", "--grid", "7x7", "--out", "flat.h5", "--plot", "flat")
     assert run(*flat, "--strain", "--cell", "2.5")[0] == 0
@@ -455,7 +453,8 @@ def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
 
 
 def test_a_video_of_12_bits_is_measured_without_options_and_keeps_its_times(run):
-    picture = moved_board((150, 150), 12, lambda q: 0 * q, board=(24, 24, 120, 120))
+    camera = boards.plane(cell=12, middle=(36, 36))
+    picture = boards.drawn(camera, (150, 150), (7, 7), noise=0).image
     write_deep_video("deep.mkv", picture.astype(np.uint16) << 3)  # in half of the light
     assert run("run", "deep.mkv", "--grid", "7x7", "--out", "deep.npz")[0] == 0
     assert read_series("deep.npz")["time_ms"] == pytest.approx([0, 35, 110])
