@@ -51,7 +51,8 @@ class Points3D:
     @property
     def sigma(self) -> NDArray[np.float64]:
         """Return the standard deviation along the most uncertain axis, (R, C) float64, in `unit`,
-        by the noise of the corners. What the rig errs by is in `cmp_cl.space.Bias`."""
+        by the noise of the corners. All nodes share what the rig errs by, and it nearly cancels in
+        displacements, see `cmp_cl.space.Bias`."""
         return largest_deviation(self.covariance)
 
 

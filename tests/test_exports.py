@@ -92,7 +92,7 @@ def loaded(path):
     ],
 )
 def test_a_file_for_ros_holds_each_camera(tmp_path, lens, model):
-    larger = np.diag([1.25, 1.25, 1]) @ MATRIX
+    larger = np.diag([4 / 3, 1.1, 1]) @ MATRIX
     right = camera(lens, translation=(-50.0, 0, 0))
     pair = {
         "left": camera(lens),
@@ -128,5 +128,7 @@ def test_a_file_for_kalibr_holds_a_chain_in_metres(tmp_path):
     step = np.array(found["cam2"]["T_cn_cnm1"])
     np.testing.assert_allclose(step[:3, 3], [-0.04, 0, 0], atol=1e-12)
     np.testing.assert_allclose(step[:3, :3], np.eye(3), atol=1e-12)
-    with pytest.raises(CalibrationError, match="a: Kalibr"):
-        save_cameras(tmp_path / "rig.camchain.yaml", {"a": camera(Lens.RATIONAL)})
+    with_k3 = dataclasses.replace(chain["a"], distortion=np.array([0.1, 0, 0, 0, 1e-3]))
+    for other in (camera(Lens.RATIONAL), with_k3):
+        with pytest.raises(CalibrationError, match="a: Kalibr"):
+            save_cameras(tmp_path / "rig.camchain.yaml", {"a": other})

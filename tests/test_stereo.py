@@ -90,14 +90,17 @@ def test_points_of_noisy_views_have_the_least_reprojection_error(depth):
     rig, draw = parallel_rig(), np.random.default_rng(depth)
     truth = np.append(draw.uniform(-5, 5, (50, 2)), np.full((50, 1), depth), axis=1)
     seen = [each + draw.normal(0, 0.3, (50, 2)) for each in rig.project(truth)]
-    found = rig.triangulate(*(grid_of(each[None]) for each in seen)).xyz[0]
+    points = rig.triangulate(*(grid_of(each[None]) for each in seen))
+    found = points.xyz[0]
 
-    def error(points):
-        offs = [view - each for view, each in zip(rig.project(points), seen, strict=True)]
+    def error(xyz):
+        offs = [view - each for view, each in zip(rig.project(xyz), seen, strict=True)]
         return np.square(offs).sum(axis=(0, 2))
 
     known = np.isfinite(found[:, 0])
     assert known.mean() > 0.9
+    rms = np.sqrt(error(found) / 2)
+    np.testing.assert_allclose(points.error[0, known], rms[known], rtol=1e-3)
     for step in np.vstack([np.eye(3), -np.eye(3)]) * 1e-2:
         assert (error(found + step * found[:, 2:]) > error(found))[known].all()
 
@@ -122,6 +125,12 @@ def test_nodes_without_depth_are_flagged(left, right, status):
     assert points.status[0, 0] == status
     for values in (points.xyz, points.covariance, points.sigma):
         assert np.isnan(values).all() == (status != PointStatus.VALID)
+
+
+def test_a_point_behind_the_right_camera_alone_is_flagged():
+    ahead = StereoRig(K, [], K, [], np.eye(3), [-10.0, 0, -50])
+    left, right = ahead.project(np.array([[2.0, 1.0, 40.0]]))
+    assert one_node(ahead, left[0], right[0]).status[0, 0] == PointStatus.BEHIND
 
 
 def test_a_pixel_beyond_the_lens_model_is_flagged():

@@ -146,6 +146,13 @@ def test_the_gel_at_rest_is_a_flat_sheet_of_the_stated_size_in_front_of_the_came
     np.testing.assert_allclose(disparity - [500 * 6 / 45, 0], 0, atol=1e-9)
 
 
+def test_lenses_that_rendering_does_not_know_are_refused(pair):
+    scene, rig, _ = pair
+    rational = dataclasses.replace(rig, D2=[*rig.D2, 0.1, 0, 0])
+    with pytest.raises(ConfigError, match="k1 k2 p1 p2 k3 only"):
+        synthetic.render_stereo(scene, rational)
+
+
 CHANGES = {
     "markers": 21,
     "side": 40.0,

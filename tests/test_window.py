@@ -140,6 +140,9 @@ def test_the_bias_of_a_field_is_what_an_error_of_the_rig_does_to_it():
             T=rig.T + error[19:22],
             window=GEL.moved(error[22:]),
         )
+        seen = [np.hstack(each.project(rest.reshape(-1, 3))) for each in (rig, wrong)]
+        slope = rig.slopes(rest.reshape(-1, 3))[1][..., number]
+        np.testing.assert_allclose(seen[1] - seen[0], step * slope, rtol=0.02, atol=1e-3)
         moved = displacement(*(wrong.triangulate(*pair) for pair in views)).raw
         off = np.linalg.norm(moved.displacement - right.displacement, axis=2)
         known = dataclasses.replace(rig, covariance=np.outer(error, error))
