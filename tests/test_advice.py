@@ -37,6 +37,17 @@ def test_strong_edges_without_a_corner_are_spoken_of():
     assert "enlarge" in advice(stripes.astype(np.uint16) * 257)
 
 
+def test_16_bits_of_few_levels_are_told_what_helps(tmp_path, capsys):
+    image, _ = board(*SHAPE, 20)
+    faint = 14200 + image.astype(np.uint16) // 4
+    cv2.imwrite(str(tmp_path / "faint.png"), faint)
+    assert main(["detect", str(tmp_path / "faint.png")]) == 0
+    said = capsys.readouterr()
+    low, high = int(faint.min()), int(faint.max())
+    assert f"subtract {low} and multiply by {65535 // (high - low)}" in said.err
+    assert len(detect((faint - low) * np.uint16(65535 // (high - low)))) > 50
+
+
 @pytest.mark.parametrize("cell", [7, 12, 30, 70])
 def test_nothing_is_said_of_a_pattern(cell):
     assert advice(board(*SHAPE, cell, angle=0.3)[0]) == ""

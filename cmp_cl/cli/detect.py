@@ -213,7 +213,7 @@ class _Found:
         self.ambiguous: list[int] = []
         self.broken: dict[int, str] = {}  # likewise
         self.overlays: list[Path] = []
-        self.brightest = 0
+        self.darkest, self.brightest = 65535, 0
         self.full_scale: int | None = None
         self.device = ""
         self.advice = ""  # of the first frame that gives one
@@ -228,13 +228,15 @@ class _Found:
         self.milliseconds.append(milliseconds)
         self.device = corners.device
         if image.dtype == np.uint16:
+            self.darkest = min(self.darkest, int(image.min()))
             self.brightest = max(self.brightest, int(image.max()))
             self.full_scale = config.full_scale
 
     @property
     def dark(self) -> str:
         """What to do about pixels of 16 bits that seem to be of fewer, as text; "" if none do."""
-        return of_few_bits(np.uint16, self.brightest) if self.full_scale is None else ""
+        levels = self.darkest, self.brightest
+        return of_few_bits(np.uint16, *levels) if self.full_scale is None else ""
 
     def report(self, progress: Progress, *, hint: bool) -> None:
         """Print the lines about the file; hint: about a dark image too."""
