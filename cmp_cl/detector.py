@@ -240,8 +240,6 @@ class Detector(Closing):
         shape: tuple[int, int] | None = None,
         like: Grid | None = None,
         region: tuple[float, float, float, float] | None = None,
-        previous: Grid | None = None,
-        strict: bool = False,
     ) -> tuple[Corners, Grid]:
         """Find the corners of a frame and number them, see `build_grid`.
 
@@ -255,19 +253,10 @@ class Detector(Closing):
         image = self._checked(frame)
         if region is not None:
             corners = self(image)
-            return corners, build_grid(
-                corners,
-                image,
-                shape=shape,
-                like=like,
-                region=region,
-                previous=previous,
-                strict=strict,
-                device=self.device,
-            )
-        asked = asked_of(shape, like, previous)
+            return corners, build_grid(corners, image, shape, like, region, device=self.device)
+        asked = asked_of(shape, like, None)
         corners, found = self._boards(image)
-        return corners, grid_of(found, corners, np.arange(len(corners)), asked, strict=strict)
+        return corners, grid_of(found, corners, np.arange(len(corners)), asked, strict=False)
 
     def grids(
         self,
@@ -275,11 +264,10 @@ class Detector(Closing):
         *,
         shape: tuple[int, int] | None = None,
         like: Grid | None = None,
-        region: tuple[float, float, float, float] | None = None,
     ) -> Iterator[tuple[Corners, Grid]]:
         """Find and number the corners of each frame, in order.
 
-        frames: (H, W) each. shape, like, region: as in `grid`.
+        frames: (H, W) each. shape, like: as in `grid`.
 
         The kernels of the next frame run while this one is numbered, so a frame must not change
         before the frame after the next one is requested. To follow a pattern from frame to frame,
@@ -296,8 +284,7 @@ class Detector(Closing):
 
         for corners in self.stream(kept()):
             image = images.popleft()
-            grid = build_grid(corners, image, shape, like, region, device=self.device)
-            yield corners, grid
+            yield corners, build_grid(corners, image, shape, like, device=self.device)
 
     def _boards(self, image: GreyImage) -> tuple[Corners, list[Board]]:
         """Return the corners of an image, and the boards that they form, numbered on the device,

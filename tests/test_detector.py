@@ -519,9 +519,15 @@ def test_a_region_selects_which_of_two_boards_is_numbered(detector_for):
     assert (corners.xy[:, 0] < 120).sum() > 30
     again = detector.grid(frame, like=grid, region=region)[1]
     np.testing.assert_array_equal(again.index, grid.index)
-    frames = [frame, np.roll(frame, 2, axis=1)]
-    found = list(detector.grids(iter(frames), like=grid, region=region))
-    for image, (_, one) in zip(frames, found, strict=True):
-        alone = detector.grid(image, like=grid, region=region)[1]
+
+
+def test_the_frames_of_a_film_are_numbered_as_each_alone(detector_for):
+    image, _ = board(110, 120, 12)
+    detector = detector_for(image)
+    frames = [image, np.roll(image, 2, axis=1)]
+    at_rest = detector.grid(image)[1]
+    found = list(detector.grids(iter(frames), like=at_rest))
+    for frame, (_, one) in zip(frames, found, strict=True):
+        alone = detector.grid(frame, like=at_rest)[1]
         np.testing.assert_array_equal(one.index, alone.index)
         np.testing.assert_array_equal(one.xy, alone.xy)

@@ -15,13 +15,10 @@ if TYPE_CHECKING:
 _MOST_NAMED = 20  # views; more have numbers
 
 
-def calibration_figure(
-    found: Calibration, names: Mapping[str, Sequence[str]] | None = None
-) -> "Figure":
+def calibration_figure(found: Calibration, names: Mapping[str, Sequence[str]]) -> "Figure":
     """Draw, a row for each camera: the corners in its image, the tilts of the board, the errors.
 
-    names: by camera, the name of each view; None means their numbers. It needs matplotlib,
-    and raises ConfigError without it.
+    names: by camera, the name of each view. Raises ConfigError without matplotlib.
     """
     count = len(found.cameras)
     figure = new_figure((13.0, 4.0 * count))
@@ -29,9 +26,7 @@ def calibration_figure(
     for row, name in enumerate(found.cameras):
         _draw_corners(figure, figure.add_subplot(grid[row, 0]), found, name)
         _draw_tilts(figure.add_subplot(grid[row, 1], projection="polar"), found, name)
-        _draw_errors(
-            figure.add_subplot(grid[row, 2]), found, name, None if names is None else names[name]
-        )
+        _draw_errors(figure.add_subplot(grid[row, 2]), found, name, names[name])
     return figure
 
 
@@ -76,14 +71,14 @@ def _draw_tilts(axes: Any, found: Calibration, name: str) -> None:
     axes.set_xlabel("tilt of the boards / degrees")
 
 
-def _draw_errors(axes: Any, found: Calibration, name: str, names: Sequence[str] | None) -> None:
+def _draw_errors(axes: Any, found: Calibration, name: str, names: Sequence[str]) -> None:
     """Draw the error of each view; those that are not used have no bar."""
     errors = found.view_errors[name]
     number = np.arange(len(errors))
     axes.bar(number, np.nan_to_num(errors), color="0.45")
     axes.set(xlabel="view", ylabel="RMS residual / px", title="error of each view")
     axes.grid(axis="y", alpha=0.3)
-    if names is not None and len(errors) <= _MOST_NAMED:
+    if len(errors) <= _MOST_NAMED:
         axes.set_xticks(number, [each[-16:] for each in names], rotation=60, ha="right")
         axes.set_xlabel("")
     else:

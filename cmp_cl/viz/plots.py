@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import check_range, extra
+from cmp_cl.errors import extra
 from cmp_cl.files import whole_file
 from cmp_cl.viz.moments import (
     Array,
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _SEQUENTIAL, _DIVERGING = "plasma", "RdBu_r"  # the colours of amounts, and of signed values
 _ROUNDING = 1e-12  # smaller values, such as the strain of the frame at rest, are errors of rounding
 _ARROWS = 16  # along the longer side of a pattern
+_DPI = 120  # pixels per inch of a picture
 _PANEL, _CURVE = (5.6, 4.9), 3.2  # in, width and height of a map, and the height of the curve
 _LEAST_OF_CURVE = 3  # frames; fewer make no curve
 _MOST_ANIMATED = 300  # frames of an animation
@@ -40,15 +41,10 @@ def new_figure(size: tuple[float, float]) -> "Figure":
     return Figure(figsize=size, layout="constrained")
 
 
-def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) -> None:
-    """Write a figure as PNG, whole or not at all.
-
-    figure: of matplotlib. dpi: pixels per inch, 10 to 10 000. Raises ConfigError for another dpi,
-    OSError.
-    """
-    check_range("dpi", dpi, 10, 10_000)
+def save_figure(path: str | PathLike[str], figure: "Figure") -> None:
+    """Write a figure of matplotlib as PNG, whole or not at all; raises OSError."""
     with whole_file(path) as file:
-        figure.savefig(file, format="png", dpi=dpi)
+        figure.savefig(file, format="png", dpi=_DPI)
 
 
 def map_figure(moment: Moment, quantity: Quantity, *, top: float | None = None) -> "Figure":
