@@ -169,23 +169,17 @@ int doubled_median(__local const int *values, const int count) {
   return low + high;
 }
 
-/* Squares of a side, in pairs of neighbours; `first` has those of the pairs that are read. There are
- * none where less than half of the board's lines end. Returns their number. */
+/* Squares of a side, in pairs of neighbours; `first` has those of the pairs that are read. Returns
+ * their number. */
 int list_pairs(__global const float2 *nodes, __global const int *owner, const int side,
                const int height, const int width, __local int *first) {
-  const int length = LENGTH_OF(side), deep = LINES_OF(side);
-  int squares = 0, pairs = 0, lines = 0;
+  int pairs = 0;
   bool before = false;
-  for (int k = 0; k < length; ++k) {
-    bool any = false;
-    for (int line = 0; line < deep && !any; ++line) any = IS_HERE(AT(side, line, k));
-    lines += any;
-    const bool is_square = k < length - 1 && IS_SQUARE(SQUARE_AT(side, k));
-    squares += is_square;
+  for (int k = 0; k < LENGTH_OF(side) - 1; ++k) {
+    const bool is_square = IS_SQUARE(SQUARE_AT(side, k));
     pairs += is_square && before;
     before = is_square;
   }
-  if (2 * squares < lines - 1) return 0;
   const int read = SMALLER(pairs, PAIRS);
   before = false;
   for (int k = 0, pair = 0, n = 0; n < read; ++k) {
@@ -214,10 +208,8 @@ bool has_room(__global const float2 *nodes, __global const int *owner, const int
 }
 
 /* How far pairs of squares reach, twice the sum of their shares; UNSEEN if the medians of both
- * halves of a side differ by over a step, as along an oblique edge. A single pair of a longer side
- * shows nothing. */
-int common_reach(__local const int *reach, const int count, const int length) {
-  if (count < LARGER(SMALLER(2, length - 2), 1)) return UNSEEN;
+ * halves of a side differ by over a step, as along an oblique edge. */
+int common_reach(__local const int *reach, const int count) {
   const int common = doubled_median(reach, count), part = (count + 1) / 2;
   const int apart = doubled_median(reach, part) - doubled_median(reach + count - part, part);
   return MAGNITUDE_OF(apart) <= 2 * WHOLE ? common : UNSEEN;
@@ -289,12 +281,10 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
 #define DIFFERENCE(n, depth) (LEVEL(n, depth, 0) - LEVEL(n, depth, 1))
   FOR_ALL(n, SIDES * PAIRS) {
     if (n % PAIRS >= pairs[n / PAIRS] || !shown[n]) continue;
-    int share[DEPTHS + 1] = {0}, sum = 0;
     const int inside = LARGER(MAGNITUDE_OF(DIFFERENCE(n, 0)), 1);
+    int sum = 0;
     for (int k = NEAR_DEPTH; k < DEPTHS; ++k)
-      share[k] = SMALLER(MAGNITUDE_OF(DIFFERENCE(n, k)), inside) * WHOLE / inside;
-    for (int k = NEAR_DEPTH; k < DEPTHS; ++k) /* or where black and white change places */
-      sum += LARGER(share[k], SMALLER(share[k - 1], share[k + 1]));
+      sum += SMALLER(MAGNITUDE_OF(DIFFERENCE(n, k)), inside) * WHOLE / inside;
     reach[n] = sum;
   }
   ALL_TOGETHER;
@@ -312,7 +302,7 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
     const float whole = (float)MAGNITUDE_OF(inside);
     border[FOLLOWS_OF + side] = read && (float)change < 2.0f * passing * whole;
     reaches[side] = read && (float)MAGNITUDE_OF(beyond) < passing * whole
-                        ? common_reach(reach + start, some, LENGTH_OF(side))
+                        ? common_reach(reach + start, some)
                         : UNSEEN;
     border[REACH_OF + side] = reaches[side];
   }

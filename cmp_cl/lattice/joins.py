@@ -20,7 +20,7 @@ from cmp_cl.lattice.constants import LatticeConstants
 
 DIRECTIONS = np.array([1, 1j, -1, -1j])
 # Shifts that keep the colours, of which the one of least bending is looked for.
-SHIFTS = np.array([x + 1j * y for x in range(-2, 3) for y in range(-2, 3) if (x + y) % 2 == 0])
+SHIFTS = np.array([0, 1 + 1j, 1 - 1j, -1 + 1j, -1 - 1j, 2, -2, 2j, -2j])
 TREND = 6  # terms of a quadratic
 MOST_PARTS = 4  # of a corner, which has four faces
 FAR = 1 << 20  # farther than any number
@@ -131,7 +131,7 @@ class Joining:
         others = self.placed.unit[there]
         fixed = Side(units.at[others], self.placed.number[there], units.rim[others])
         moved = Side(units.at[some], units.number[some] * DIRECTIONS[at.quarter], units.rim[some])
-        energy = Tear.between(fixed, moved, self.k).energies(at.offset + SHIFTS)
+        energy = bending(fixed, moved, at.offset + SHIFTS, self.k)
         energy = np.where(energy > 0, energy, np.inf)
         first, second = np.sort(energy)[:2]
         best = SHIFTS[energy.argmin()] == 0 and np.isfinite(first)
@@ -168,82 +168,62 @@ class Side(NamedTuple):
     number: Numbers
     rim: Mask
 
-
-class Tear(NamedTuple):
-    """Nodes on both sides of a tear: numbers and positions, cells."""
-
-    fixed: Numbers
-    fixed_at: Numbers
-    moved: Numbers
-    moved_at: Numbers
-    rough: float
-
-    @classmethod
-    def between(cls, fixed: Side, moved: Side, k: LatticeConstants) -> "Tear":
-        """Choose the nodes near the tear: within some cells of the nearest on their own side."""
-        middle, number = moved.at.mean(), moved.number - moved.number.mean()
-        cell = float(np.abs(np.vdot(number, moved.at - middle)) / np.vdot(number, number).real)
-        sides = []
-        for one, other in ((fixed, moved), (moved, fixed)):
-            chosen = _nearest(one, other.at[other.rim], k.span * cell)
-            if len(chosen) > k.tear_most:
-                chosen = chosen[np.linspace(0, len(chosen) - 1, k.tear_most).astype(np.int64)]
-            sides.append(chosen)
-        a, b = sides
-        fixed_at, moved_at = fixed.at[a] - middle, moved.at[b] - middle
-        return cls(fixed.number[a], fixed_at / cell, moved.number[b], moved_at / cell, k.tear_rough)
-
-    def energies(self, offsets: Numbers) -> Float:
-        """Return the bending energy of the map from numbers to positions, for each offset of the
-        second side; infinite where it is not defined.
-
-        Cubic radial functions with a quadratic trend: M [w; c] = [x; 0], energy x' w, with
-        M = [K + rough I, B; B', 0]. The first side and the trend are eliminated once; the energy is
-        theirs, and that of what they leave of the second side.
-        """
-        count = len(self.fixed)
-        if count < TREND or len(self.moved) < TREND // 2:
-            return np.full(len(offsets), np.inf)
-        origin = self.fixed.mean()
-        first = self.fixed - origin
-        system = np.zeros((count + TREND, count + TREND))
-        system[:count, :count] = _cubes(first, first) + self.rough * np.eye(count)
-        system[:count, count:] = _trend(first)
-        system[count:, :count] = system[:count, count:].T
-        position = np.zeros((count + TREND, 2))
-        position[:count] = np.stack([self.fixed_at.real, self.fixed_at.imag], axis=1)
-        second = ((self.moved - origin) + offsets[:, None]).ravel()
-        beside = np.concatenate([_cubes(second, first), _trend(second)], axis=1)
-        beside = beside.reshape(len(offsets), -1, count + TREND)
-        own = _cubes(self.moved, self.moved) + self.rough * np.eye(len(self.moved))
-        try:
-            inverse = np.linalg.inv(system)
-            across = beside @ inverse  # one small product an offset: BLAS starts no threads
-            left = np.stack([self.moved_at.real, self.moved_at.imag], axis=1) - across @ position
-            w = np.linalg.solve(own - across @ beside.transpose(0, 2, 1), left)
-        except np.linalg.LinAlgError:
-            return np.full(len(offsets), np.inf)
-        of_first = (position * (inverse @ position)).sum()
-        energy: Float = of_first + (left * w).sum(axis=(1, 2))
-        return energy
+    def near(self, other: "Side", reach: float, most: int) -> "Side":
+        """Return those that are by less than `reach` px farther from the other side's rim than the
+        nearest one, at most so many."""
+        z, rim = self.at.astype(np.complex64), self.at[self.rim].astype(np.complex64)
+        others = other.at[other.rim].astype(np.complex64)
+        if not len(rim) or not len(others):
+            return Side(self.at[:0], self.number[:0], self.rim[:0])
+        limit = np.abs(np.subtract.outer(rim, others)).min() + reach
+        x, y = (
+            np.maximum(np.maximum(there.min() - own, own - there.max()), 0)
+            for own, there in ((z.real, others.real), (z.imag, others.imag))
+        )
+        some = np.flatnonzero(np.hypot(x, y) <= limit)  # from the upright rectangle around them
+        away = np.abs(np.subtract.outer(others, z[some])).min(axis=0)
+        chosen = some[away < away.min() + reach]
+        if len(chosen) > most:
+            chosen = chosen[np.linspace(0, len(chosen) - 1, most).astype(np.int64)]
+        return Side(self.at[chosen], self.number[chosen], self.rim[chosen])
 
 
-def _nearest(side: Side, others: Numbers, reach: float) -> Whole:
-    """Return the indices of the nodes that are by less than `reach` farther from some others than
-    the nearest one, px."""
-    z, rim = side.at.astype(np.complex64), side.at[side.rim].astype(np.complex64)
-    others = others.astype(np.complex64)
-    if not len(rim) or not len(others):
-        return np.arange(0)
-    most = np.abs(np.subtract.outer(rim, others)).min() + reach
-    x, y = (
-        np.maximum(np.maximum(other.min() - own, own - other.max()), 0)
-        for own, other in ((z.real, others.real), (z.imag, others.imag))
-    )
-    some = np.flatnonzero(np.hypot(x, y) <= most)  # from the upright rectangle around the others
-    away = np.abs(np.subtract.outer(others, z[some])).min(axis=0)
-    chosen: Whole = some[away < away.min() + reach]
-    return chosen
+def bending(fixed: Side, moved: Side, offsets: Numbers, k: LatticeConstants) -> Float:
+    """Return the bending energy of the map from numbers to positions, cells, near the tear between
+    two sides, for each offset of the second one's numbers; infinite where it is not defined.
+
+    Cubic radial functions with a quadratic trend: M [w; c] = [x; 0], energy x' w, with
+    M = [K + rough I, B; B', 0]. The first side and the trend are eliminated once; the energy is
+    theirs, and that of what they leave of the second side.
+    """
+    middle, number = moved.at.mean(), moved.number - moved.number.mean()
+    cell = float(np.abs(np.vdot(number, moved.at - middle)) / np.vdot(number, number).real)
+    reach = k.span * cell
+    one, two = fixed.near(moved, reach, k.tear_most), moved.near(fixed, reach, k.tear_most)
+    count = len(one.at)
+    if count < TREND or len(two.at) < TREND // 2:
+        return np.full(len(offsets), np.inf)
+    x, y = (((side.at - middle) / cell).view(np.float64).reshape(-1, 2) for side in (one, two))
+    origin = one.number.mean()
+    first = one.number - origin
+    system = np.zeros((count + TREND, count + TREND))
+    system[:count, :count] = _cubes(first, first) + k.tear_rough * np.eye(count)
+    system[:count, count:] = _trend(first)
+    system[count:, :count] = system[:count, count:].T
+    position = np.concatenate([x, np.zeros((TREND, 2))])
+    second = ((two.number - origin) + offsets[:, None]).ravel()
+    beside = np.concatenate([_cubes(second, first), _trend(second)], axis=1)
+    beside = beside.reshape(len(offsets), -1, count + TREND)
+    own = _cubes(two.number, two.number) + k.tear_rough * np.eye(len(two.at))
+    try:
+        inverse = np.linalg.inv(system)
+        across = beside @ inverse  # one small product an offset: BLAS starts no threads
+        left = y - across @ position
+        w = np.linalg.solve(own - across @ beside.transpose(0, 2, 1), left)
+    except np.linalg.LinAlgError:
+        return np.full(len(offsets), np.inf)
+    energy: Float = (position * (inverse @ position)).sum() + (left * w).sum(axis=(1, 2))
+    return energy
 
 
 def _trend(number: Numbers) -> Float:

@@ -77,13 +77,20 @@ def _like(
     along, down = now.steps
     ways = np.array([along, down, -along, -down]) / reference.board.steps[0]
     angles = np.abs(np.degrees(np.angle(ways))).tolist()
-    nats = [-min(angle**2 / (2 * k.turn_sd_degrees**2), k.turn_nats) for angle in angles]
+    against = [min(angle**2 / (2 * k.turn_sd_degrees**2), k.turn_nats) for angle in angles]
     found: list[Numbering] = []
     for quarters in sorted(range(4), key=lambda q: angles[q]):
-        if found and nats[quarters] < max(found).nats - 2 * k.sure_nats:
+        if found and -against[quarters] < max(found).nats - 2 * k.sure_nats:
             break
-        turned = now.turned(quarters), prints.turned(quarters)
-        found += _shifts(*turned, rest, reference, sd_cells, quarters, nats[quarters], k)
+        turned = now.turned(quarters)
+        here = turned, prints.turned(quarters), rest, _unmoved(turned.at, reference)
+        row, column, score = _scores(*here, against[quarters], sd_cells, k)
+        best = np.argsort(-score, axis=None)[:6]
+        found += [
+            Numbering(float(score[n, m]), quarters, int(row[n]), int(column[m]))
+            for n, m in zip(*np.unravel_index(best, score.shape), strict=True)
+            if np.isfinite(score[n, m])
+        ]
     return decided_by(found)
 
 
@@ -94,48 +101,34 @@ def decided_by(found: list[Numbering]) -> Decision:
     return Decision(best, others[0] if others else None, margin)
 
 
-def _shifts(
+def _scores(
     now: Board,
     prints: Prints,
     rest: Reference,
-    reference: Reference,
+    at: Float,
+    turn: float,
     sd_cells: float,
-    quarters: int,
-    nats: float,
     k: LatticeConstants,
-) -> list[Numbering]:
-    """Return the best placements of a board that is turned already."""
-    unmoved = _unmoved(now.at, reference)
-    size, shape = np.array(now.owner.shape), np.array(rest.board.owner.shape)
-    origin = np.array(rest.origin)
-    about = np.rint(unmoved).astype(np.int64)
-    low = np.minimum(origin - size + 1, about - 3)
-    high = np.maximum(origin + shape - 1, about + 3)
+) -> tuple[Whole, Whole, Float]:
+    """Return numbers of the first row, (P,), and of the first column, (Q,), of a board that is
+    turned already, and their nats, (P, Q).
+
+    at: (2,), the number of its first node if nothing had moved. turn: nats against its rotation.
+    """
+    origin, about = np.array(rest.origin), np.rint(at).astype(np.int64)
+    low = np.minimum(origin - now.owner.shape + 1, about - 3)
+    high = np.maximum(origin + rest.board.owner.shape - 1, about + 3)
     row, column = (np.arange(low[n], high[n] + 1) for n in (0, 1))
-    away = np.square(row - unmoved[0])[:, None] + np.square(column - unmoved[1])
+    away = np.square(row - at[0])[:, None] + np.square(column - at[1])
+    first = row - origin[0], column - origin[1]
     moved = np.minimum(away / (2 * sd_cells**2), k.motion_nats)
-    score = -np.minimum(moved - nats, k.turn_nats)  # what was turned by hand was moved too
-    score += agreement(rest.prints, prints, row - origin[0], column - origin[1], k)
-    here, there = now.outer_lines, rest.board.outer_lines
-    for axis, first in ((0, row), (1, column)):
-        ends = _of_ends(
-            first - origin[axis],
-            (here[2 * axis], here[2 * axis + 1]),
-            (there[2 * axis], there[2 * axis + 1]),
-            now.border,
-            rest.board.border,
-            2 * axis,
-            k,
-        )
-        score += ends[:, None] if axis == 0 else ends
-    odd = np.add.outer(row - origin[0], column - origin[1]) % 2 == 1
+    score = agreement(rest.prints, prints, *first, k)
+    score -= np.minimum(moved + turn, k.turn_nats)  # what was turned by hand was moved too
+    score += _of_ends(first[0], now, rest.board, 0, k)[:, None]
+    score += _of_ends(first[1], now, rest.board, 1, k)
+    odd = np.add.outer(*first) % 2 == 1
     score[odd == (now.sign == rest.board.sign)] = -np.inf
-    some = np.argsort(-score, axis=None)[:6]
-    return [
-        Numbering(float(score.flat[n]), quarters, int(row[r]), int(column[c]))
-        for n, r, c in zip(some, *np.unravel_index(some, score.shape), strict=True)
-        if np.isfinite(score.flat[n])
-    ]
+    return row, column, score
 
 
 def _nats_of(border: Border, k: LatticeConstants) -> Float:
@@ -147,38 +140,27 @@ def _nats_of(border: Border, k: LatticeConstants) -> Float:
     return np.where(border.ends, nats, 0.0)
 
 
-def _of_ends(
-    first: Whole,
-    here: tuple[int, int],
-    there: tuple[int, int],
-    now: Border,
-    rest: Border,
-    side: int,
-    k: LatticeConstants,
-) -> Float:
+def _of_ends(first: Whole, now: Board, rest: Board, axis: int, k: LatticeConstants) -> Float:
     """Return the nats of two opposite sides for each number of the first line, (P,).
-
-    here, there: the first and the last line, now and at rest.
 
     Two borders on one line agree. Else the pattern did not end where it seemed to, at rest or now,
     and an object hid its rest. That an object left as many lines as at rest would be chance.
     """
-    nats_now, nats_rest = _nats_of(now, k), _nats_of(rest, k)
-    total = np.zeros(len(first))
+    sides = slice(2 * axis, 2 * axis + 2)
+    here, there = (np.array(each.outer_lines)[sides] for each in (now, rest))
+    one, other = now.border, rest.border
+    nats_now, nats_rest = _nats_of(one, k), _nats_of(other, k)
+    unlike = np.abs(one.reach - other.reach) > k.border_step_cells
+    unlike |= np.abs(one.past - other.past) > k.passing
+    same = np.where(unlike, -k.end_nats / 2, 0.0)
+    same = np.where(one.ends & other.follows, -nats_now, same)
+    same = np.where(other.ends & one.follows, -nats_rest, same)
     beyond = (there[0] - (first + here[0]), first + here[1] - there[1])  # lines, outwards
-    if (now.ends & rest.ends)[side : side + 2].all():
-        alike = (beyond[0] == 0) & (beyond[1] == 0)
-        total += math.log(there[1] - there[0] + 1) * alike
-    for n, lines in zip((side, side + 1), beyond, strict=True):
-        unlike = abs(now.reach[n] - rest.reach[n]) > k.border_step_cells
-        unlike |= abs(now.past[n] - rest.past[n]) > k.passing
-        same = -k.end_nats / 2 if unlike else 0.0
-        if rest.ends[n] and now.follows[n]:
-            same = -nats_rest[n]
-        elif now.ends[n] and rest.follows[n]:
-            same = -nats_now[n]
-        fewer = -nats_now[n]
-        total += np.where(lines == 0, same, np.where(lines > 0, -nats_rest[n], fewer))
+    total = np.zeros(len(first))
+    if (one.ends & other.ends)[sides].all():
+        total += math.log(there[1] - there[0] + 1) * ((beyond[0] == 0) & (beyond[1] == 0))
+    for n, lines in zip((2 * axis, 2 * axis + 1), beyond, strict=True):
+        total += np.where(lines == 0, same[n], np.where(lines > 0, -nats_rest[n], -nats_now[n]))
     return total
 
 

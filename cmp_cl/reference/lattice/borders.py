@@ -138,7 +138,6 @@ class Sides:
 
     def _read(self, x: Real, y: Real) -> tuple[bool, int]:
         """Return whether cells follow at a side, and its reach."""
-        lines = np.count_nonzero(~np.isnan(x).all(axis=0))
         middle, out, along = [], [], []
         for a in (x, y):
             middles = F(0.5) * (a[:2, 1:] + a[:2, :-1])
@@ -147,8 +146,6 @@ class Sides:
             along.append(a[0, 1:] - a[0, :-1])
         square = ~np.isnan(out[0])
         first = np.flatnonzero(square[:-1] & square[1:])
-        if 2 * np.count_nonzero(square) < lines - 1:
-            first = first[:0]
         asked = min(len(first), PAIRS)
         first = first[np.arange(asked) * len(first) // max(asked, 1)]
         both = np.stack([first, first + 1], axis=1)
@@ -173,23 +170,17 @@ class Sides:
         follows = bool(F(change) < F(2) * F(self.k.passing) * F(inside))
         if not F(beyond) < F(self.k.passing) * F(inside):
             return follows, UNSEEN
-        return follows, self._common(np.abs(level[..., 0] - level[..., 1]), x.shape[1])
+        return follows, self._common(np.abs(level[..., 0] - level[..., 1]))
 
-    def _common(self, contrast: Whole, length: int) -> int:
+    @staticmethod
+    def _common(contrast: Whole) -> int:
         """Return the median reach of pairs of squares, doubled, if they reach equally far.
 
-        contrast: (depths, pairs). The medians of both halves may differ by a step. A single pair
-        of a longer side shows nothing.
+        contrast: (depths, pairs). The medians of both halves may differ by a step.
         """
-        count = contrast.shape[1]
-        if count < max(min(2, length - 2), 1):
-            return UNSEEN
         inside = np.maximum(contrast[0], 1)
-        share = np.zeros((len(DEPTHS) + 2, count), np.int64)
-        share[1:-1] = np.minimum(contrast[2:], inside) * WHOLE // inside
-        around = np.minimum(share[:-2], share[2:])  # where black and white change places
-        reach = np.maximum(share[1:-1], around).sum(axis=0)
-        part = (count + 1) // 2
+        reach = (np.minimum(contrast[2:], inside) * WHOLE // inside).sum(axis=0)
+        part = (len(reach) + 1) // 2
         apart = abs(_doubled_median(reach[:part]) - _doubled_median(reach[-part:]))
         return _doubled_median(reach) if apart <= 2 * WHOLE else UNSEEN
 
