@@ -188,7 +188,9 @@ def test_a_perfect_corner_passes_and_its_response_is_the_formula():
 
 def test_candidates_follow_the_definition():
     rule = SpectralCriteria(corrosion_threshold=None)
-    four = ring.all_rings()[ring.popcount(ring.all_rings() ^ ring.rotate(ring.all_rings(), 1)) == 4]
+    four = ring.all_rings()[
+        np.bitwise_count(ring.all_rings() ^ ring.rotate(ring.all_rings(), 1)) == 4
+    ]
     rng = np.random.default_rng(8)
     inner = rng.choice(four, 2000)
     flips = (1 << rng.integers(0, 16, (4, 2000))).astype(np.uint16)

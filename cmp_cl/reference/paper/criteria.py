@@ -23,7 +23,7 @@ def rapid(
     d2 = sector_differences()[inner]
     inner_count = inner_transitions(inner)
     outer_count = outer_transitions(outer)
-    difference = ring.popcount(inner ^ outer)
+    difference = np.bitwise_count(inner ^ outer)
     candidate = (
         (inner_count == 4)
         & (outer_count == 4)
@@ -48,12 +48,15 @@ def rapid(
 
 def inner_transitions(mask: NDArray[np.uint16]) -> NDArray[np.uint8]:
     """Count the transitions of the ring (Eq. 19)."""
-    return ring.popcount(mask ^ ring.rotate(mask, 1))
+    count: NDArray[np.uint8] = np.bitwise_count(mask ^ ring.rotate(mask, 1))
+    return count
 
 
 def outer_transitions(mask: NDArray[np.uint16]) -> NDArray[np.uint8]:
     """Count the transitions to a run of two samples or more (Eq. 20)."""
-    return ring.popcount((mask ^ ring.rotate(mask, 1)) & (mask ^ ring.rotate(mask, 2)))
+    starts = (mask ^ ring.rotate(mask, 1)) & (mask ^ ring.rotate(mask, 2))
+    count: NDArray[np.uint8] = np.bitwise_count(starts)
+    return count
 
 
 def corrosion(binary: NDArray[np.bool_], outer: NDArray[np.uint16]) -> NDArray[np.int8]:
@@ -62,7 +65,7 @@ def corrosion(binary: NDArray[np.bool_], outer: NDArray[np.uint16]) -> NDArray[n
 
     It is max(n1 - nR, (16 - n1) - (21 - nR)), if n1 of 16 samples and nR of 21 pixels are black.
     """
-    n1 = ring.popcount(outer).astype(np.int64)
+    n1 = np.bitwise_count(outer).astype(np.int64)
     region = ring.black_in_region(binary)
     cd: NDArray[np.int8] = np.maximum(n1 - region, region - n1 - 5).astype(np.int8)
     return cd

@@ -5,8 +5,6 @@ is sample i, 1 where black. Samples outside the image repeat the border pixel. T
 one entry for each of the 65 536 rings.
 """
 
-import functools
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -79,11 +77,6 @@ def rotate(mask: NDArray[np.uint16], count: int) -> NDArray[np.uint16]:
     return (wide >> np.uint32(count) | wide << np.uint32(16 - count)).astype(np.uint16)
 
 
-def popcount(mask: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Return the number of ones."""
-    return _popcounts()[mask]
-
-
 def bits(mask: NDArray[np.uint16]) -> NDArray[np.bool_]:
     """Return (..., 16): the samples of each ring, True where black."""
     return (mask[..., None] >> np.arange(16, dtype=np.uint16) & np.uint16(1)).astype(np.bool_)
@@ -92,12 +85,6 @@ def bits(mask: NDArray[np.uint16]) -> NDArray[np.bool_]:
 def all_rings() -> NDArray[np.uint16]:
     """Return the bits of all 65 536 rings in order."""
     return np.arange(1 << 16).astype(np.uint16)
-
-
-@functools.cache
-def _popcounts() -> NDArray[np.uint8]:
-    counts: NDArray[np.uint8] = bits(all_rings()).sum(axis=1).astype(np.uint8)
-    return counts
 
 
 def runs(mask: NDArray[np.uint16]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -29,7 +29,7 @@ def spectral(
     spectrum_12 = np.minimum(minus_1[inner], minus_1[outer])
     spectrum_23 = np.minimum(minus_3[inner], minus_3[outer])
     largest, best = cross_correlation(inner, outer)
-    n1, n2 = ring.popcount(outer), ring.popcount(inner)
+    n1, n2 = np.bitwise_count(outer), np.bitwise_count(inner)
     half_samples = smallest_shifts()[best]
     candidate = (
         (spectrum_12 > 0)
@@ -85,7 +85,7 @@ def cross_correlation(
     largest = np.zeros(inner.shape, np.uint8)
     best = np.zeros(inner.shape, np.uint16)
     for k in range(16):
-        value = ring.popcount(outer & ring.rotate(inner, k))
+        value = np.bitwise_count(outer & ring.rotate(inner, k))
         bit = np.uint16(1 << k)
         best = np.where(value > largest, bit, np.where(value == largest, best | bit, best))
         largest = np.maximum(largest, value)
