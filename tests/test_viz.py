@@ -14,7 +14,7 @@ from stereo_data import grid_of
 
 from cmp_cl.cli.main import main
 from cmp_cl.corners import Corners, Method
-from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl.errors import FieldError
 from cmp_cl.grid import NodeStatus
 from cmp_cl.media import read_frames
 from cmp_cl.series import SeriesWriter, read_series
@@ -286,16 +286,14 @@ def test_a_video_has_every_picture_and_the_rights_of_the_old_file(tmp_path):
 
 
 def test_a_video_that_cannot_be_written_is_refused_and_leaves_the_old_file(tmp_path):
-    with pytest.raises(ConfigError, match=r"\.mp4"):
-        VideoFile(tmp_path / "press.gif")
     with pytest.raises(OSError, match="nothere"):
-        VideoFile(tmp_path / "nothere" / "press.mp4")
+        VideoFile(tmp_path / "nothere" / "press.mp4", fps=10)
     (tmp_path / "press.mp4").write_bytes(b"old")
-    with VideoFile(tmp_path / "press.mp4"):
+    with VideoFile(tmp_path / "press.mp4", fps=10):
         pass  # no picture
 
     def write_noise():
-        with VideoFile(tmp_path / "press.mp4") as video:
+        with VideoFile(tmp_path / "press.mp4", fps=10) as video:
             for number in range(50):
                 draw = np.random.default_rng(number)
                 video.add(draw.integers(0, 255, (200, 200, 3), np.uint8))

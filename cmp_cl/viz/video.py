@@ -10,21 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.closing import Closing
-from cmp_cl.errors import ConfigError, check_range, extra
-from cmp_cl.files import check_target, suffix_of, whole_file
+from cmp_cl.errors import extra
+from cmp_cl.files import check_target, whole_file
 
 
 class VideoFile(Closing):
     """Writes a video picture by picture, whole or not at all; use it in a with statement.
 
-    path: .mp4. fps: pictures per second. Without a picture no file appears. Raises ConfigError on
-    another suffix or without PyAV, OSError if the folder is missing, not writable or full.
+    path: .mp4. fps: pictures per second. Without a picture no file appears. Raises ConfigError
+    without PyAV, OSError if the folder is missing, not writable or full.
     """
 
-    def __init__(self, path: str | PathLike[str], *, fps: float = 25.0) -> None:
-        if suffix_of(path, ConfigError) != ".mp4":
-            raise ConfigError(f"{str(path)!r}: a video must end in .mp4")
-        check_range("fps", fps, 0.01, 10_000)
+    def __init__(self, path: str | PathLike[str], *, fps: float) -> None:
         with extra("plot", "a video"):
             import av
         self._av, self._path = av, check_target(path)
