@@ -38,7 +38,6 @@ from cmp_cl.space.window import WINDOW, Window
 MIN_PARALLAX = 1.0  # px; with less parallax, depth is only noise
 MAX_ERROR = 3.0  # px, of the reprojection
 _COVARIANCE = "covariance"
-_LENGTHS = slice(2 * ESTIMATED + 3, 2 * ESTIMATED + POSE)  # the parameters that are the translation
 _STEP = 1e-5  # of differences by parameters; of lengths, times the distance of the cameras
 _ALIASES = {
     "K1": ("K1", "M1", "cameraMatrix1"),
@@ -319,8 +318,8 @@ class StereoRig:
         `covariance`, (N, 4, P), px. The latter are differences.
         """
         seen, by_point = self._projected(xyz)
-        length = float(np.linalg.norm(self.T))
-        sizes = [1.0] * _LENGTHS.start + [length] * 3
+        length = np.linalg.norm(self.T)
+        sizes = [*np.ones(2 * ESTIMATED + 3), length, length, length]
         if self.window is not None:
             sizes += [1, 1, length, 1]
         by_rig = [
@@ -331,10 +330,11 @@ class StereoRig:
 
     def _moved(self, step: Array) -> "StereoRig":
         """Return the rig after a step of the parameters of `covariance`, (P,)."""
+        left, right, pose, window = np.split(step, [ESTIMATED, 2 * ESTIMATED, 2 * ESTIMATED + POSE])
         one, two = self._cameras
-        one[:ESTIMATED] += step[:ESTIMATED]
-        two[:ESTIMATED] += step[ESTIMATED : 2 * ESTIMATED]
-        two[-POSE:] += step[2 * ESTIMATED : _LENGTHS.stop]
+        one[:ESTIMATED] += left
+        two[:ESTIMATED] += right
+        two[-POSE:] += pose
         return StereoRig(
             matrix_of(one),
             distortion_of(one),
@@ -342,7 +342,7 @@ class StereoRig:
             distortion_of(two),
             rotation_of(two),
             two[-3:],
-            window=None if self.window is None else self.window.moved(step[_LENGTHS.stop :]),
+            window=None if self.window is None else self.window.moved(window),
         )
 
     @property
