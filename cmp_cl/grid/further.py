@@ -16,23 +16,27 @@ def with_further_lines(board: Board, corners: Corners, inside: Whole) -> tuple[B
 
     The steps of a tilted board grow from line to line, so its squares reach as far as the next step
     would. A line of corners past a side follows, though no sides of cells link it. Where half a
-    line has corners its places are not empty.
+    line has corners its places are not empty. A line that is farther away, behind a bar, is counted
+    alone: it may be another board's.
     """
     border, owner, at = board.border, board.owner, board.at
     free = np.zeros(len(corners), np.bool_)
     free[inside] = True
     free[owner[owner >= 0]] = False
-    growth, found, places = np.ones(4), np.zeros(4, np.int64), np.array(owner.shape)[[1, 1, 0, 0]]
+    places = np.array(owner.shape)[[1, 1, 0, 0]]
+    growth, (found, behind) = np.ones(4), np.zeros((2, 4), np.int64)
     from_side = [(each, each[::-1], each.T, each.T[::-1]) for each in (owner, at)]
     for side, (owners, positions) in enumerate(zip(*from_side, strict=True)):
         if border.ends[side]:
             growth[side] = _growth(positions)
-        elif len(owners) > 1 and free.any():
-            found[side] = _further(owners, corners, free)
+        if len(owners) > 1 and free.any():
+            nearest, *others = (_further(owners, corners, free, n) for n in range(1, K.span))
+            found[side] = 0 if border.ends[side] else nearest
+            behind[side] = max(others)
     follows = border.follows | (found >= K.least_line * places)
-    some = 2 * found >= places
+    some, far = 2 * found >= places, behind >= K.least_line * places
     changed = Border(border.reach / growth, border.past, follows, border.room & ~some)
-    return changed, int(found[some].sum())
+    return changed, int(np.maximum(found * some, behind * far).sum())
 
 
 def _growth(places: Numbers) -> float:
@@ -45,19 +49,21 @@ def _growth(places: Numbers) -> float:
     return float(first / second)
 
 
-def _further(lines: Whole, corners: Corners, free: Mask) -> int:
-    """Return how many places of the line before the first one have a free corner.
+def _further(lines: Whole, corners: Corners, free: Mask, steps: int) -> int:
+    """Return how many places of a line that lies so many steps before the first have a free corner.
 
-    It lies within half a step of where the first two lines lead, and the first node and it could be
-    linked: boundaries of unlike colours point from each to the other.
+    It lies within half a step, or a quarter of one, of where the first two lines lead, and such a
+    way could join it: boundaries point from both ends to each other, of unlike colours if the steps
+    are odd.
     """
     first, second = lines[:2, (lines[:2] >= 0).all(axis=0)]
     at: Numbers = corners.xy @ np.array([1, 1j])
     chord, step = at[free] - at[first, None], at[first] - at[second]
-    place, new = np.nonzero(np.abs(chord - step[:, None]) < abs(step[:, None]) / 2)
+    near = np.abs(step[:, None]) / (2 if steps == 1 else 4)
+    place, new = np.nonzero(np.abs(chord - steps * step[:, None]) < near)
     way = chord[place, new, None] / np.abs(chord[place, new, None])
     here = (np.exp(1j * corners.edges[first[place]]) / way).real
     there = (-np.exp(1j * corners.edges[free][new]) / way).real
     linked = np.minimum(here.max(axis=1), there.max(axis=1)) > K.least_cosine
-    linked &= (here.argmax(axis=1) + there.argmax(axis=1)) % 2 == 1
+    linked &= (here.argmax(axis=1) + there.argmax(axis=1) + steps) % 2 == 0
     return len(np.unique(place[linked]))

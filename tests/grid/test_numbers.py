@@ -282,6 +282,16 @@ def test_corners_of_a_line_that_no_side_links_are_told(shape):
     assert "of this one are no nodes" in grid.doubts[0]
 
 
+@pytest.mark.parametrize(("middle", "width"), [(1.6, 0.6), (2.5, 1.4)])
+def test_a_part_of_a_board_beside_a_bar_is_not_taken_for_the_whole_in_silence(middle, width):
+    camera = plane(cell=30, middle=(200, 150), about=(4, 2.5), turn=2)
+    u, _ = camera(*samples(SIZE))
+    view = drawn(camera, SIZE, BOARD, front=np.where(abs(u - middle) < width / 2, 120.0, np.nan))
+    grid = grid_of(view)
+    assert grid.others == 6
+    assert scored(grid, view).wrong == 0
+
+
 def test_the_last_squares_of_a_tilted_board_reach_as_far_as_the_next_line_would():
     camera = plane(cell=26, middle=(200, 150), about=(4, 2.5), turn=9, tilt=(1.5e-3, 1e-3))
     grid = grid_of(drawn(camera, SIZE, BOARD, margin=0.5))
