@@ -5,8 +5,9 @@
     for corners in cmp_cl.cluster.detect(client, read_frame, range(1_000_000), config=config):
         ...
 
-Run one worker process per device, with one thread. Dask keeps the parts that are done until they
-are asked for, and gives the parts of a worker that dies to another one.
+Run one worker process per device, with one thread; its variable CMP_CL_DEVICE names the device.
+Dask keeps the parts that are done until they are asked for, and gives the parts of a worker that
+dies to another one.
 """
 
 import functools
@@ -32,7 +33,6 @@ def detect(
     frames: Sequence[int],
     *,
     config: DetectorConfig | None = None,
-    device: str | None = None,
     part: int = 64,
 ) -> Iterator[Corners]:
     """Yield the corners of frames on a cluster, in the order of `frames`.
@@ -42,7 +42,6 @@ def detect(
         so it is a function of a module that workers can import, or a closure.
     frames: numbers of frames, such as range(1000).
     config: None means DetectorConfig().
-    device: a text for `select_device` on the worker; None is the worker's default device.
     part: how many frames a worker is given at a time.
 
     A few parts are on their way while one is used, so memory is bounded. Raises ConfigError without
@@ -58,7 +57,7 @@ def detect(
     try:
         for start in range(0, len(frames), part):
             numbers = frames[start : start + part]
-            waiting.append(client.submit(_work, read, numbers, config, device, pure=False))
+            waiting.append(client.submit(_work, read, numbers, config, pure=False))
             if len(waiting) >= max(_LEAST_AHEAD, 2 * sum(client.nthreads().values())):
                 yield from waiting.popleft().result()
         while waiting:
@@ -71,18 +70,15 @@ def _work(
     read: Callable[[int], GreyImage],
     numbers: Sequence[int],
     config: DetectorConfig,
-    device: str | None,
 ) -> list[Corners]:
     """Return the corners of a part; on a worker."""
     first = check_image(read(numbers[0]))
     with _ONE_PART:
-        detector = _detector(first.shape, first.dtype, config, device)
+        detector = _detector(first.shape, first.dtype, config)
         return list(detector.stream(chain([first], map(read, numbers[1:]))))
 
 
 @functools.lru_cache(maxsize=1)
-def _detector(
-    shape: tuple[int, int], dtype: Any, config: DetectorConfig, device: str | None
-) -> Detector:
+def _detector(shape: tuple[int, int], dtype: Any, config: DetectorConfig) -> Detector:
     """Return the detector that a worker process keeps, as long as frames are alike."""
-    return Detector(shape=shape, dtype=dtype, config=config, device=device)
+    return Detector(shape=shape, dtype=dtype, config=config)

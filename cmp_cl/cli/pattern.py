@@ -28,7 +28,9 @@ def add_parser(commands: Any) -> None:
     size.add_argument(
         "--size", metavar="MM", type=positive_number, help="longer side of all cells together"
     )
-    parser.add_argument("--out", metavar="FILE", required=True, help="what to write: .svg or .png")
+    parser.add_argument(
+        "--out", metavar="FILE", required=True, help="what to write: .svg, or .png of 600 dpi"
+    )
     parser.add_argument(
         "--paper",
         choices=list(PAPERS),
@@ -38,9 +40,6 @@ def add_parser(commands: Any) -> None:
         "--bare",
         action="store_true",
         help="leave out the white border and the scale bars, for a mask that covers a gel",
-    )
-    parser.add_argument(
-        "--dpi", type=float, default=600, help="pixels per inch of a .png; default: 600"
     )
     parser.set_defaults(run=run)
 
@@ -53,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     board = Checkerboard(
         shape=arguments.grid, cell=cell, bare=arguments.bare, paper=arguments.paper
     )
-    board.save(arguments.out, dpi=arguments.dpi)
+    board.save(arguments.out)
     rows, columns = board.shape
     width, height = board.size
     print(
