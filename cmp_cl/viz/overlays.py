@@ -212,9 +212,7 @@ def _spacing(xy: NDArray[np.float32]) -> float:
     some = xy[:: max(1, len(xy) // 64)].astype(np.float64)
     distance = np.hypot(*(some[:, None] - xy[None]).transpose(2, 0, 1))
     distance[distance == 0] = np.inf
-    nearest = distance.min(axis=1)
-    nearest = nearest[np.isfinite(nearest)]
-    return float(np.median(nearest)) if len(nearest) else 16.0
+    return float(np.median(distance.min(axis=1)))
 
 
 def _enlarging(image: GreyImage, cell: float) -> int:
