@@ -36,7 +36,7 @@ __kernel void edge_step(__global const PIXEL *restrict image, __global const int
   EDGES_OF_CORNER
   const float start_x = (float)from_x, start_y = (float)from_y;
   EDGE_LINES(start_x, start_y, centroid_x, centroid_y)
-  *RESULT_CORRELATION = -INFINITY;
+  *RESULT_CORRELATION = *RESULT_GRAIN = -INFINITY;
   if (!good) return;
   const float radius_2 = radius * radius, rim = 4 / radius_2;
   const float a_x = n1x * BY_BLUR, a_y = n1y * BY_BLUR, b_x = n2x * BY_BLUR, b_y = n2y * BY_BLUR;

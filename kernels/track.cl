@@ -23,6 +23,9 @@
 #define VARIANCE_OF_EXCESS 1000 /* px^2 per squared excess, as in cmp_cl/stages/refine.py */
 #define VARIANCE_OF_RANGE 3000
 #define LEAST_RANGE 0.0025f
+#define VARIANCE_OF_GRAIN 2.2f
+#define FEW 8 /* corners that do not tell what the noise is */
+#define VARIANCE_OF_MODEL 1e-4f /* px^2 of the octave */
 
 #define NEAR_CELLS 0.3f /* from the prediction, of the smaller local step */
 #define ALONE_CELLS 0.5f /* no second corner may be as near as that */
@@ -77,20 +80,26 @@
   __global const uchar *methods = (__global const uchar *)(fields + METHOD_FIELD * padded); \
   __global const uchar *refusals = methods + padded, *octaves = methods + 2 * padded; \
   __global const float *variances = fields + VARIANCE_FIELD * padded;               \
-  __global const float *correlations = fields + (VARIANCE_FIELD + 1) * padded;
+  __global const float *correlations = variances + padded, *grains = correlations + padded;
 #define OCTAVE_OF(n) (OCTAVES ? octaves[n] : 0)
 
-/* By how much the variance of a corner grows, px^2: by the excess of its autocorrelation over the
- * median of its octave, and by the range of the least. */
-float grown_variance(const float correlation, const float4 quantile) {
+/* A variance, px^2, and by how much it grows: by the grain of the noise, by the excess of the
+ * corner's autocorrelation over the median of its octave, and by the range of the least. */
+float grown_variance(const float variance, const int octave, const int is_step,
+                     const float correlation, const float4 quantile) {
   const float excess = fmax(correlation - quantile.z, 0.0f); /* 0 if there are none */
   const float spread = fmax(quantile.y - quantile.x - LEAST_RANGE, 0.0f);
-  return VARIANCE_OF_EXCESS * excess * excess + VARIANCE_OF_RANGE * spread * spread;
+  const float coarse = fmax(VARIANCE_OF_GRAIN * quantile.w - 1, 0.0f);
+  const float of_noise = is_step ? variance - VARIANCE_OF_MODEL * (float)(1 << 2 * octave) : 0;
+  const float more = coarse * of_noise + VARIANCE_OF_EXCESS * excess * excess +
+                     VARIANCE_OF_RANGE * spread * spread;
+  return variance + more;
 }
 
 /* The standard deviation of corner n. */
 #define SIGMA_OF(n, quantile)                                                       \
-  sqrt(variances[n] + (float)(1 << 2 * OCTAVE_OF(n)) * grown_variance(correlations[n], quantile))
+  sqrt(grown_variance(variances[n], OCTAVE_OF(n), methods[n] == BY_EDGE_STEP,       \
+                      correlations[n], quantile))
 
 /* The sine of an angle within .001; sin is a slow call on PoCL. */
 float sine_of(const float angle) {
@@ -119,8 +128,9 @@ uint ordered(const float v) {
 }
 
 /* The 5th, 40th and 50th percentile of the residual's autocorrelation of the corners that EDGE_STEP
- * accepted, for each view and octave, byte by byte from the first; infinite if there are none. The
- * bins of the view are emptied too. One work-group for each. */
+ * accepted, for each view and octave, byte by byte from the first; infinite if there are none. Then
+ * the median of their grains, and of FEW more that have none. The bins of the view are emptied too.
+ * One work-group for each. */
 __kernel void quantiles(__global const float *result, const uint stride, const uint room,
                         const int bin_rows, const int bin_columns, __global float4 *quantile,
                         __global int *first_of_bin) {
@@ -129,29 +139,32 @@ __kernel void quantiles(__global const float *result, const uint stride, const u
   for (int b = first; octave == 0 && b < bin_rows * bin_columns; b += items)
     first_of_bin[BINS + b] = NONE;
   RESULT_OF_VIEW(result, stride, room)
-  __local uint bins[3][256], prefix[3], rank[3], all;
+  __local uint bins[4][256], prefix[4], rank[4], all;
   for (int shift = 24; shift >= 0; shift -= 8) {
-    const int apart = shift == 24 ? 1 : 3; /* the first byte is counted for all three */
-    for (int q = 0; q < apart; ++q)
+    const int later = shift == 24 ? 2 : 0; /* the first byte is counted once for the first three */
+    for (int q = later; q < 4; ++q)
       for (int b = first; b < 256; b += items) bins[q][b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int n = first; n < count; n += items) {
       if (methods[n] != BY_EDGE_STEP || OCTAVE_OF(n) != octave) continue;
-      const uint key = ordered(correlations[n]);
-      for (int q = 0; q < apart; ++q) {
+      for (int q = later; q < 4; ++q) {
+        const uint key = ordered(q == 3 ? grains[n] : correlations[n]);
         if (shift != 24 && key >> (shift + 8) != prefix[q]) continue;
         if (items == 1) ++bins[q][key >> shift & 255];
         else atomic_inc(bins[q] + (key >> shift & 255));
       }
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int q = first; q < 3; q += items) {
-      __local const uint *counted = bins[min(q, apart - 1)];
+    for (int q = first; q < 4; q += items) {
+      __local const uint *counted = bins[max(q, later)];
       if (shift == 24) {
         uint sum = 0;
         for (int b = 0; b < 256; ++b) sum += counted[b];
-        const uint above = q == 0 ? 19 * sum / 20 : q == 1 ? 3 * sum / 5 : sum / 2;
-        rank[q] = sum ? sum - 1 - above : 0;
+        const uint above = q == 0   ? 19 * sum / 20
+                           : q == 1 ? 3 * sum / 5
+                           : q == 2 ? sum / 2
+                                    : sum / 2 + FEW / 2;
+        rank[q] = sum > above ? sum - 1 - above : 0;
         prefix[q] = 0;
         if (q == 0) all = sum;
       }
@@ -164,8 +177,9 @@ __kernel void quantiles(__global const float *result, const uint stride, const u
 #define NUMBER_OF(key) as_float((key) & 0x80000000u ? (key) & 0x7fffffffu : ~(key))
   if (first == 0)
     quantile[get_group_id(1)] = all ? (float4)(NUMBER_OF(prefix[0]), NUMBER_OF(prefix[1]),
-                                               NUMBER_OF(prefix[2]), 0.0f)
-                                    : (float4)(INFINITY);
+                                               NUMBER_OF(prefix[2]),
+                                               all > FEW ? NUMBER_OF(prefix[3]) : 0.0f)
+                                    : (float4)(INFINITY, INFINITY, INFINITY, 0.0f);
 }
 
 /* Chain the corners of each bin, and predict the nodes: they move on as they moved last. The

@@ -25,6 +25,8 @@ DOUBT = 0.010  # excess autocorrelation of the residual
 LEAST_RANGE = 0.0025  # from the 5th to the 40th percentile of autocorrelations, in a good frame
 # px: error of a position on perfect prints by bent edges, shading and sampling, beside the noise
 STEP_ERROR = 0.01
+FEW = 8
+VARIANCE_OF_GRAIN = 2.2  # by how much the noise of a position exceeds that of pixels, per grain
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -69,7 +71,7 @@ def edge_step(
     parts = [
         _step_terms(image, start[rows], shift[rows], n1[rows], n2[rows], radius) for rows in blocks
     ]
-    step, solvable, variance, correlation, near = (
+    step, solvable, variance, correlation, grain, near = (
         np.concatenate(column) for column in zip(*parts, strict=True)
     )
     position = shift + step
@@ -77,12 +79,15 @@ def edge_step(
     longest, furthest = LARGEST_STEP / scale, STEP_SHIFT / scale
     accepted = solvable & (length <= longest) & (moved <= furthest)
 
-    excess, spread = np.zeros(len(start)), 0.0
+    excess, spread, coarse = np.zeros(len(start)), 0.0, 1.0
     if accepted.any():
         least, low, middle = (ranked(correlation[accepted], n) for n in (5, 40, 50))
         excess = np.maximum(0, correlation - middle)
         spread = max(0, low - least - LEAST_RANGE)
-    of_step = STEP_ERROR**2 + 0.5 * variance + 1000 * (excess / size) ** 2
+        few = np.zeros(FEW)  # corners more, without grain: so few would not tell what the noise is
+        typical = ranked(np.concatenate([grain[accepted], few]), 50)
+        coarse = max(1, VARIANCE_OF_GRAIN * typical)
+    of_step = STEP_ERROR**2 + 0.5 * variance * coarse + 1000 * (excess / size) ** 2
     of_refused = np.where(solvable, longest**2, 0)  # the lines and the step differ by more
     margin = np.min(
         [
@@ -123,14 +128,16 @@ def _step_terms(
     n1: Floats,
     n2: Floats,
     radius: float,
-) -> tuple[Floats, Bools, Floats, Floats, Floats]:
-    """Return for each corner the step (N, 2), whether the system is regular, tr rho^2, ac, and a
-        margin.
+) -> tuple[Floats, Bools, Floats, Floats, Floats, Floats]:
+    """Return for each corner the step (N, 2), whether the system is regular, tr rho^2, ac, the
+        grain, and a margin.
 
     ac is the mean of r(q) r(q + (1, 0)), weighted by w(q), minus the part that comes from the
     light's gradient. The mean is over the pixels q that are within the radius, and whose right
     neighbours are too. rho^2 is mean r^2 minus that product: the noise, which neighbours do not
-    share.
+    share. The grain is the noise over the disc relative to rho^2. It is seen where the model has
+    nothing but noise: along k P, k the coordinate along s or t, in the part that neither an offset
+    nor the light's gradient explains.
     """
     height, width = image.shape
     reach = np.arange(-math.ceil(radius), math.ceil(radius) + 1)
@@ -162,7 +169,6 @@ def _step_terms(
         r = grey - m[:, None, None] - c[:, None, None] * p
         level = np.maximum(m + centre, np.abs(c))
         ratio = c / level
-        lit = r * (1 + ratio[:, None, None] * p)
         squares = total(r * r)
 
         axes, half = edge_frame(n1, n2)
@@ -170,7 +176,11 @@ def _step_terms(
         d_light = d_k + ratio[:, None] * d_kp
         light_2 = k_k + 2 * ratio[:, None] * k_kp + ratio[:, None] ** 2 * k_kpp
         r_d = half * np.stack([total(r * (da + db)), total(r * (da - db))], axis=1)
-        r_light = np.einsum("nki,ni->nk", axes, np.stack([total(lit * ux), total(lit * uy)], 1))
+        r_k, r_kp = (
+            np.einsum("nki,ni->nk", axes, np.stack([total(part * ux), total(part * uy)], axis=1))
+            for part in (r, r * p)
+        )
+        r_light = r_k + ratio[:, None] * r_kp
 
         by_offset = d_light / d_d
         left = light_2 - by_offset * d_light
@@ -188,7 +198,13 @@ def _step_terms(
         pair = np.where(inside[:, :, :-1] & inside[:, :, 1:], w[:, :, :-1], 0)
         neighbours = np.where(pair > 0, r[:, :, :-1] * r[:, :, 1:], 0)
         correlation = (pair * neighbours).sum(axis=(1, 2)) / s1
-        variance = np.maximum(0, squares / s1 - correlation) / (c * c) * trace
+        white = squares / s1 - correlation
+        variance = np.maximum(0, white) / (c * c) * trace
+        of_light = (k_kp + ratio[:, None] * k_kpp - by_offset * d_kp) / left
+        broad = r_kp - d_kp / d_d * r_d - of_light * (r_light - by_offset * r_d)
+        expected = k_kpp - d_kp**2 / d_d - of_light**2 * left
+        grain = (broad**2).sum(axis=1) / expected.sum(axis=1)
+        grain /= np.maximum(white, (LEAST_CONTRAST * c) ** 2)
         correlation = (correlation - explained / s1) / (c * c)
 
         ratios = np.stack([np.abs(c) / LEAST_CONTRAST, spread / (s1 * spp) / LEAST_SPREAD])
@@ -200,6 +216,7 @@ def _step_terms(
         sound,
         np.where(sound, variance, 0),
         np.where(sound, correlation, 0),
+        np.where(sound, grain, 0),
         near,
     )
 

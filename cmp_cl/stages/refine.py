@@ -16,9 +16,9 @@ from cmp_cl.stages.moments import BLUR, moments
 from cmp_cl.stages.resampling import full_pixels
 
 RESULT_HEAD = 16  # numbers before the fields of a frame, as in kernels/result.clh
-RESULT_FIELDS = 12
+RESULT_FIELDS = 13
 POSITION, PIXEL, EDGES = slice(0, 2), slice(2, 4), slice(4, 8)
-RESPONSE, METHOD, VARIANCE, CORRELATION = 8, 9, 10, 11
+RESPONSE, METHOD, VARIANCE, CORRELATION, GRAIN = 8, 9, 10, 11, 12
 SHARES = 32  # shares of the corners for each unit of the device
 RADII = (3, 4, 5)  # of the rings, px of the working image
 RING_SAMPLES = 32
@@ -29,6 +29,9 @@ VARIANCE_OF_EXCESS = 1000  # px^2 per squared excess, fitted on rendered scenes 
 # fitted on boards, as drawn and enlarged, by bench/fit_sigma.py.
 VARIANCE_OF_RANGE = np.float32(3000)
 LEAST_RANGE = np.float32(0.0025)
+VARIANCE_OF_GRAIN = np.float32(2.2)  # of the part by noise, per median grain; on such boards too
+FEW = 8  # corners that do not tell what the noise is
+VARIANCE_OF_MODEL = np.float32(1e-4)  # px^2 of the image: the part that noise has no share in
 
 
 def files(plan: PlanBase) -> list[str]:
@@ -257,42 +260,50 @@ def _deviation(
     """Return the standard deviation of each position, px, and which corners are doubtful.
 
     octave: (N,), or None if the frame is all. Corners that EDGE_STEP did not refine have an
-        autocorrelation of -inf.
+        autocorrelation and a grain of -inf.
     """
-    variance, correlation = fields[VARIANCE], fields[CORRELATION]
     # A plain number: comparing an array with a member of an enumeration is slower.
     accepted = method == Method.EDGE_STEP.value
     if octave is None or not octave.any():
-        excess, more = _excess(correlation, accepted)
-        return np.sqrt(variance + more), excess > DOUBTFUL_EXCESS
-    excess, more = np.zeros_like(variance), np.zeros_like(variance)
-    for n in np.unique(octave):
-        here = octave == n
-        excess[here], more[here] = _excess(correlation[here], accepted[here])
-    return np.sqrt(variance + more), excess > DOUBTFUL_EXCESS
+        variance, excess = _grown(fields, accepted)
+    else:
+        variance, excess = fields[VARIANCE].copy(), np.zeros_like(fields[VARIANCE])
+        for n in np.unique(octave):
+            here = octave == n
+            variance[here], excess[here] = _grown(fields[:, here], accepted[here], int(n))
+    return np.sqrt(variance), excess > DOUBTFUL_EXCESS
 
 
-def _excess(
-    correlation: NDArray[np.float32], accepted: NDArray[np.bool_]
+def _grown(
+    fields: NDArray[np.float32], accepted: NDArray[np.bool_], octave: int = 0
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return how far each residual's autocorrelation exceeds the median of its octave, and the
-    variance, px^2, that this and the spread of the autocorrelations add.
+    """Return the variances, px^2, with what the corners of an octave show together, and how far
+    each residual's autocorrelation exceeds their median.
 
-    A corner with an excess above DOUBTFUL_EXCESS is doubtful: its surroundings do not look like the
-    corner model. Where the whole frame does not, because its pixels are enlarged, compressed or
-    hidden by coarse noise, the least autocorrelations spread; texture beside a pattern spreads the
-    others alone.
+    Noise that neighbours share moves a corner more than other noise: the part by noise grows with
+    the median grain. A corner with an excess above DOUBTFUL_EXCESS is doubtful: its surroundings do
+    not look like the corner model. Where the whole frame does not, because its pixels are enlarged
+    or compressed, the least autocorrelations spread; texture beside a pattern spreads the others
+    alone.
     """
+    variance, correlation, grain = fields[VARIANCE], fields[CORRELATION], fields[GRAIN]
     count = int(np.count_nonzero(accepted))
     if not count:
-        return np.zeros_like(correlation), np.zeros_like(correlation)
+        return variance, np.zeros_like(variance)
     above = 19 * count // 20, 3 * count // 5, count // 2
     ranks = [len(correlation) - 1 - n for n in above]
     ordered = np.partition(correlation, ranks)
     least, low, middle = (ordered[rank] for rank in ranks)
     excess = np.maximum(correlation - middle, 0)
     spread = np.maximum(low - least - LEAST_RANGE, 0)
+    coarse = np.float32(0)
+    if count > FEW:
+        rank = ranks[2] - FEW // 2  # the median with FEW corners more that have none
+        coarse = np.maximum(VARIANCE_OF_GRAIN * np.partition(grain, rank)[rank] - 1, 0)
+    of_noise = np.where(accepted, variance - VARIANCE_OF_MODEL * np.float32(4**octave), 0)
     more: NDArray[np.float32] = (
-        VARIANCE_OF_EXCESS * excess * excess + VARIANCE_OF_RANGE * spread * spread
+        coarse * of_noise
+        + VARIANCE_OF_EXCESS * excess * excess
+        + VARIANCE_OF_RANGE * spread * spread
     )
-    return excess, more
+    return variance + more, excess

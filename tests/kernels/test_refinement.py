@@ -3,6 +3,7 @@
 edge_lines, edge_step (one corner at a time, and eight), midlines, centroid, centroids.
 """
 
+import cv2
 import images
 import numpy as np
 import pytest
@@ -219,3 +220,19 @@ def test_two_sigma_cover_the_error_where_every_pixel_is_repeated(detector_for, f
     assert near.sum() > 40
     share = (np.abs(error[near]) < 2 * found.sigma[near, None]).mean()
     assert share > 0.9
+
+
+@pytest.mark.parametrize("smooth", [0.01, 1, 2])
+def test_two_sigma_cover_the_error_in_noise_that_neighbours_share(detector_for, smooth):
+    """Such noise moves a corner by much more than its differences from pixel to pixel tell."""
+    image, truth = board(300, 400, 20)
+    noise = cv2.GaussianBlur(np.random.default_rng(5).normal(size=image.shape), (0, 0), smooth)
+    image = np.clip(30 + 0.7 * image + 8 * noise / noise.std(), 0, 255).astype(np.uint8)
+    found = detector_for(image, DetectorConfig())(image)
+    apart = found.xy[:, None] - truth
+    error = apart[np.arange(len(found)), np.linalg.norm(apart, axis=2).argmin(axis=1)]
+    near = (np.linalg.norm(error, axis=1) < 3) & (found.method == Method.EDGE_STEP)
+    assert near.sum() > 150
+    share = (np.abs(error[near]) < 2 * found.sigma[near, None]).mean()
+    assert share > 0.9
+    assert np.median(found.sigma[near]) < 2.5 * np.sqrt(np.square(error[near]).mean())
