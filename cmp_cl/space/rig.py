@@ -20,8 +20,6 @@ from cmp_cl.space.lens import (
     check_matrix,
     checked_array,
     checked_distortion,
-    distortion_of,
-    matrix_of,
     projected,
     rotation_of,
 )
@@ -286,7 +284,7 @@ class StereoRig:
             (N,), px; their covariances (N, 3, 3), NaN if unknown; and the motion of the points by
             the shifts, (N, 3).
         """
-        projected, jacobian = self._projected(xyz)
+        projected, jacobian, _ = self._projected(xyz)
         residual = seen - projected
         known = np.isfinite(sigma.sum(axis=1))
         weight = np.repeat(1 / np.where(known[:, None], sigma, 1), 2, axis=1)[..., None]
@@ -315,33 +313,28 @@ class StereoRig:
         """Return the derivatives of the pixels of both views, left and right.
 
         xyz: (N, 3), the points. They are by the point, (N, 4, 3), and by the P parameters of
-        `covariance`, (N, 4, P), px. The latter are differences.
+        `covariance`, (N, 4, P), px; those by the pose and the window are differences.
         """
-        seen, by_point = self._projected(xyz)
+        seen, by_point, by_lens = self._projected(xyz)
         length = np.linalg.norm(self.T)
-        sizes = [*np.ones(2 * ESTIMATED + 3), length, length, length]
+        sizes = [1, 1, 1, length, length, length]
         if self.window is not None:
             sizes += [1, 1, length, 1]
-        by_rig = [
+        by_place = [
             (self._moved(step)._pixels(xyz) - seen) / step.sum()
             for step in np.diag(_STEP * np.array(sizes))
         ]
-        return by_point, np.stack(by_rig, axis=2)
+        return by_point, np.dstack([by_lens, *by_place])
 
     def _moved(self, step: Array) -> "StereoRig":
-        """Return the rig after a step of the parameters of `covariance`, (P,)."""
-        left, right, pose, window = np.split(step, [ESTIMATED, 2 * ESTIMATED, 2 * ESTIMATED + POSE])
-        one, two = self._cameras
-        one[:ESTIMATED] += left
-        two[:ESTIMATED] += right
-        two[-POSE:] += pose
-        return StereoRig(
-            matrix_of(one),
-            distortion_of(one),
-            matrix_of(two),
-            distortion_of(two),
-            rotation_of(two),
-            two[-3:],
+        """Return the rig after a step of its pose and of its window."""
+        pose, window = np.split(step, [POSE])
+        right = self._cameras[1]
+        right[-POSE:] += pose
+        return dataclasses.replace(
+            self,
+            R=rotation_of(right),
+            T=right[-3:],
             window=None if self.window is None else self.window.moved(window),
         )
 
@@ -362,10 +355,14 @@ class StereoRig:
             seen.append(projected(straight, camera)[0])
         return np.hstack(seen)
 
-    def _projected(self, xyz: Array) -> tuple[Array, Array]:
-        """Return the same, and the derivatives by the point, (N, 4, 3)."""
+    def _projected(self, xyz: Array) -> tuple[Array, Array, Array]:
+        """Return the same, and the derivatives by the point, (N, 4, 3), and by the parameters of
+        both lenses, (N, 4, 16)."""
         seen, slopes = [], []
-        for camera, centre in zip(self._cameras, (np.zeros(3), self._centre), strict=True):
+        by_lens = np.zeros((len(xyz), 4, 2 * ESTIMATED))
+        for k, (camera, centre) in enumerate(
+            zip(self._cameras, (np.zeros(3), self._centre), strict=True)
+        ):
             straight, bend = xyz, np.eye(3)
             if self.window is not None:
                 apparent = self.window.apparent(centre, xyz)
@@ -374,7 +371,9 @@ class StereoRig:
             seen.append(pixels)
             # By the translation, which is by the rotated point.
             slopes.append(by_camera[..., -3:] @ (rotation_of(camera) @ bend))
-        return np.hstack(seen), np.concatenate(slopes, axis=1)
+            own = slice(k * ESTIMATED, (k + 1) * ESTIMATED)
+            by_lens[:, 2 * k : 2 * k + 2, own] = by_camera[..., :ESTIMATED]
+        return np.hstack(seen), np.concatenate(slopes, axis=1), by_lens
 
 
 def spread(where: NDArray[np.bool_], values: NDArray[Any]) -> Array:
