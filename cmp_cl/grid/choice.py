@@ -80,9 +80,8 @@ class Found:
         board, border = self.board, self.board.border
         smooth = np.count_nonzero((board.owner >= 0) & ~board.torn) / board.owner.size
         ended = np.count_nonzero(border.ends) >= 3
-        alone = smooth == 1 and bool(border.room.all())
-        whole = smooth >= K.least_line and (ended or alone)
-        return bool(whole and not border.follows.any())
+        alone = smooth == 1 and bool((border.room & ~border.follows).all())
+        return bool(smooth >= K.least_line and (ended or alone))
 
     def fills(self, shape: tuple[int, int]) -> bool:
         """Return whether it has nearly all nodes of a known size."""

@@ -15,9 +15,8 @@ def with_further_lines(board: Board, corners: Corners, inside: Whole) -> tuple[B
     inside: (M,), the corners that may belong to the board.
 
     The steps of a tilted board grow from line to line, so its squares reach as far as the next step
-    would. A line of corners past a side follows, though no sides of cells link it. Where half a
-    line has corners its places are not empty. A line that is farther away, behind a bar, is counted
-    alone: it may be another board's.
+    would. A line of corners past a side follows, though no sides of cells link it. A line that
+    is farther away, behind a bar, is counted alone: it may be another board's.
     """
     border, owner, at = board.border, board.owner, board.at
     free = np.zeros(len(corners), np.bool_)
@@ -33,10 +32,11 @@ def with_further_lines(board: Board, corners: Corners, inside: Whole) -> tuple[B
             nearest, *others = (_further(owners, corners, free, n) for n in range(1, K.span))
             found[side] = 0 if border.ends[side] else nearest
             behind[side] = max(others)
-    follows = border.follows | (found >= K.least_line * places)
-    some, far = 2 * found >= places, behind >= K.least_line * places
-    changed = Border(border.reach / growth, border.past, follows, border.room & ~some)
-    return changed, int(np.maximum(found * some, behind * far).sum())
+    follows, far = (counts >= K.least_line * places for counts in (found, behind))
+    changed = Border(
+        border.reach / growth, border.past, border.follows | follows, border.room & ~follows
+    )
+    return changed, int(np.maximum(found * follows, behind * far).sum())
 
 
 def _growth(places: Numbers) -> float:
@@ -52,15 +52,14 @@ def _growth(places: Numbers) -> float:
 def _further(lines: Whole, corners: Corners, free: Mask, steps: int) -> int:
     """Return how many places of a line that lies so many steps before the first have a free corner.
 
-    It lies within half a step, or a quarter of one, of where the first two lines lead, and such a
-    way could join it: boundaries point from both ends to each other, of unlike colours if the steps
+    It lies within a quarter of a step of where the first two lines lead, and such a way could join
+    it: boundaries point from both ends to each other, of unlike colours if the steps
     are odd.
     """
     first, second = lines[:2, (lines[:2] >= 0).all(axis=0)]
     at: Numbers = corners.xy @ np.array([1, 1j])
     chord, step = at[free] - at[first, None], at[first] - at[second]
-    near = np.abs(step[:, None]) / (2 if steps == 1 else 4)
-    place, new = np.nonzero(np.abs(chord - steps * step[:, None]) < near)
+    place, new = np.nonzero(np.abs(chord - steps * step[:, None]) < np.abs(step[:, None]) / 4)
     way = chord[place, new, None] / np.abs(chord[place, new, None])
     here = (np.exp(1j * corners.edges[first[place]]) / way).real
     there = (-np.exp(1j * corners.edges[free][new]) / way).real
