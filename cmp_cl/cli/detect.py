@@ -174,6 +174,8 @@ def _written(
         found.refused[number] = one_line(error)
         return _Written([], lambda: corner_overlay(image, corners))
     found.ambiguous += [number] if grid.ambiguous else []
+    if grid.others:
+        found.doubted[number] = grid.doubts[0]
     found.nodes.append(int(np.count_nonzero(grid.valid)))
     found.of_nodes = grid.status.size
     return _Written(_node_rows(grid), lambda: grid_overlay(image, grid, corners=corners))
@@ -211,6 +213,7 @@ class _Found:
         self.of_nodes = 0
         self.refused: dict[int, str] = {}  # frame to reason
         self.ambiguous: list[int] = []
+        self.doubted: dict[int, str] = {}  # likewise
         self.broken: dict[int, str] = {}  # likewise
         self.overlays: list[Path] = []
         self.darkest, self.brightest = 65535, 0
@@ -250,6 +253,8 @@ class _Found:
         if self.broken:
             progress.tell(f"{name}: {_listed(self.broken, 'left out')}")
         progress.say(f"{name}: {self._counts()}")
+        if self.doubted:
+            progress.tell(f"{name}: {_listed(self.doubted, 'in doubt')}")
         if self.full_scale is not None and self.brightest > self.full_scale:
             progress.tell(
                 f"{name}: the brightest pixel is {self.brightest}, above the full scale of "

@@ -15,6 +15,7 @@ from videos import write_video
 
 import cmp_cl
 from cmp_cl import Method, media
+from cmp_cl.synthetic import boards
 from cmp_cl.viz import METHOD_COLOURS
 
 BOARD = Path(cmp_cl.__file__).parent / "data" / "board.png"
@@ -71,6 +72,18 @@ def test_a_pattern_of_known_size_is_numbered_and_looked_at_twice(run):
     assert np.linalg.norm(xy_of(nodes) - xy_of(truth), axis=1).max() < 3
     yellow = (cv2.imread("o.png") == (0, 215, 255)).all(axis=2)
     assert yellow.sum() >= 10 * found["SECOND_LOOK"]
+
+
+def test_a_board_that_a_bar_parts_is_told_to_be_one_of_which_nodes_are_missing(run, tmp_path):
+    camera = boards.plane(cell=30, middle=(200, 150), about=(4, 2.5))
+    u, _ = camera(*boards.samples((300, 400)))
+    bar = np.where(abs(u - 2) < 0.5, 120.0, np.nan)
+    view = boards.drawn(camera, (300, 400), (6, 9), front=bar)
+    cv2.imwrite(str(tmp_path / "bar.png"), view.image)
+    status, out, err = run("detect", tmp_path / "bar.png", "--grid", "6x9")
+    assert status == 0
+    assert "36 of 54 nodes" in out
+    assert "1 frame in doubt: 0; another pattern of 6 corners is seen, or so many of this" in err
 
 
 def test_images_of_fewer_than_16_bits_get_one_hint_about_full_scale(run):
