@@ -412,18 +412,20 @@ Around around_maximum(__global const int *lists, __global const uint *counts, co
 /* A corner of the frame is strong, or not lone. A maximum of octave 1 is seen within 1 px of the
  * pixel of that octave. */
 bool is_lone(__global const int *lists, __global const uint *counts, __global const uint *seen,
-             const size_t p, const Decision decision, __global const int *entry, const uint rows,
-             const uint step, const uint capacity, const int coarse_share, const int fine_share) {
-  if (2 * entry[2 * capacity] >= decision.reference) return false;
+             const size_t p, const Decision decision, __global const int *entry, const bool fine,
+             const uint rows, const uint step, const uint capacity, const int coarse_share,
+             const int fine_share) {
+  if (!is_weak(entry[2 * capacity], fine, decision.bound[fine], decision.reference)) return false;
   const Around around =
       around_maximum(lists, counts, p, decision, entry, capacity, coarse_share, fine_share);
   const int x = (PAD + entry[0]) & ~1, y = entry[capacity] & ~1;
   return IS_LONE_IN(around, any_bit(seen, p, x, y, 1, 3, rows, step));
 }
-#define IS_LONE                                                                     \
-  is_lone(lists, counts, seen, p, decision, entry, rows, step, capacity, coarse_share, fine_share)
+#define IS_LONE(fine)                                                               \
+  is_lone(lists, counts, seen, p, decision, entry, fine, rows, step, capacity, coarse_share, \
+          fine_share)
 #else
-#define IS_LONE false
+#define IS_LONE(fine) false
 #endif
 
 /* Keep the coarse corners: their response is above the noise bound and not below a share of the
@@ -438,7 +440,7 @@ __kernel void keep_coarse(__global int *lists, __global const uint *restrict cou
   ENTRY(0)
   const Decision decision = DECISION(p, 0);
   const int r = entry[2 * capacity], marks = entry[3 * capacity];
-  if (!is_candidate(decision, false, r, marks, coarse_share, fine_share) || IS_LONE) return;
+  if (!is_candidate(decision, false, r, marks, coarse_share, fine_share) || IS_LONE(false)) return;
   entry[3 * capacity] |= KEPT;
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);
@@ -465,7 +467,7 @@ __kernel void keep_fine(__global int *lists, __global const uint *restrict count
   const Decision decision = DECISION(p, 0);
   const int r = entry[2 * capacity], marks = entry[3 * capacity];
   if (taken[word] >> x % 32 & 1) return;
-  if (!is_candidate(decision, true, r, marks, coarse_share, fine_share) || IS_LONE) return;
+  if (!is_candidate(decision, true, r, marks, coarse_share, fine_share) || IS_LONE(true)) return;
   entry[3 * capacity] |= KEPT;
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);

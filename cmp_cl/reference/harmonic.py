@@ -34,6 +34,7 @@ LEAST_SIDE = 48  # px, of a halved frame
 OCTAVE_SHARE = 48  # least response of a corner of a halved frame, 1/128 of the reference
 OCTAVE_APART = 5  # px of the halved frame: nearer to a corner found before it is that corner
 STRONG = 2  # a response of half the reference needs nothing beside it
+CLEAR = 8  # a fine one needs 3/4 of it, or so many times its noise bound
 NEIGHBOURS = 24  # px in x and y: the corners of narrower cells have neighbours in there
 ALIGNED = 7  # of them that are opposed or alike suffice
 OPPOSED = 2  # of them, or no aligned one, beside one that the frame halved once has too
@@ -147,7 +148,11 @@ def corners(
     for is_fine, (each, response) in enumerate(rings):
         free = nms.largest_within(kept.astype(np.int64), nms_radius)[each.y, each.x] == 0
         if len(octaves) > 1:
-            weak = free & (STRONG * each.response < level)
+            weak = STRONG * each.response < level
+            if is_fine:
+                close = each.response < CLEAR * bounds[1]
+                weak |= close & (4 * each.response < 3 * level)
+            weak &= free
             asked = Candidates(*(of[weak] for of in each))
             opposed, aligned, askew = around(asked, every, nms_radius)
             seen = is_seen(asked, octaves[1], rule, level)

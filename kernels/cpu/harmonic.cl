@@ -473,8 +473,8 @@ int is_lone(__global const int *lists, __global const uint2 *spans, const uint b
   return IS_LONE_IN(
       around, is_marked(marks, x >> 1, y >> 1, 1, 1, (int)smaller.rows - 1, smaller.step / 32));
 }
-#define IS_LONE(list, n)                                                            \
-  (2 * list[2 * capacity + (n)] < reference &&                                      \
+#define IS_LONE(list, n, fine)                                                      \
+  (is_weak(list[2 * capacity + (n)], fine, bound[fine], reference) &&               \
    is_lone(lists, spans, bands, capacity, list[n], list[capacity + (n)],            \
            list[3 * capacity + (n)], marks, smaller))
 
@@ -610,7 +610,7 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
   mark_octave(smaller, lists, spans, bands_of(1, rows, bands), capacity, bounds[1],
               coarse_share * reference, marks);
 #else
-#define IS_LONE(list, n) 0
+#define IS_LONE(list, n, fine) 0
 #endif
 #if FINE
   for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
@@ -619,7 +619,7 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
     __global int *list = LIST_OF(band, 0);
     for (uint n = 0; n < SPAN_OF(band, 0).y; ++n) {
       const uint x = (uint)list[n] + PAD;
-      if (IS_LONE(list, n)) list[3 * capacity + n] |= LONE;
+      if (IS_LONE(list, n, 0)) list[3 * capacity + n] |= LONE;
 #if FINE
       else maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
 #endif
@@ -629,7 +629,7 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
   for (uint band = 0; band < bands; ++band) {
     __global int *list = LIST_OF(band, 1);
     for (uint n = 0; n < SPAN_OF(band, 1).y; ++n)
-      if (any_near(maxima, list[n] + PAD, list[capacity + n], (int)rows, width) || IS_LONE(list, n))
+      if (any_near(maxima, list[n] + PAD, list[capacity + n], (int)rows, width) || IS_LONE(list, n, 1))
         list[3 * capacity + n] |= LONE;
   }
 #endif

@@ -73,6 +73,19 @@ def test_noise_between_wide_cells_is_no_corner(detector_in_form, smooth):
     assert len(assert_corners_equal(detector_in_form(image, none), image)) > len(found) + 2
 
 
+def test_strong_noise_on_the_small_ring_is_no_corner(detector_in_form):
+    """Ink joins the squares, so that halved frames have the corners, and the frame but noise."""
+    image, truth = ink(43, 0.09, angle=0.5)
+    noise = cv2.GaussianBlur(np.random.default_rng(3).normal(size=SHAPE), (0, 0), 0.6)
+    soft = cv2.GaussianBlur(image.astype(float), (0, 0), 1.3)
+    image = (13 + 0.6 * soft + 12 * noise / noise.std()).clip(0, 255).astype(np.uint8)
+    found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
+    inside, near = (((xy > 20) & (xy < (284, 242))).all(axis=1) for xy in (truth, found.xy))
+    apart = np.linalg.norm(truth[:, None] - found.xy, axis=2)
+    assert apart[inside].min(axis=1).max() < 6
+    assert apart[:, near].min(axis=0).max() < 6
+
+
 @pytest.mark.parametrize("cell", [8, 12, 17])
 def test_a_faint_pattern_of_small_cells_beside_wide_ones_is_found(detector_in_form, cell):
     image, _ = images.board(*SHAPE, 60, angle=0.3, blur=0.7)
