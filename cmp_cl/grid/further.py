@@ -15,8 +15,8 @@ def with_further_lines(board: Board, corners: Corners, inside: Whole) -> tuple[B
     inside: (M,), the corners that may belong to the board.
 
     The steps of a tilted board grow from line to line, so its squares reach as far as the next step
-    would. A line of corners past a side follows, though no sides of cells link it. A line that
-    is farther away, behind a bar, is counted alone: it may be another board's.
+    would. A line of corners past a side follows, though no sides of cells link it. A line that is
+    farther away, behind a bar, is counted alone: it may be another board's.
     """
     border, owner = board.border, board.owner.astype(np.int64)
     is_free = np.zeros(len(corners), np.bool_)
@@ -69,8 +69,7 @@ def _further(lines: Whole, corners: Corners, free: Whole, steps: int) -> int:
     """Return how many places of a line that lies so many steps before the first have a free corner.
 
     It lies within a quarter of a step of where the first two lines lead, and such a way could join
-    it: boundaries point from both ends to each other, of unlike colours if the steps
-    are odd.
+    it: boundaries point from both ends to each other, of unlike colours if the steps are odd.
     """
     first, second = lines[:2, (lines[:2] >= 0).all(axis=0)]
     at, other, new = (corners.xy[each] @ np.array([1, 1j]) for each in (first, second, free))
