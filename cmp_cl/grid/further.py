@@ -15,8 +15,9 @@ def with_further_lines(board: Board, corners: Corners, inside: Whole) -> tuple[B
     inside: (M,), the corners that may belong to the board.
 
     The steps of a tilted board grow from line to line, so its squares reach as far as the next step
-    would. A line of corners past a side follows, though no sides of cells link it. A line that is
-    farther away, behind a bar, is counted alone: it may be another board's.
+    would; what reaches farther is not the last of them, and then where further lines would be is
+    not known. A line of corners past a side follows, though no sides of cells link it. A line that
+    is farther away, behind a bar, is counted alone: it may be another board's.
     """
     border, owner = board.border, board.owner.astype(np.int64)
     is_free = np.zeros(len(corners), np.bool_)
@@ -37,9 +38,10 @@ def with_further_lines(board: Board, corners: Corners, inside: Whole) -> tuple[B
             found[side] = 0 if ends[side] else nearest
             behind[side] = max(others)
     follows, far = (counts >= K.least_line * places for counts in (found, behind))
-    changed = Border(
-        border.reach / growth, border.past, border.follows | follows, border.room & ~follows
-    )
+    reach = border.reach / growth
+    longer = reach > 1 + K.border_step_cells
+    room = border.room & ~(follows | longer.any())
+    changed = Border(np.where(longer, np.nan, reach), border.past, border.follows | follows, room)
     return changed, int(np.maximum(found * follows, behind * far).sum())
 
 
