@@ -2,7 +2,7 @@
 
     python bench/fit_sigma.py [BOARDS]      prints a table; a minute for 4 boards of each kind
 
-A row is a pair of constants, see `_excess` in cmp_cl/stages/refine.py. A column is the share of the
+A row is three constants, see `_grown` in cmp_cl/stages/refine.py. A column is the share of the
 errors within two sigma, %, on boards as drawn, compressed, blurred, in coarse noise, or enlarged by
 repeating pixels. No photograph and no rendered scene is among them.
 """
@@ -22,8 +22,10 @@ from cmp_cl.synthetic.scoring import match
 FIRST_SEED = 920_000
 ENLARGED = {"x2": 2, "x3": 3, "x4": 4}
 KINDS = ("drawn", *ENLARGED, "JPEG", "coarse noise", "blur")
-RANGES = (0.0005, 0.001, 0.0015, 0.0025)
-VARIANCES = (1000, 3000, 5000)
+RANGES = (0.0015, 0.0025)
+VARIANCES = (1000, 3000)
+GRAINS = (0, 1.5, 2.2, 3)
+NAMES = ("LEAST_RANGE", "VARIANCE_OF_RANGE", "VARIANCE_OF_GRAIN")
 
 
 def drawn(kind: str, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
@@ -56,7 +58,7 @@ def drawn(kind: str, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
 
 def main() -> None:
     count = int(sys.argv[1]) if sys.argv[1:] else 25
-    rows = list(itertools.product(RANGES, VARIANCES))
+    rows = list(itertools.product(RANGES, VARIANCES, GRAINS))
     shares: dict[str, list[np.ndarray]] = {kind: [] for kind in KINDS}
     detectors: dict[tuple[int, ...], Detector] = {}
     for seed, kind in itertools.product(range(FIRST_SEED, FIRST_SEED + count), KINDS):
@@ -64,8 +66,9 @@ def main() -> None:
         if image.shape not in detectors:
             detectors[image.shape] = Detector(shape=image.shape)
         within = []
-        for least, variance in rows:
-            refine.LEAST_RANGE, refine.VARIANCE_OF_RANGE = np.float32(least), np.float32(variance)
+        for constants in rows:
+            for name, value in zip(NAMES, constants, strict=True):
+                setattr(refine, name, np.float32(value))
             found = detectors[image.shape](image)
             partner = match(found.xy, truth, max(3.0, 0.1 * cell))
             margin = max(12, 0.6 * cell)
@@ -74,10 +77,12 @@ def main() -> None:
             error = np.abs(found.xy[good] - truth[partner[good]])
             within.append(error < 2 * found.sigma[good, None])
         shares[kind].append(np.array(within).reshape(len(rows), -1))
-    print(f"{'range  variance':16}" + "".join(f"{kind:>14}" for kind in KINDS))
-    for n, (least, variance) in enumerate(rows):
+    print(f"{'range  variance  grain':24}" + "".join(f"{kind:>14}" for kind in KINDS))
+    for n, (least, variance, grain) in enumerate(rows):
         means = (100 * np.hstack(shares[kind])[n].mean() for kind in KINDS)
-        print(f"{least:<6g} {variance:<9d}" + "".join(f"{mean:14.1f}" for mean in means))
+        print(
+            f"{least:<6g} {variance:<9d} {grain:<7g}" + "".join(f"{mean:14.1f}" for mean in means)
+        )
 
 
 if __name__ == "__main__":

@@ -25,11 +25,11 @@ RING_SAMPLES = 32
 STEP_RADIUS = (0.75, 4.5, 9.0)  # of EDGE_STEP's disc: cells, and its least and largest px
 DOUBTFUL_EXCESS = 0.010  # excess of the residual's autocorrelation over the frame's median
 VARIANCE_OF_EXCESS = 1000  # px^2 per squared excess, fitted on rendered scenes and on boards
-# px^2 per squared range of the lesser autocorrelations, and their range in a good frame. Both were
-# fitted on boards, as drawn and enlarged, by bench/fit_sigma.py.
+# px^2 per squared range of the lesser autocorrelations, and their range in a good frame; then by
+# what the part by noise grows, per median grain. All were fitted on boards by bench/fit_sigma.py.
 VARIANCE_OF_RANGE = np.float32(3000)
 LEAST_RANGE = np.float32(0.0025)
-VARIANCE_OF_GRAIN = np.float32(2.2)  # of the part by noise, per median grain; on such boards too
+VARIANCE_OF_GRAIN = np.float32(2.2)
 FEW = 8  # corners that do not tell what the noise is
 VARIANCE_OF_MODEL = np.float32(1e-4)  # px^2 of the image: the part that noise has no share in
 
@@ -300,7 +300,7 @@ def _grown(
     if count > FEW:
         rank = ranks[2] - FEW // 2  # the median with FEW corners more that have none
         coarse = np.maximum(VARIANCE_OF_GRAIN * np.partition(grain, rank)[rank] - 1, 0)
-    of_noise = np.where(accepted, variance - VARIANCE_OF_MODEL * np.float32(4**octave), 0)
+    of_noise = (variance - VARIANCE_OF_MODEL * np.float32(4**octave)) * accepted
     more: NDArray[np.float32] = (
         coarse * of_noise
         + VARIANCE_OF_EXCESS * excess * excess
