@@ -319,8 +319,9 @@ def wrong_sizes(fewer: int) -> dict[str, Any]:
 
 
 def attempt(detector: Detector, case: Open, seed: int, **known: Any) -> Grid | None:
+    image = picture(case, seed)
     try:
-        return detector.grid(picture(case, seed), **known)[1]
+        return build_grid(detector(image), image, **known)
     except GridError:
         return None
 
