@@ -413,7 +413,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     def keep(row: dict[str, Any]) -> None:
         rows.append(row)
-        counts = [f"{value:7.4g}" for value in row.values() if not isinstance(value, str)]
+        counts = [f"{value:7g}" for value in row.values() if not isinstance(value, str)]
         print(f"{row['family']:26}{row['method']:36}" + "".join(counts), flush=True)
 
     print("family, method: " + ", ".join(list(new_row("", ""))[2:]) + ", ms, ms of the detection")
