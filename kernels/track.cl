@@ -184,11 +184,12 @@ __kernel void quantiles(__global const float *result, const uint stride, const u
 
 /* Chain the corners of each bin, and predict the nodes: they move on as they moved last. The
  * variance of a corner that does not look like its model grows by its excess over the median, and
- * that of all corners by the range of the least. Corners outside the region of a view, (x0, y0, x1,
+ * that of all corners by the range of the least and by the grain of the noise. Corners outside the region of a view, (x0, y0, x1,
  * y1), take no part. One work-item a corner or a node. */
 __kernel void place(__global const float *result, const uint stride, const uint room,
-                    __global const float4 *quantile, __global const float4 *regions, const float bins_per_px,
-                    const int bin_rows, const int bin_columns, __global const float2 *nodes,
+                    __global const float4 *quantile, __global const float4 *regions,
+                    const float bins_per_px, const int bin_rows, const int bin_columns,
+                    __global const float2 *nodes,
                     __global float4 *corners, __global float2 *last, __global float2 *predicted,
                     __global int *first_of_bin, __global int *next, __global int *claims,
                     __global uint *look_counts, const uint first_count, __global int *counts) {

@@ -83,6 +83,12 @@ def loaded(path):
     return yaml.safe_load(Path(path).read_text())
 
 
+def test_a_camera_has_the_coefficients_of_its_lens():
+    """Else four of a pinhole would be taken for those of a fisheye."""
+    with pytest.raises(CalibrationError, match=r"pinhole lens has 5 coefficients .* not 4"):
+        dataclasses.replace(camera(Lens.PINHOLE), distortion=DISTORTIONS[Lens.PINHOLE][:4])
+
+
 @pytest.mark.parametrize(
     ("lens", "model"),
     [

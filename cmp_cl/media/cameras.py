@@ -52,6 +52,7 @@ class Source:
     paths: the files, () of a live source. period_ms: time between frames, NaN if unknown.
     full_scale: largest grey level, None if unknown. total: how many frames, or how many files if
     there are several; None if unknown.
+
     Raises ConfigError for a name of another type, or settings for a file; FileNotFoundError and
     ImageError as `cmp_cl.media` does.
     """

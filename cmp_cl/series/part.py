@@ -89,9 +89,11 @@ class _Column:
 
 
 class Stored(NamedTuple):
-    """The whole frames of a part. about: the units, the version, the time of
-    writing and the settings. arrays: (F,
-    ...) of all frames by name, in the order of the names. Neither is read before it is used."""
+    """The whole frames of a part.
+
+    about: the units, the version, the time of writing and the settings. arrays: (F, ...) of all
+    frames by name, in the order of the names. They are not read before they are used.
+    """
 
     about: Mapping[str, Any]
     constants: Arrays

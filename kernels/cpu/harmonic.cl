@@ -629,7 +629,8 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
   for (uint band = 0; band < bands; ++band) {
     __global int *list = LIST_OF(band, 1);
     for (uint n = 0; n < SPAN_OF(band, 1).y; ++n)
-      if (any_near(maxima, list[n] + PAD, list[capacity + n], (int)rows, width) || IS_LONE(list, n, 1))
+      if (any_near(maxima, list[n] + PAD, list[capacity + n], (int)rows, width) ||
+          IS_LONE(list, n, 1))
         list[3 * capacity + n] |= LONE;
   }
 #endif

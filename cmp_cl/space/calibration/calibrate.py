@@ -53,8 +53,10 @@ class MisfitError(CalibrationError):
 class Camera:
     """A calibrated camera, and its pose relative to the first one.
 
-    lens: the model. size: (width, height), px. matrix: (3, 3), px. distortion: 5, 8 or 4
-    coefficients. R: (3, 3), T: (3,): X = R X_first + T, T in `unit`.
+    lens: the model. size: (width, height), px. matrix: (3, 3), px. distortion: as many coefficients
+    as the lens has, 5, 8 or 4. R: (3, 3), T: (3,): X = R X_first + T, T in `unit`.
+
+    Raises CalibrationError for another number of coefficients.
     """
 
     lens: Lens
@@ -64,6 +66,13 @@ class Camera:
     R: Array
     T: Array
     unit: str
+
+    def __post_init__(self) -> None:
+        if np.size(self.distortion) != self.lens.coefficients:
+            raise CalibrationError(
+                f"a {self.lens.value} lens has {self.lens.coefficients} coefficients of "
+                f"distortion, not {np.size(self.distortion)}; give 0 for those it does not use"
+            )
 
     def project(self, points: Array) -> Array:
         """Project points (..., 3) in the frame of the first camera to the image, (..., 2) px."""
