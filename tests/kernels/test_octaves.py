@@ -73,10 +73,11 @@ def test_noise_between_wide_cells_is_no_corner(detector_in_form, smooth):
     assert len(assert_corners_equal(detector_in_form(image, none), image)) > len(found) + 2
 
 
-def test_strong_noise_on_the_small_ring_is_no_corner(detector_in_form):
+@pytest.mark.parametrize(("seed", "smooth"), [(3, 0.6), (24, 0.8)])
+def test_strong_noise_on_the_small_ring_is_no_corner(detector_in_form, seed, smooth):
     """Ink joins the squares, so that halved frames have the corners, and the frame but noise."""
     image, truth = ink(43, 0.09, angle=0.5)
-    noise = cv2.GaussianBlur(np.random.default_rng(3).normal(size=SHAPE), (0, 0), 0.6)
+    noise = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=SHAPE), (0, 0), smooth)
     soft = cv2.GaussianBlur(image.astype(float), (0, 0), 1.3)
     image = (13 + 0.6 * soft + 12 * noise / noise.std()).clip(0, 255).astype(np.uint8)
     found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
