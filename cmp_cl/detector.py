@@ -1,6 +1,5 @@
 """Detector: from frames to corners, on one OpenCL device."""
 
-import operator
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -13,17 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners, HarmonicMaps, Maps
-from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
+from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError, check_shape
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage, check_dtype, check_image
-from cmp_cl.lattice.arrays import Board
 from cmp_cl.lattice.plan import LatticePlan
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
 from cmp_cl.opencl.launches import sum_times
 from cmp_cl.opencl.program import Programs, programs_of
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.plan import Overflow, Plan, Plans
-from cmp_cl.stages.refine import Found, no_corners
+from cmp_cl.stages.refine import Found
 
 
 class Detector(Closing):
@@ -57,7 +55,8 @@ class Detector(Closing):
         profile: bool = False,
     ) -> None:
         check_process()
-        self.shape = _checked_shape(shape)
+        check_shape(shape, ImageError)
+        self.shape = int(shape[0]), int(shape[1])
         self.dtype = check_dtype(dtype)
         self.config = DetectorConfig() if config is None else config
         if not isinstance(self.config, DetectorConfig):
@@ -70,10 +69,7 @@ class Detector(Closing):
         disordered = cl.command_queue_properties.OUT_OF_ORDER_EXEC_MODE_ENABLE
         if queue is not None and queue.properties & disordered:
             raise DeviceError("queue must run its commands in order, one after the other")
-        if queue is not None:
-            self.device = describe_handle(queue.device)
-        else:
-            self.device = select_device(device)
+        self.device = describe_handle(queue.device) if queue else select_device(device)
         needed = self.shape[0] * self.shape[1] * self.dtype.itemsize
         if needed > self.device.memory:
             raise CapacityError(
@@ -101,8 +97,7 @@ class Detector(Closing):
         self._lattice: LatticePlan | None = None  # of the plan that was used last
         self._closed = False
         self.regrown = 0  # how often a list was too short and a frame was processed again
-        if self.shape[0] and self.shape[1]:
-            self._plans.lend()
+        self._plans.lend()
 
     def close(self) -> None:
         """Release the device's memory; the detector cannot be used afterwards."""
@@ -137,12 +132,7 @@ class Detector(Closing):
         Raises ImageError if the frame does not fit, CapacityError if the device is full,
         DeviceError if the detector is closed or of another process.
         """
-        image = self._checked(frame)
-        if not image.size:
-            return no_corners(str(self.device))
-        with self._lock:
-            self._check_alive()
-            return self._whole(self._plans.lend(), [image])[0]
+        return self.batch([frame])[0]
 
     def stream(self, frames: Iterable[GreyImage]) -> Iterator[Corners]:
         """Yield the corners of each frame, in order.
@@ -154,9 +144,6 @@ class Detector(Closing):
         waiting: Plan | None = None
         try:
             for frame in _iterated("frames", frames):
-                if not (self.shape[0] and self.shape[1]):
-                    yield self(frame)
-                    continue
                 plan = self.begin([frame])
                 ready, waiting = waiting, plan
                 done = [] if ready is None else self.finish(ready)[0].corners
@@ -211,24 +198,25 @@ class Detector(Closing):
         result to keep it without the others. Raises the errors of a call.
         """
         frames = [self._checked(frame) for frame in _iterated("stack", stack)]
-        if not frames or not (self.shape[0] and self.shape[1]):
-            return [no_corners(str(self.device)) for _ in frames]
+        if not frames:
+            return []
         with self._lock:
             self._check_alive()
-            return self._whole(self._plans.lend(len(frames)), frames)
+            plan = self._plans.lend(len(frames))
+            self._start(plan, frames, self._queue)
+            return self._found(plan, self._queue).corners
 
     def maps(self, frame: GreyImage) -> Maps | HarmonicMaps:
         """Return every intermediate image of a frame. Raises the errors of a call."""
-        from cmp_cl.stages.maps import no_maps, read_maps
+        from cmp_cl.stages.maps import read_maps
 
         image = self._checked(frame)
         with self._lock:
             self._check_alive()
-            if not image.size:
-                return no_maps(self.shape, self.config)
             plan = self._plans.make(frames=1, form=Form.PORTABLE)
             try:
-                self._whole(plan, [image])  # lets the lists grow
+                self._start(plan, [image], self._queue)
+                self._found(plan, self._queue)  # lets the lists grow
                 return read_maps(plan)
             finally:
                 plan.release()
@@ -239,23 +227,19 @@ class Detector(Closing):
         *,
         shape: tuple[int, int] | None = None,
         like: Grid | None = None,
-        region: tuple[float, float, float, float] | None = None,
     ) -> tuple[Corners, Grid]:
-        """Find the corners of a frame and number them, see `build_grid`.
+        """Find the corners of a frame and number them where they are, on the device.
 
-        The corners are those of the whole frame; `region` limits the numbering alone.
-
-        frame, region: (H, W), and (x0, y0, x1, y1), px. The other arguments are those of
-            `build_grid`. Raises the errors of a call and of `build_grid`.
+        shape, like: as in `build_grid`. Raises the errors of a call and of `build_grid`.
         """
-        from cmp_cl.grid.build import asked_of, build_grid, grid_of
+        from cmp_cl.grid.build import asked_of, grid_of
+        from cmp_cl.lattice.boards import boards
 
-        image = self._checked(frame)
-        if region is not None:
-            corners = self(image)
-            return corners, build_grid(corners, image, shape, like, region, device=self.device)
-        asked = asked_of(shape, like, None)
-        corners, found = self._boards(image)
+        image, asked = self._checked(frame), asked_of(shape, like, None)
+        with self._lock:
+            self._check_alive()
+            corners, lattice = self._numbered(image)
+            found = list(boards(lattice, corners.xy))
         return corners, grid_of(found, corners, np.arange(len(corners)), asked, strict=False)
 
     def grids(
@@ -286,18 +270,6 @@ class Detector(Closing):
             image = images.popleft()
             yield corners, build_grid(corners, image, shape, like, device=self.device)
 
-    def _boards(self, image: GreyImage) -> tuple[Corners, list[Board]]:
-        """Return the corners of an image, and the boards that they form, numbered on the device,
-        where the corners are; if they form one part the host waits once."""
-        from cmp_cl.lattice.boards import boards
-
-        if not image.size:
-            return no_corners(str(self.device)), []
-        with self._lock:
-            self._check_alive()
-            corners, lattice = self._numbered(image)
-            return corners, list(boards(lattice, corners.xy))
-
     def _numbered(self, image: GreyImage) -> tuple[Corners, LatticePlan]:
         """Return the corners of an image, and the plan in which their numbers were started."""
         plan = self._plans.lend()
@@ -305,9 +277,9 @@ class Detector(Closing):
         while True:
             lattice = self._lattice_of(plan)
             lattice.start()
-            corners = self._finish(plan, self._queue)[0]  # while the kernels of the lattice run
+            found = self._found(plan, self._queue)  # while the kernels of the lattice run
             if lattice is self._lattice_of(plan):  # else a list was too short, and has grown
-                return corners, lattice
+                return found.corners[0], lattice
 
     def _lattice_of(self, plan: Plan) -> LatticePlan:
         """Return the plan that numbers the corners of this one where they are."""
@@ -323,9 +295,6 @@ class Detector(Closing):
         except cl.MemoryError as error:
             raise plan.refused(error) from error
 
-    def _finish(self, plan: Plan, transfers: cl.CommandQueue) -> list[Corners]:
-        return self._found(plan, transfers).corners
-
     def _found(self, plan: Plan, transfers: cl.CommandQueue) -> Found:
         self._plans.take_back(plan)
         try:
@@ -336,10 +305,6 @@ class Detector(Closing):
                     self._grow(plan, overflow)
         except cl.MemoryError as error:
             raise plan.refused(error) from error
-
-    def _whole(self, plan: Plan, frames: list[GreyImage]) -> list[Corners]:
-        self._start(plan, frames, self._queue)
-        return self._finish(plan, self._queue)
 
     def _grow(self, plan: Plan, overflow: Overflow) -> None:
         """Enlarge the lists and restart with the frames that are on the device."""
@@ -392,16 +357,6 @@ def _iterated(name: str, frames: Iterable[GreyImage]) -> Iterator[GreyImage]:
         return iter(frames)
     except TypeError as error:
         raise ImageError(f"{name} must be several images, not {type(frames).__name__}") from error
-
-
-def _checked_shape(shape: Any) -> tuple[int, int]:
-    try:
-        rows, columns = (operator.index(n) for n in shape)
-    except (TypeError, ValueError) as error:
-        raise ImageError(f"shape must be (H, W), not {shape!r}") from error
-    if rows < 0 or columns < 0:
-        raise ImageError(f"shape must be (H, W), not {shape!r}")
-    return rows, columns
 
 
 def _checked_mask(mask: ArrayLike, shape: tuple[int, int]) -> NDArray[np.bool_]:

@@ -14,8 +14,8 @@ _PIXELS = frozenset({np.dtype(np.uint8), np.dtype(np.uint16)})
 
 
 def check_image(image: Any) -> GreyImage:
-    """Return the image, if it is (H, W) uint8 or uint16 with contiguous rows; the pixels of a
-    subclass of NumPy's array come back as such an array, without a copy.
+    """Return the image, if it is (H, W) uint8 or uint16 with pixels, its rows contiguous;
+    the pixels of a subclass of NumPy's array come back as such an array, without a copy.
 
     Raises ImageError that says what was given, what is expected and which call converts it.
     """
@@ -41,8 +41,9 @@ def _is_image(image: Any) -> bool:
     if np.ma.is_masked(image):  # nothing else would look at its mask
         return False
     (rows, columns), (row, column), size = image.shape, image.strides, image.itemsize
-    return not image.size or (
-        (column == size or columns == 1)
+    return (
+        image.size > 0
+        and (column == size or columns == 1)
         and (rows == 1 or (row >= columns * size and row % size == 0))
     )
 
@@ -83,6 +84,8 @@ def _not_an_image(image: Any) -> Exception:
             "numpy.nan_to_num(image * (255 / white)).round().clip(0, 255).astype(numpy.uint8) "
             "converts, white being its largest level"
         )
+    elif not image.size:
+        hint = "there must be at least one pixel"
     else:
         expected = f"{expected} with contiguous rows and a positive row step"
         came = f"{came} with strides {image.strides}"

@@ -184,12 +184,11 @@ __kernel void quantiles(__global const float *result, const uint stride, const u
 
 /* Chain the corners of each bin, and predict the nodes: they move on as they moved last. The
  * variance of a corner that does not look like its model grows by its excess over the median, and
- * that of all corners by the range of the least and by the grain of the noise. Corners outside the region of a view, (x0, y0, x1,
- * y1), take no part. One work-item a corner or a node. */
+ * that of all corners by the range of the least and by the grain of the noise. One work-item a
+ * corner or a node. */
 __kernel void place(__global const float *result, const uint stride, const uint room,
-                    __global const float4 *quantile, __global const float4 *regions,
-                    const float bins_per_px, const int bin_rows, const int bin_columns,
-                    __global const float2 *nodes,
+                    __global const float4 *quantile, const float bins_per_px,
+                    const int bin_rows, const int bin_columns, __global const float2 *nodes,
                     __global float4 *corners, __global float2 *last, __global float2 *predicted,
                     __global int *first_of_bin, __global int *next, __global int *claims,
                     __global uint *look_counts, const uint first_count, __global int *counts) {
@@ -203,15 +202,11 @@ __kernel void place(__global const float *result, const uint stride, const uint 
   }
   RESULT_OF_VIEW(result, stride, room)
   if (i >= min(count, CAPACITY)) return;
-  const float4 region = regions[view];
   const float sigma = SIGMA_OF(i, quantile[view * LEVELS + OCTAVE_OF(i)]);
   const int whole = sigma < TORN_PX && refusals[i] == 0;
   const float4 corner =
       (float4)(fields[2 * i], fields[2 * i + 1], edges[4 * i], whole ? sigma : -sigma);
   corners[CORNERS + i] = corner;
-  if (!(corner.x >= region.x && corner.y >= region.y && corner.x <= region.z &&
-        corner.y <= region.w))
-    return;
   const int at = BINS + BIN_ROW(corner.y) * bin_columns + BIN_COLUMN(corner.x);
   claims[CORNERS + i] = 0;
   next[CORNERS + i] = atomic_xchg(first_of_bin + at, i);

@@ -60,7 +60,7 @@ def test_nothing_is_said_of_a_sheared_pattern():
     assert advice(sheared) == ""
 
 
-@pytest.mark.parametrize("shape", [(0, 0), (3, 3), SHAPE])
+@pytest.mark.parametrize("shape", [(3, 3), SHAPE])
 def test_nothing_is_said_of_an_image_without_edges(shape):
     assert advice(np.full(shape, 90, np.uint8)) == ""
     ramp = np.linspace(20, 200, shape[1]).astype(np.uint8)

@@ -84,7 +84,7 @@ def refine_markers(
     check_range("contrast", contrast, 0, 65535)
     _check_count(dense, count)
     at = profiles(dense, count)
-    if not len(at.place) or not image.size:
+    if not len(at.place):
         return dense
     device = select_device(device)
     shift = _shifts(image, at, device, contrast)

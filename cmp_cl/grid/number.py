@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.corners import Corners, Method, Refusal
-from cmp_cl.errors import GridError, ImageError
+from cmp_cl.errors import GridError
 from cmp_cl.grid.build import build_grid
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.image import GreyImage, check_image
@@ -81,8 +81,6 @@ def _checked(xy: ArrayLike, image: GreyImage) -> NDArray[np.float32]:
         )
     if not np.isfinite(at).all():
         raise GridError("xy has positions that are not finite; leave these corners out")
-    if not image.size:
-        raise ImageError(f"the image has no pixels: {image.shape}")
     rows, columns = image.shape
     outside = ((at < -0.5) | (at > [columns - 0.5, rows - 0.5])).any(axis=1)
     if outside.any():

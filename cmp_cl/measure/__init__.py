@@ -24,7 +24,6 @@ from cmp_cl.measure.measurement import Measurement
 from cmp_cl.measure.one_view import OneView
 from cmp_cl.measure.patterns import (
     MAX_SIGMA,
-    Region,
     align_views,
     find_board,
     find_pattern,
@@ -38,7 +37,6 @@ __all__ = [
     "Measured",
     "Measurement",
     "OneView",
-    "Region",
     "Sensor",
     "Tally",
     "TwoViews",

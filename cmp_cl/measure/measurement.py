@@ -18,7 +18,6 @@ from cmp_cl.errors import DeviceError
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.measure.measured import Measured, Tally
-from cmp_cl.measure.patterns import Region
 from cmp_cl.measure.views import config_for, views_at_rest
 from cmp_cl.motion.geometry import InPlane, InSpace
 from cmp_cl.motion.moments import Moment
@@ -48,8 +47,8 @@ class _Begun:
 class Measurement(Closing):
     """Measures frames against the frame at rest. Use it in a with statement.
 
-    at_rest, regions: the views of the frame at rest, of one size, and a region for each. The other
-    arguments are those of `OneView`.
+    at_rest: the views of the frame at rest, of one size. The other arguments are those of
+    `OneView`.
 
     constants: arrays that a series holds once: rest (R, C, 2) or (R, C, 3), raw_rest (rest before
     the lattice filter), unit, and the detected positions at rest, (R, C, 2), px: xy_rest, or
@@ -69,7 +68,6 @@ class Measurement(Closing):
     def __init__(
         self,
         at_rest: Sequence[GreyImage],
-        regions: Sequence[Region | None],
         *,
         shape: tuple[int, int] | None,
         config: DetectorConfig | None,
@@ -86,7 +84,7 @@ class Measurement(Closing):
         self._events: list[tuple[str, cl.Event]] = []  # of the last frame, but of the detector
         self._running: _Begun | None = None  # whose results have not been read
         chosen, images = select_device(device), [check_image(view) for view in at_rest]
-        config = config_for(images, config, shape, regions[0], full_scale, chosen)
+        config = config_for(images, config, shape, full_scale, chosen)
         with contextlib.ExitStack() as stack:
             self._detector = stack.enter_context(
                 Detector(
@@ -97,7 +95,7 @@ class Measurement(Closing):
                     profile=profile,
                 )
             )
-            self._views = views_at_rest(self._detector, images, shape, regions, track=track)
+            self._views = views_at_rest(self._detector, images, shape, track=track)
             rest, geometry = self._at_rest()
             programs = programs_of(chosen.handle)
             self._plan = FieldPlan(
@@ -112,7 +110,6 @@ class Measurement(Closing):
                     chosen,
                     views=[(view.rest, view.corners) for view in self._views],
                     sizes=[self._detector.shape] * len(self._views),
-                    regions=regions,
                     frame=self._plan.frame,
                     octaves=self._detector.layout.octaves,
                     lists=self._detector.layout.lists,

@@ -4,7 +4,6 @@ from cmp_cl.config import DetectorConfig
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
 from cmp_cl.measure.measurement import Measurement
-from cmp_cl.measure.patterns import Region
 from cmp_cl.motion import PlaneScale
 from cmp_cl.motion.geometry import InPlane
 from cmp_cl.motion.moments import Moment
@@ -16,7 +15,6 @@ class OneView(Measurement):
 
     rest: the frame at rest, (H, W) uint8 or uint16.
     shape: (rows, columns) of the pattern's corners; None takes the shape that is seen at rest.
-    region: (x0, y0, x1, y1), px, holds the pattern in every frame; None is the whole frame.
     cell: side of the cells of a flat pattern, in `unit`, to measure in its plane, see
         `cmp_cl.motion.PlaneScale.of_cells`; None measures in px.
     unit: name of the unit of length; only with a cell.
@@ -43,7 +41,6 @@ class OneView(Measurement):
         rest: GreyImage,
         *,
         shape: tuple[int, int] | None = None,
-        region: Region | None = None,
         cell: float | None = None,
         unit: str = "mm",
         config: DetectorConfig | None = None,
@@ -56,7 +53,6 @@ class OneView(Measurement):
         self._cell, self._cell_unit = cell, unit
         super().__init__(
             [rest],
-            [region],
             shape=shape,
             config=config,
             full_scale=full_scale,

@@ -1,23 +1,19 @@
 """Patterns of unknown cell size in a view, boards for calibration, two views of one pattern."""
 
 import dataclasses
-from collections.abc import Sequence
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cmp_cl.config import DetectorConfig
 from cmp_cl.detector import Detector
-from cmp_cl.errors import ConfigError, GridError, check_kind, check_shape
+from cmp_cl.errors import GridError, check_kind, check_shape
 from cmp_cl.grid import Grid, NodeStatus, align
 from cmp_cl.grid.align import row_direction
 from cmp_cl.image import GreyImage
 from cmp_cl.motion import filter_positions
 from cmp_cl.opencl.device import Device
 from cmp_cl.points import sides
-
-Region: TypeAlias = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 
 MAX_SIGMA = 0.2  # px; less certain corners of a board are not used
 _MOST_ROTATED = np.pi / 3  # rad between the rows of one pattern in two views
@@ -29,13 +25,12 @@ def find_pattern(
     view: GreyImage,
     *,
     shape: tuple[int, int] | None = None,
-    region: Region | None = None,
     full_scale: int | None = None,
     device: Device | str | None = None,
 ) -> tuple[float, Grid]:
     """Find a pattern of unknown cell size; return the side of its cells, px, and its grid.
 
-    view, shape, region, full_scale, device: as in `OneView`. The corners are those of
+    view, shape, full_scale, device: as in `OneView`. The corners are those of
         `DetectorConfig()`, the settings of every caller that gives none.
 
     Raises GridError if there is no pattern or the pattern seems to have another number of corners,
@@ -47,7 +42,7 @@ def find_pattern(
     why = "no closed cell is seen"
     with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
         try:
-            _, grid = detector.grid(view, shape=shape, region=region)
+            _, grid = detector.grid(view, shape=shape)
             lengths = sides(grid.xy)
             cell = float(np.median(lengths)) if len(lengths) else np.nan
         except GridError as error:
@@ -66,13 +61,12 @@ def find_board(
     view: GreyImage,
     shape: tuple[int, int],
     *,
-    region: Region | None = None,
     full_scale: int | None = None,
     device: Device | str | None = None,
 ) -> Grid:
     """Find a rigid board in a view; return its grid, which `cmp_cl.calibrate` takes.
 
-    view: (H, W) uint8 or uint16. shape: (rows, columns) of the board's inner corners. region,
+    view: (H, W) uint8 or uint16. shape: (rows, columns) of the board's inner corners.
         full_scale, device: as in `OneView`.
 
     The corners are those of `DetectorConfig()`, the settings of every caller that gives none.
@@ -80,7 +74,7 @@ def find_board(
     Raises GridError if the view does not show corners of all four sides of the board.
     """
     check_shape(shape, GridError)
-    _, grid = find_pattern(view, shape=shape, region=region, full_scale=full_scale, device=device)
+    _, grid = find_pattern(view, shape=shape, full_scale=full_scale, device=device)
     seen = grid.status == NodeStatus.DETECTED
     if not (seen[[0, -1]].any(axis=1).all() and seen[:, [0, -1]].any(axis=0).all()):
         raise GridError(
@@ -129,12 +123,6 @@ def check_size(grid: Grid) -> None:
     """Raise GridError if the pattern seems to have another number of corners."""
     if grid.seen_shape is not None:
         raise GridError(grid.doubts[0])
-
-
-def check_two(name: str, values: object) -> None:
-    """Raise ConfigError if an argument of that name is not a sequence of two."""
-    if not (isinstance(values, Sequence) and len(values) == 2):
-        raise ConfigError(f"{name} must be those of the left and the right view, not {values!r}")
 
 
 def align_views(left: Grid, right: Grid, rotation: NDArray[np.float64]) -> Grid:

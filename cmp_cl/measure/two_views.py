@@ -12,7 +12,7 @@ from cmp_cl.grid import Grid
 from cmp_cl.grid.grid import NO_SIDES
 from cmp_cl.image import GreyImage
 from cmp_cl.measure.measurement import Measurement
-from cmp_cl.measure.patterns import Region, align_views, check_two
+from cmp_cl.measure.patterns import align_views
 from cmp_cl.motion.geometry import InSpace
 from cmp_cl.motion.moments import Moment
 from cmp_cl.opencl.device import Device
@@ -31,8 +31,7 @@ class TwoViews(Measurement):
 
     rest: the frame at rest, (H, W) uint8 or uint16. rig: the cameras, calibrated on views that were
         split in the same way.
-    split: the rectangles of the two views in a frame. regions: regions of the left and of the right
-    view, see `OneView`. The other arguments are those of `OneView`.
+    split: the rectangles of the two views in a frame. The other arguments are those of `OneView`.
 
     A device without double precision computes in float32: displacements 46 mm away then differ by
     at most .015 um, behind a window by .05 um (measured).
@@ -50,7 +49,6 @@ class TwoViews(Measurement):
         split: BinocularSplit,
         *,
         shape: tuple[int, int] | None = None,
-        regions: tuple[Region | None, Region | None] = (None, None),
         config: DetectorConfig | None = None,
         full_scale: int | None = None,
         device: Device | str | None = None,
@@ -60,13 +58,11 @@ class TwoViews(Measurement):
     ) -> None:
         check_kind("rig", rig, StereoRig, ConfigError)
         check_kind("split", split, BinocularSplit, ConfigError)
-        check_two("regions", regions)
         views = split(rest)
         self._rig: StereoRig = rig
         self._split, self._size = split, rest.shape
         super().__init__(
             views,
-            regions,
             shape=shape,
             config=config,
             full_scale=full_scale,

@@ -11,7 +11,7 @@ from cmp_cl.errors import ConfigError, GridError, check_kind
 from cmp_cl.grid import Grid, build_grid
 from cmp_cl.grid.grid import empty_grid
 from cmp_cl.image import GreyImage
-from cmp_cl.measure.patterns import Region, check_size, find_pattern
+from cmp_cl.measure.patterns import check_size, find_pattern
 from cmp_cl.opencl.device import Device
 
 # Frames without a grid over which numbers are continued. After more of them, a motion of half a
@@ -32,16 +32,15 @@ class View:
         detector: Detector,
         view: GreyImage,
         shape: tuple[int, int] | None,
-        region: Region | None,
         *,
         track: bool,
     ) -> None:
-        self.corners, self.rest = detector.grid(view, shape=shape, region=region)
+        self.corners, self.rest = detector.grid(view, shape=shape)
         self._device = detector.device
         if not self.rest.valid.any():
             raise GridError("no pattern is seen")
         check_size(self.rest)
-        self.region, self.track = region, track
+        self.track = track
         self._previous: Callable[[], Grid] | None = None
         self._lost = 0  # frames since the last one with a grid
 
@@ -57,7 +56,6 @@ class View:
                 corners,
                 view,
                 like=self.rest,
-                region=self.region,
                 previous=before,
                 device=self._device,
             )
@@ -98,7 +96,6 @@ def config_for(
     images: Sequence[GreyImage],
     config: DetectorConfig | None,
     shape: tuple[int, int] | None,
-    region: Region | None,
     full_scale: int | None,
     device: Device,
 ) -> DetectorConfig:
@@ -106,9 +103,7 @@ def config_for(
     first one, see `OneView`. Raises GridError if that shows no pattern."""
     if config is None:
         with _named(0, images):
-            cell, _ = find_pattern(
-                images[0], shape=shape, region=region, full_scale=full_scale, device=device
-            )
+            cell, _ = find_pattern(images[0], shape=shape, full_scale=full_scale, device=device)
         return DetectorConfig.for_cell(cell).replace(full_scale=full_scale)
     check_kind("config", config, DetectorConfig, ConfigError)
     return config if full_scale is None else config.replace(full_scale=full_scale)
@@ -118,15 +113,14 @@ def views_at_rest(
     detector: Detector,
     images: Sequence[GreyImage],
     shape: tuple[int, int] | None,
-    regions: Sequence[Region | None],
     *,
     track: bool,
 ) -> list[View]:
     """Return the pattern at rest in each view; raises GridError if one shows none."""
     found: list[View] = []
-    for number, (image, region) in enumerate(zip(images, regions, strict=True)):
+    for number, image in enumerate(images):
         with _named(number, images):
-            found.append(View(detector, image, shape, region, track=track))
+            found.append(View(detector, image, shape, track=track))
         shape = found[0].rest.shape
     return found
 

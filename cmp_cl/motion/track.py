@@ -32,8 +32,6 @@ KNOWN = 0.95  # least share of the nodes that the frame at rest must show
 COUNTED = 12  # numbers for each view, as in kernels/track.cl
 LEAST_ROOM = 4096  # corners of a view
 QUANTILE_GROUP = 256  # work-items that look for quantiles together
-EVERYWHERE = (-np.inf, -np.inf, np.inf, np.inf)  # px
-Region = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 _RESULT = (None, np.uint32(0), np.uint32(0))  # the corners, which are given with a frame
 STENCIL = 24  # nodes that predict a node, at most, as in kernels/track.cl
 _BIN = 1.0  # cells at rest: side of a bin
@@ -88,9 +86,9 @@ def can_track(rest: Grid, *, slow: bool) -> bool:
 class Tracker:
     """Follows the nodes of some views from frame to frame.
 
-    views: the grids at rest, and their corners. sizes: (H, W) of each view. regions: as in
-    `OneView`. frame: the memory of a plan that has the arrays of `layout`; a frame writes them on
-    the device. octaves, lists: of the detector's plan.
+    views: the grids at rest, and their corners. sizes: (H, W) of each view. frame: the memory of a
+    plan that has the arrays of `layout`; a frame writes them on the device. octaves, lists: of the
+    detector's plan.
     """
 
     def __init__(
@@ -101,7 +99,6 @@ class Tracker:
         *,
         views: Sequence[tuple[Grid, Corners]],
         sizes: Sequence[tuple[int, int]],
-        regions: Sequence[Region | None],
         frame: Memory,
         octaves: int,
         lists: int,
@@ -143,7 +140,6 @@ class Tracker:
         self._constants = Memory.of(
             queue,
             colour=np.array([colour_of(*view) for view in views], np.int32),
-            regions=np.array([EVERYWHERE if each is None else each for each in regions], "f4"),
             stencils=stencils(columns),
         )
         self._parts = {
@@ -209,7 +205,7 @@ class Tracker:
             self._of_nodes(
                 "place",
                 max(nodes, self.capacity),
-                *(*_RESULT, "quantile", "regions", *bins, "nodes", "corners", "last", "predicted"),
+                *(*_RESULT, "quantile", *bins, "nodes", "corners", "last", "predicted"),
                 *("first_of_bin", "next", "claims", *look_counts, "tracked"),
             ),
             self._of_nodes(

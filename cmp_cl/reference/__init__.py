@@ -144,9 +144,6 @@ def _checked(mask: Mask, image: GreyImage) -> NDArray[np.bool_]:
 def _at_scale(
     image: GreyImage, config: DetectorConfig, mask: NDArray[np.bool_], factor: float
 ) -> _Found:
-    if not image.size:
-        one = _at_scale(np.zeros((1, 1), image.dtype), config, np.ones((1, 1), np.bool_), 1.0)
-        return dataclasses.replace(one, maps=_emptied(one.maps, image.shape))
     full_scale = config.grey_levels(image.dtype)
     image = scale.to_working(image, factor)
     mask = scale.mask_at_working(mask, factor)
@@ -215,12 +212,3 @@ def _layer(
     return layer | dict(
         binary=binary, inner=inner, outer=outer, candidate=candidate, response=response
     )
-
-
-def _emptied(found: Maps | HarmonicMaps, shape: tuple[int, ...]) -> Maps | HarmonicMaps:
-    """Return the same maps of an image without pixels."""
-    empty: dict[str, Any] = {
-        name: None if values is None else np.empty(values.shape[:-2] + shape, values.dtype)
-        for name, values in vars(found).items()
-    }
-    return type(found)(**empty)

@@ -4,7 +4,6 @@ A stage of that form leaves its result on the device; each is read before a late
 buffer.
 """
 
-import dataclasses
 import math
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from cmp_cl.config import BinaryRings, DetectorConfig, RapidCriteria, RingHarmonic
+from cmp_cl.config import BinaryRings, RapidCriteria, RingHarmonic
 from cmp_cl.corners import HarmonicMaps, Maps
 from cmp_cl.stages.paper import spectral
 from cmp_cl.stages.plan import Plan
@@ -32,33 +31,6 @@ def read_maps(plan: Plan) -> Maps | HarmonicMaps:
     if isinstance(plan.rule, RingHarmonic):
         return HarmonicMaps(**_harmonic_maps(plan))
     return Maps(**_ring_maps(plan, plan.rule))
-
-
-def no_maps(shape: tuple[int, int], config: DetectorConfig) -> Maps | HarmonicMaps:
-    """Return the maps of an image without pixels."""
-    rule = config.detection
-    if isinstance(rule, RingHarmonic):
-        return HarmonicMaps(
-            fine=np.empty(shape, np.uint16),
-            coarse=np.empty(shape, np.uint16),
-            coarse_response=np.empty(shape, np.int32),
-            fine_response=np.empty(shape, np.int32) if rule.fine else None,
-            maximum=np.empty(shape, np.bool_),
-        )
-    dtypes: dict[str, Any] = {"binary": np.bool_, "inner": np.uint16, "outer": np.uint16}
-    dtypes["candidate"] = np.bool_
-    if isinstance(rule.criteria, RapidCriteria):
-        dtypes |= dict(_RAPID_MAPS)
-    else:
-        dtypes |= {name: np.float32 for name in _SPECTRAL_MAPS} | {"corrosion": np.int8}
-    if rule.criteria.corrosion_threshold is None:
-        del dtypes["corrosion"]
-    if rule.contrast is not None:
-        dtypes["contrast"] = np.int32
-    values: dict[str, Any] = dict.fromkeys(field.name for field in dataclasses.fields(Maps))
-    values |= {name: np.empty(shape, dtype) for name, dtype in dtypes.items()}
-    values |= {name: np.empty(shape, np.int32) for name in ("response", "score")}
-    return Maps(**values | {"maximum": np.empty(shape, np.bool_)})
 
 
 def _plane(plan: Plan, buffer: cl.Buffer, dtype: Any) -> NDArray[Any]:

@@ -238,22 +238,6 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
     return found
 
 
-def no_corners(device: str) -> Corners:
-    """Return the corners of an image without any."""
-    return Corners(
-        xy=np.empty((0, 2), np.float32),
-        pixel=np.empty((0, 2), np.int32),
-        octave=np.empty(0, np.uint8),
-        response=np.empty(0, np.float32),
-        method=np.empty(0, np.uint8),
-        refusal=np.empty(0, np.uint8),
-        sigma=np.empty(0, np.float32),
-        edges=np.empty((0, 4), np.float32),
-        doubtful=np.empty(0, np.bool_),
-        device=device,
-    )
-
-
 def _deviation(
     fields: NDArray[np.float32], method: NDArray[np.uint8], octave: NDArray[np.uint8] | None
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
