@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from cases import some
 from scenes import (
     BOARD,
     SCENES,
@@ -323,6 +324,30 @@ def test_a_board_close_to_a_fisheye_keeps_all_corners_that_are_found(far, tilt, 
     assert score.right >= np.count_nonzero(away < 1.5), score
     assert score.clean
     assert not grid.doubts
+
+
+HARD = [  # focal length, px; distance, tilt and offset of the board
+    (163, 1.40, (-0.56, 0.37), (-0.23, 0.25)),
+    (181, 1.44, (0.43, -0.13), (0.25, 0.20)),
+    (170, 1.36, (-0.28, -0.38), (-0.09, -0.16)),
+    (155, 1.73, (0.43, 0.56), (-0.32, 0.26)),
+]
+
+
+def strong_fisheye(number: int) -> Camera:
+    """Return one of a few hard views of a board close to a fisheye, or any."""
+    draw = np.random.default_rng(number)
+    focal, far = draw.uniform(150, 200), draw.uniform(1.3, 2.4)
+    tilt, aside = draw.uniform(-0.6, 0.6, 2), draw.uniform(-0.4, 0.4, 2)
+    if number < len(HARD):
+        focal, far, tilt, aside = HARD[number]
+    return fisheye(focal, (*tilt, 0.0), np.array([*aside, far]), (3.5, 2.5), (480, 640))
+
+
+@pytest.mark.parametrize("number", some(range(40), range(len(HARD))))
+def test_a_strong_fisheye_numbers_no_node_wrongly_in_silence(number):
+    view = drawn(strong_fisheye(number), (480, 640), (6, 8), margin=-0.3, noise=1.5)
+    assert_right_or_told(grid_of(view, shape=(6, 8)), view, "board")
 
 
 # like a grid at rest
