@@ -12,7 +12,7 @@ from videos import write_video
 from cmp_cl import ConfigError, FieldError, GridError, ImageError
 from cmp_cl.measure import Sensor, TwoViews, pytac3d
 from cmp_cl.media import read_frames
-from cmp_cl.series import read_series
+from cmp_cl.series import SeriesWriter, read_series
 
 SCRIPT = """
 got = []
@@ -80,6 +80,18 @@ def test_what_was_recorded_is_replayed_at_its_times(video, tmp_path):
         assert frame["SN"] == "again"
         for key in ("3D_Positions", "3D_Displacements", "3D_Normals", "sendTimestamp"):
             np.testing.assert_allclose(frame[key], by_index[frame["index"]][key], atol=1e-6)
+
+
+def test_a_replay_is_closed_in_a_pause(tmp_path):
+    path = tmp_path / "press.npz"
+    with SeriesWriter(path, rest=np.ones((3, 3, 3)), unit="mm") as series:
+        for number in range(2):
+            time_ms = 1e99 * number
+            series.append(index=number, time_ms=time_ms, displacement=np.zeros((3, 3, 3)))
+    with Sensor.replay(path) as replayed:
+        replayed.waitForFrame(timeout=60)
+        start = time.monotonic()
+    assert time.monotonic() - start < 5
 
 
 def test_a_new_rest_is_taken_while_running(video):

@@ -9,7 +9,6 @@ from os import PathLike
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.closing import Closing
@@ -154,7 +153,7 @@ class Sensor(Frames):
         series = read_series(path, ("rest", "displacement", "time_ms", "unit"))
         if not {"rest", "displacement"} <= series.keys() or series["rest"].shape[2] != 3:
             raise FieldError(f"{str(path)!r}: a sensor replays a series in space, of two views")
-        return Frames(_replayed(series, serial), **settings)
+        return _Replay(series, serial, **settings)
 
     def close(self) -> None:
         """End the loop, complete the series, and release the device."""
@@ -201,22 +200,36 @@ class Sensor(Frames):
             series.close()
 
 
-def _replayed(series: Mapping[str, NDArray[Any]], serial: str) -> Generator[Frame, None, None]:
-    """Yield the frames of a series at their times."""
-    start = time.monotonic()
-    for index, time_ms, moved in zip(
-        series["index"], series["time_ms"], series["displacement"], strict=True
-    ):
-        if np.isfinite(time_ms):
-            time.sleep(max(0.0, start + float(time_ms) / 1e3 - time.monotonic()))
-        yield frame_of_pytac3d(
-            series["rest"],
-            moved,
-            str(series["unit"]),
-            serial=serial,
-            index=int(index),
-            time_s=float(time_ms) / 1e3,
-        )
+class _Replay(Frames):
+    """The frames of a series, at their times."""
+
+    def __init__(self, series: Mapping[str, NDArray[Any]], serial: str, **settings: Any) -> None:
+        self._closing = threading.Event()
+        super().__init__(self._frames(series, serial), **settings)
+
+    def _frames(
+        self, series: Mapping[str, NDArray[Any]], serial: str
+    ) -> Generator[Frame, None, None]:
+        start = time.monotonic()
+        for index, time_ms, moved in zip(
+            series["index"], series["time_ms"], series["displacement"], strict=True
+        ):
+            pause = start + float(time_ms) / 1e3 - time.monotonic()
+            if pause > 0 and self._closing.wait(min(pause, threading.TIMEOUT_MAX)):
+                return
+            yield frame_of_pytac3d(
+                series["rest"],
+                moved,
+                str(series["unit"]),
+                serial=serial,
+                index=int(index),
+                time_s=float(time_ms) / 1e3,
+            )
+
+    def close(self) -> None:
+        """End the loop, also in a pause, and wait for it."""
+        self._closing.set()
+        super().close()
 
 
 def pytac3d(source: str, rig: StereoRig | str | PathLike[str], **settings: Any) -> SimpleNamespace:
