@@ -41,22 +41,31 @@ def suffix_of(path: str | PathLike[str], error: type[CmpClError]) -> str:
 
 @contextlib.contextmanager
 def whole_file(path: str | PathLike[str]) -> Iterator[BinaryIO]:
-    """Write a file that appears under its name only if the block ends without an error.
-
-    The data go to a temporary file in the same folder, which is renamed at the end. An older file
-    stays until then, and its mode and owner are kept. Devices and pipes are written directly.
-    Raises OSError if the folder is missing, not writable or full, or the file is read-only.
-    """
+    """Write a file as `whole_path` does; a device or a pipe is written directly."""
     target = check_target(path)
     if target.exists() and not target.is_file():
         with _named(path), open(target, "wb") as file:
             yield file
         return
-    temporary = temporary_beside(target)
+    with whole_path(target) as temporary, open(temporary, "wb") as file:
+        yield file
+
+
+@contextlib.contextmanager
+def whole_path(path: str | PathLike[str], suffix: str = ".tmp") -> Iterator[Path]:
+    """Give a file to write, which gets the name `path` only if the block ends without an error.
+
+    It lies in the same folder. An older file stays until then, and its mode and owner are kept.
+    suffix: the suffix of its name. Raises OSError if the folder is missing, not writable or full,
+    or the file is read-only, or no regular one.
+    """
+    target = check_regular(path)
+    temporary = target.with_name(f".{secrets.token_hex(8)}{suffix}")
     try:
         with _named(path, temporary):
-            with open(temporary, "wb") as file:
-                yield file
+            with open(temporary, "xb"):
+                _keep_rights(target, temporary)
+            yield temporary
             os.replace(temporary, target)
     except BaseException:
         temporary.unlink(missing_ok=True)
@@ -82,54 +91,28 @@ def check_target(path: str | PathLike[str]) -> Path:
     return target
 
 
-def temporary_beside(target: Path, suffix: str = ".tmp") -> Path:
-    """Make an empty file in the folder of a target, with its mode and owner, to be renamed to it.
-
-    suffix: the suffix of its name. Raises OSError, also if the target is a device or a pipe.
-    """
-    _check_regular(target)
-    temporary = target.with_name(f".{secrets.token_hex(8)}{suffix}")
-    try:
-        with _named(target, temporary), open(temporary, "xb"):
-            _keep_rights(target, temporary)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    return temporary
-
-
-def part_of(target: Path) -> tuple[Path, list[Path]]:
-    """Make a folder NAME.part beside a target.
-
-    Returns it, and the parts of that name that were there before: the new one is then NAME.part-2,
-    and so on. Raises OSError, also if the target is a device or a pipe.
-    """
-    _check_regular(target)
-    earlier: list[Path] = []
-    return first_free(target.with_name(f"{target.name}.part"), Path.mkdir, earlier), earlier
-
-
-def _check_regular(target: Path) -> None:
+def check_regular(path: str | PathLike[str]) -> Path:
+    """Return the file as `check_target` does; raises OSError also for a device or a pipe."""
+    target = check_target(path)
     if target.exists() and not target.is_file():
-        raise OSError(errno.EINVAL, "only a regular file can hold this format", str(target))
+        raise OSError(errno.EINVAL, "only a regular file can hold this format", str(path))
+    return target
 
 
-def first_free(path: Path, make: Callable[[Path], object], taken: list[Path] | None = None) -> Path:
-    """Make a file or folder of that name, or NAME-2, NAME-3 and so on if that exists; return it.
+def new_folder(path: Path) -> tuple[Path, list[Path]]:
+    """Make a folder of that name, or NAME-2, NAME-3 and so on if that exists.
 
-    make: makes it, and raises FileExistsError. taken: gets the names that exist.
+    Returns it and those that exist.
     """
-    free, number = path, 1
+    free, taken = path, []
     while True:
         try:
-            make(free)
+            free.mkdir()
         except FileExistsError:
-            if taken is not None:
-                taken.append(free)
-            number += 1
-            free = path.with_name(f"{path.name}-{number}")
+            taken.append(free)
+            free = path.with_name(f"{path.name}-{len(taken) + 1}")
         else:
-            return free
+            return free, taken
 
 
 def _keep_rights(old: Path, new: Path) -> None:

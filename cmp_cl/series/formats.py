@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError
 from cmp_cl.field.nodes import node_columns, surface
-from cmp_cl.files import csv_bytes, first_free, write_bytes, write_text
+from cmp_cl.files import csv_bytes, new_folder, write_bytes, write_text
 from cmp_cl.series.part import Arrays, Stored
 
 _ROOM, _ROOM_OF_FRAME = 1 << 18, 64  # bytes that HDF5 needs beside the arrays, and for each frame
@@ -121,7 +121,7 @@ def write_pvd(series: Stored, path: Path, target: Path) -> None:
     The time is in s, or the number of the frame if it has no time. The frames are .vtp in the
     folder NAME_frames, or NAME_frames-2 if that is there already, and so on.
     """
-    folder = first_free(target.with_name(f"{target.stem}_frames"), Path.mkdir)
+    folder, _ = new_folder(target.with_name(f"{target.stem}_frames"))
     about = escape(json.dumps(series.about)).replace("--", "- -")
     lines = [
         '<?xml version="1.0"?>',

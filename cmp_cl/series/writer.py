@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError, check_kind, extra
-from cmp_cl.files import check_target, part_of, suffix_of, temporary_beside
+from cmp_cl.files import check_regular, new_folder, suffix_of, whole_path
 from cmp_cl.series import formats, mcap
 from cmp_cl.series.part import Arrays, Part, Stored
 
@@ -56,15 +56,10 @@ def complete(part: str | PathLike[str], target: str | PathLike[str]) -> None:
         stored = Stored.of(Path(part))
     except (OSError, ValueError, KeyError) as error:
         raise FieldError(f"{str(part)!r} is damaged or no part of a series: {error}") from error
-    temporary = temporary_beside(check_target(target), suffix)
-    try:
-        _FORMATS[suffix](stored, temporary, Path(target))
-        with open(temporary, "rb+") as file:
+    with whole_path(target, suffix) as path:
+        _FORMATS[suffix](stored, path, Path(target))
+        with open(path, "rb+") as file:
             os.fsync(file.fileno())  # the part goes, so a power cut must find the file
-        os.replace(temporary, check_target(target))
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
     shutil.rmtree(part)
 
 
@@ -138,8 +133,8 @@ class SeriesWriter(Closing):
             self._sink: Part | _Lines = _Lines(about, self._constants)
             return
         self._of_nodes = _known_suffix(path) in _OF_NODES
-        self._target = check_target(path)
-        part, self.earlier = part_of(self._target)
+        self._target = check_regular(path)
+        part, self.earlier = new_folder(self._target.with_name(f"{self._target.name}.part"))
         self._sink = Part(part, about, self._constants)
 
     def __len__(self) -> int:
