@@ -10,7 +10,7 @@
 #pragma OPENCL FP_CONTRACT OFF
 
 #ifndef LOOKS
-#error "LOOKS must be the number of nodes of a view that can be looked at again"
+#error "LOOKS must be the room for the second looks of a view, one a node"
 #endif
 #if !defined(HEAD) || !defined(EDGES_FIELD) || !defined(METHOD_FIELD) || !defined(VARIANCE_FIELD)
 #error "HEAD and the fields of a result must be defined"
@@ -42,7 +42,6 @@
 #define INTERPOLATED 4
 #define NONE (-1)
 #define OTHER_COLOUR (-2)
-#define NO_ROOM (-2) /* for a look */
 
 /* What is counted in each view; a side is top, bottom, left or right. */
 #define LOST 0    /* nodes without a corner */
@@ -52,6 +51,9 @@
 #define GONE 7    /* lost nodes on a side */
 #define ADRIFT 11 /* lost nodes that have a corner near, which is not like those of the neighbours */
 #define COUNTED 12
+
+/* The status of a node with this corner. */
+#define STATUS_OF(corner) (isnan((corner).w) ? ATTACHED : DETECTED)
 
 #define VIEW const int view = get_global_id(1), i = get_global_id(0);
 #define OF_NODE (view * NODES + i)
@@ -283,7 +285,7 @@ __kernel void agree(__global const float4 *corners, __global const float2 *last,
                    dot(off, off) < ALIKE_CELLS * ALIKE_CELLS * cell_2;
   kept[OF_NODE] = good ? j : NONE;
   nodes[OF_NODE] = good ? corners[CORNERS + j].xy : predicted[OF_NODE] + mean;
-  status[OF_NODE] = good ? DETECTED : MISSING;
+  status[OF_NODE] = good ? STATUS_OF(corners[CORNERS + j]) : MISSING;
   sigma[OF_NODE] = good ? fabs(corners[CORNERS + j].w) : NAN;
   torn[OF_NODE] = !(good && corners[CORNERS + j].w > 0);
   if (good) return;
@@ -345,13 +347,11 @@ __kernel void check(__global const float4 *corners, const float bins_per_px, con
     NEAREST(place, NEAR_CELLS * cell, claims[CORNERS + j] == 0)
     const float2 start = best >= 0 ? corners[CORNERS + best].xy : place;
     const int slot = (int)atomic_inc(look_counts + first_count + view);
-    look[OF_NODE] = slot < LOOKS ? slot : NO_ROOM;
-    if (slot < LOOKS) {
-      __global int *entry = looks + view * LOOKS + slot;
-      entry[0] = (int)rint(start.x);
-      entry[look_length] = (int)rint(start.y);
-      for (int k = 2; k < COLUMNS_OF_LOOK; ++k) entry[k * look_length] = k == 3; /* its own centroid */
-    }
+    look[OF_NODE] = slot;
+    __global int *entry = looks + view * LOOKS + slot;
+    entry[0] = (int)rint(start.x);
+    entry[look_length] = (int)rint(start.y);
+    for (int k = 2; k < COLUMNS_OF_LOOK; ++k) entry[k * look_length] = k == 3; /* its own centroid */
   }
   const int inner[4] = {row == 0 ? below : i, row == ROWS - 1 ? above : i,
                         column == 0 ? behind : i, column == COLUMNS - 1 ? before : i};
@@ -386,7 +386,7 @@ __kernel void enter(__global const float *result, const uint stride,
   RESULT_OF_VIEW(result, stride, LOOKS)
   const float cell = (length(along) + length(down)) / 2;
   const float2 place = expected[OF_NODE];
-  if (n >= 0 && n < count && refusals[n] == 0 && methods[n] != CENTROID) {
+  if (n < count && refusals[n] == 0 && methods[n] != CENTROID) {
     const float2 found = (float2)(fields[2 * n], fields[2 * n + 1]);
     const float deviation = SIGMA_OF(n, quantile[view * LEVELS]), off = length(found - place);
     const float most = deviation < TORN_PX ? NEAR_CELLS : STRAY_TORN_CELLS;
@@ -395,7 +395,7 @@ __kernel void enter(__global const float *result, const uint stride,
       NEAREST(found, SAME_PX, claims[CORNERS + j] == 0 || j == before_look)
       owner[OF_NODE] = best;
       nodes[OF_NODE] = best >= 0 ? corners[CORNERS + best].xy : found;
-      status[OF_NODE] = best < 0 ? SECOND_LOOK : best == before_look ? DETECTED : ATTACHED;
+      status[OF_NODE] = best < 0 ? SECOND_LOOK : STATUS_OF(corners[CORNERS + best]);
       sigma[OF_NODE] = best >= 0 ? fabs(corners[CORNERS + best].w) : deviation;
       return;
     }

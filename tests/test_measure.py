@@ -12,7 +12,7 @@ from lattices import drawn
 from videos import write_video
 
 import cmp_cl
-from cmp_cl import GridError, StereoRig, measure
+from cmp_cl import GridError, NodeStatus, StereoRig, measure
 from cmp_cl.measure.views import View
 from cmp_cl.media import read_frames
 from cmp_cl.synthetic import boards, render_stereo
@@ -102,6 +102,26 @@ def test_sigma_of_a_frame_is_the_same_tracked_or_numbered(changed, least):
     (one,), (other,) = tracked.grids, anew.grids
     assert np.nanmedian(one.image_sigma) > least
     np.testing.assert_array_equal(one.image_sigma, other.image_sigma)
+
+
+def test_a_torn_node_is_the_same_tracked_or_numbered():
+    rest, now = pressed(0.0).left, pressed(0.1).left
+    x, y = np.rint(now.truth[5, 6]).astype(int)
+    torn = now.image.copy()
+    torn[y - 4 : y + 5, x - 4 : x + 5] = now.image[y - 6 : y + 3, x - 6 : x + 3]
+    with measure.OneView(rest.image, shape=NODES) as following:
+        following(rest.image)
+        tracked = following(torn)
+    with measure.OneView(rest.image, shape=NODES) as alone:
+        anew = alone(torn)
+    assert tracked.tracked
+    assert not anew.tracked
+    (one,), (other,) = tracked.grids, anew.grids
+    assert one.status[5, 6] == NodeStatus.ATTACHED
+    np.testing.assert_array_equal(one.status, other.status)
+    np.testing.assert_array_equal(one.xy, other.xy)
+    for name, values in tracked.arrays.items():
+        np.testing.assert_array_equal(values, anew.arrays[name], name)
 
 
 def test_a_call_within_a_stream_changes_no_result_of_it(film):

@@ -24,8 +24,8 @@ class NodeStatus(enum.IntEnum):
 
     MISSING = 0  #: no position
     DETECTED = 1  #: a corner that the detector found
-    #: a rough corner, which a grid averages with where its neighbours predict it; or one that
-    #: tracking took after a second look
+    #: a rough corner, whose refinement was rejected; or one far from where its neighbours predict
+    #: it, with which a grid averages it
     ATTACHED = 2
     SECOND_LOOK = 3  #: no corner; tracking refined from where its neighbours predict it
     INTERPOLATED = 4  #: predicted from measured nodes around it

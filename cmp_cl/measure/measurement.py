@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
+from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import DeviceError
 from cmp_cl.grid import Grid
@@ -29,6 +30,7 @@ from cmp_cl.opencl.launches import sum_times
 from cmp_cl.opencl.program import programs_of
 from cmp_cl.space import Bias, StereoRig
 from cmp_cl.stages.plan import Plan
+from cmp_cl.stages.refine import Found
 
 AUDITED = 256  # tracked frames, of which the last is numbered anew too
 
@@ -83,6 +85,7 @@ class Measurement(Closing):
         self._lock = threading.RLock()
         self._events: list[tuple[str, cl.Event]] = []  # of the last frame, but of the detector
         self._running: _Begun | None = None  # whose results have not been read
+        self._follows = False  # whether the tracker has the nodes of the frame before
         chosen, images = select_device(device), [check_image(view) for view in at_rest]
         config = config_for(images, config, shape, full_scale, chosen)
         with contextlib.ExitStack() as stack:
@@ -121,9 +124,7 @@ class Measurement(Closing):
     def _know_rest(self, images: Sequence[GreyImage]) -> None:
         """Measure the frame at rest; let the tracker know what it finds there."""
         grids = [view.rest for view in self._views]
-        self._plan.take(grids, [view.corners for view in self._views])
-        # Whether the tracker has the nodes of the frame before.
-        self._follows = self._tracker is not None and self._tracker.begin(grids)
+        self._start_from(grids, [view.corners for view in self._views])
         self._plan.start()
         still = self._plan.field(self._plan.read())
         assert still.raw is not None
@@ -239,11 +240,15 @@ class Measurement(Closing):
         self._running = begun
         if self._tracker is None or not self._follows:
             return
-        plan = begun.plan
-        looks = self._tracker.looks(plan)
-        self._events = self._tracker.start(plan.arrays["result"], plan.corner_capacity, looks)
-        self._events += self._plan.start()
+        self._track(self._tracker, begun.plan)
         begun.tracked = True
+
+    def _track(self, tracker: Tracker, plan: Plan) -> None:
+        """Enqueue the kernels that find the nodes of a plan's frame from those on the device."""
+        self._events = tracker.start(
+            plan.arrays["result"], plan.corner_capacity, tracker.looks(plan)
+        )
+        self._events += self._plan.start()
 
     def _settled(self, begun: _Begun) -> Measured:
         """Return what becomes of a frame, once its kernels are done."""
@@ -264,10 +269,7 @@ class Measurement(Closing):
         found, same = self._detector.finish(begun.plan)
         tracker, tracked = self._tracker, list[Callable[[], Grid]]()
         if tracker and begun.tracked and same and tracker.holds(arrays, found.counts):
-            tracked = [
-                functools.partial(grid_of, arrays, number, view.rest, count)
-                for number, (view, count) in enumerate(zip(self._views, found.counts, strict=True))
-            ]
+            tracked = _grids(arrays, [view.sure for view in self._views], found)
         settled = Measured(
             views=begun.views,
             tracked=bool(tracked),
@@ -285,11 +287,15 @@ class Measurement(Closing):
             if self.tally.tracked % AUDITED:
                 return settled
             self.tally.audited += 1
-        return self._numbered_anew(settled)
+        return self._numbered_anew(settled, begun.plan)
 
-    def _numbered_anew(self, settled: Measured) -> Measured:
+    def _numbered_anew(self, settled: Measured, plan: Plan) -> Measured:
         """Return a frame with the numbers that are found without the frame before; as it is if
-        tracking has the same corners."""
+        tracking has the same corners.
+
+        Its nodes are those that tracking finds from these numbers in the same frame, if it holds:
+        torn nodes get their second look however a frame got its numbers.
+        """
         self.tally.numbered += 1
         anew = [
             view.number(corners, image)
@@ -303,16 +309,48 @@ class Measurement(Closing):
             if not count:
                 return settled
             settled = dataclasses.replace(settled, differing=count)
-        self._plan.take(anew, settled.corners)
-        self._follows = self._tracker is not None and self._tracker.begin(anew)
-        self._events = self._plan.start()
+        arrays = self._within(settled, anew, plan)
+        if arrays is None:
+            numbered: list[Callable[[], Grid]] = [functools.partial(_given, each) for each in anew]
+            self._start_from(anew, settled.corners)
+            self._events = self._plan.start()
+            arrays = self._plan.read()
+        else:
+            numbered = _grids(arrays, anew, settled._found)
         return dataclasses.replace(
             settled,
             tracked=False,
             ambiguous=any(grid.ambiguous for grid in anew),
-            _arrays=self._plan.read(),
-            _numbered=[functools.partial(_given, grid) for grid in anew],
+            _arrays=arrays,
+            _numbered=numbered,
         )
+
+    def _within(
+        self, settled: Measured, anew: Sequence[Grid], plan: Plan
+    ) -> dict[str, NDArray[Any]] | None:
+        """Track the nodes of a frame from grids of the same frame. Return the arrays of the field,
+        None if tracking does not hold."""
+        self._start_from(anew, settled.corners)
+        if self._tracker is None or not self._follows:
+            return None
+        self._track(self._tracker, plan)
+        arrays = self._plan.read()
+        return arrays if self._tracker.holds(arrays, settled._found.counts) else None
+
+    def _start_from(self, grids: Sequence[Grid], corners: Sequence[Corners]) -> None:
+        """Put the nodes of grids on the device. The tracker goes on from them if they suffice."""
+        self._plan.take(grids, corners)
+        self._follows = self._tracker is not None and self._tracker.begin(grids)
+
+
+def _grids(
+    arrays: dict[str, NDArray[Any]], numbers: Sequence[Grid], found: Found
+) -> list[Callable[[], Grid]]:
+    """Return what makes the grids of nodes that were tracked, with the numbers of other grids."""
+    return [
+        functools.partial(grid_of, arrays, view, grid, count)
+        for view, (grid, count) in enumerate(zip(numbers, found.counts, strict=True))
+    ]
 
 
 def _given(grid: Grid) -> Grid:

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import math
 from collections.abc import Callable, Iterator, Sequence
 
 from cmp_cl.config import DetectorConfig
@@ -22,7 +23,7 @@ BRIDGED = 1
 class View:
     """The pattern at rest in one view.
 
-    rest: its grid. corners: those at rest.
+    rest: its grid. corners: those at rest. sure: the grid with numbers that are beyond doubt.
 
     Raises GridError if the view shows no pattern.
     """
@@ -40,6 +41,7 @@ class View:
         if not self.rest.valid.any():
             raise GridError("no pattern is seen")
         check_size(self.rest)
+        self.sure = dataclasses.replace(self.rest, confidence=math.inf, rival=None)
         self.track = track
         self._previous: Callable[[], Grid] | None = None
         self._lost = 0  # frames since the last one with a grid

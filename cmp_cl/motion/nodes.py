@@ -1,7 +1,6 @@
 """The nodes of grids as the kernels of a plan take them, and grids of what they find."""
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -39,10 +38,11 @@ def positions_of(arrays: Mapping[str, NDArray[Any]], view: int) -> NDArray[np.fl
     return np.where(there[..., None], arrays["nodes"][view], np.float32(np.nan))
 
 
-def grid_of(arrays: Mapping[str, NDArray[Any]], view: int, rest: Grid, corners: int) -> Grid:
+def grid_of(arrays: Mapping[str, NDArray[Any]], view: int, numbers: Grid, corners: int) -> Grid:
     """Return the grid of a view that was tracked.
 
-    arrays: of the frame, see `FieldPlan.read`. rest: its grid at rest. corners: their number.
+    arrays: of the frame, see `FieldPlan.read`. numbers: the grid that its nodes have their numbers
+    from. corners: their number.
     """
     owner, status = arrays["owner"][view], arrays["seen_status"][view]
     row, column = np.nonzero(owner >= 0)
@@ -50,11 +50,9 @@ def grid_of(arrays: Mapping[str, NDArray[Any]], view: int, rest: Grid, corners: 
     index[owner[row, column]] = np.stack([row, column], axis=1)
     there = status != NodeStatus.MISSING
     return dataclasses.replace(
-        rest,
+        numbers,
         xy=positions_of(arrays, view),
         status=status,
         image_sigma=np.where(there, arrays["seen_sigma"][view], np.float32(np.nan)),
         index=index,
-        confidence=math.inf,
-        rival=None,
     )

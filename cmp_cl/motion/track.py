@@ -110,7 +110,7 @@ class Tracker:
         self._count, self._levels = len(views), octaves + 1
         self.capacity = multiple(max(LEAST_ROOM, 2 * rows * columns), GROUP)
         self._usual: list[tuple[int, ...]] = [(0, 0, 0, 0)] * len(views)
-        self.room = multiple(int(LOST * rows * columns), GROUP)  # of second looks
+        self.room = multiple(rows * columns, GROUP)  # of second looks
         look_columns = CORNER_COLUMNS + (octaves > 0)
         self._first_count = len(views) * lists
         self._bin = max(_LEAST_BIN, _BIN * min(_step(grid) for grid, _ in views))

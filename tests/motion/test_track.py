@@ -160,7 +160,9 @@ def test_nodes_are_those_of_the_oracle(tracker_of):
             edges = corners.edges.copy()
             edges[[30, 31], 0] += np.pi / 2  # the other colour
             edges[40] = np.nan
-            corners = dataclasses.replace(corners, edges=edges)
+            sigma = corners.sigma.copy()
+            sigma[50] = np.nan  # rough
+            corners = dataclasses.replace(corners, edges=edges, sigma=sigma)
             found.append(keep(corners, rng.random(len(corners)) > 0.02))
         numbers, arrays = follow(*found)
         for view in range(2):

@@ -32,10 +32,10 @@ _LINE = {(0, -1): 4 / 6, (0, 1): 4 / 6, (0, -2): -1 / 6, (0, 2): -1 / 6}
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Found:
     """nodes: (R, C, 2). owner: (R, C), the corner, -1 without one. status: (R, C), 0 missing, 1
-    with a corner, 4 interpolated. crossed, lost, astray, adrift: numbers of nodes with a corner of
-    another colour, that failed, that are astray, and that failed beside a corner. beyond, gone:
-    (4,), free corners and failed nodes of each side, top, bottom, left, right. margin: the least
-    distance of a quantity from its bound, px."""
+    with a corner, 2 with a rough one, whose sigma is unknown, 4 interpolated. crossed, lost,
+    astray, adrift: numbers of nodes with a corner of another colour, that failed, that are astray,
+    and that failed beside a corner. beyond, gone: (4,), free corners and failed nodes of each side,
+    top, bottom, left, right. margin: the least distance of a quantity from its bound, px."""
 
     nodes: Floats
     owner: Ints
@@ -137,7 +137,9 @@ def track(before: Floats, nodes: Floats, corners: Floats, colour: int) -> Found:
     gone = [np.count_nonzero(line) for line in (lost[0], lost[-1], lost[:, 0], lost[:, -1])]
     step = (np.linalg.norm(before_step[0], axis=2) + np.linalg.norm(before_step[1], axis=2)) / 2
     good = ~lost & ~astray
-    final, owner, status = moved.copy(), kept.copy(), np.ones(shape, np.int32)
+    final, owner = moved.copy(), kept.copy()
+    rough = np.isnan(corners[:, 3])[kept] if len(corners) else np.zeros(shape, np.bool_)
+    status = np.where(rough, 2, 1).astype(np.int32)
     for node in zip(*np.nonzero(~good), strict=True):
         prediction = predictions[node]
         place = moved[node] if prediction is None else prediction
