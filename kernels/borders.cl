@@ -28,6 +28,7 @@
 #define REACH_OF 12
 #define PAST_OF 16
 #define STEPS_OF 20
+#define FURTHER_OF 24
 
 /* A place, by its line from a side and its number there. box: top, bottom, left, right, the ends not
  * included. */
@@ -47,8 +48,9 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
                         const float edge, __global const int *restrict layout,
                         __global const float2 *restrict result,
                         __global const int *restrict owner, __global const uchar *restrict rough,
-                        __global float2 *restrict nodes, __global int *restrict node_owner,
-                        __global uchar *restrict node_rough, __global int *restrict border) {
+                        __global uchar *restrict used, __global float2 *restrict nodes,
+                        __global int *restrict node_owner, __global uchar *restrict node_rough,
+                        __global int *restrict border) {
   const int width = layout[BOARD_COLUMNS];
   int4 box = (int4)(0, layout[BOARD_ROWS], 0, width);
   __local int there[SIDES], asked[SIDES];
@@ -86,6 +88,10 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
       }
     }
     if (!any && line == NONE) break;
+    FOR_ALL(k, any ? 0 : line < 2 ? across : height) {
+      const int cut = owner[place_on(line, 0, k, box, width)];
+      if (cut >= 0) used[cut] = 0;
+    }
     box.x += any ? !there[0] : line == 0;
     box.y -= any ? !there[1] : line == 1;
     box.z += any ? !there[2] : line == 2;
@@ -137,6 +143,21 @@ Square square_at(__global const float2 *nodes, __global const int *owner, const 
 }
 #define SQUARE_AT(side, k) square_at(nodes, owner, side, k, height, width)
 #define IS_SQUARE(square) IS_HERE((square).out)
+
+/* The steps of a tilted board grow from line to line: the last one of a side, in cells that lie
+ * past it, if they grow on as they do before. */
+float last_over_next(__global const float2 *nodes, __global const int *owner, const int side,
+                const int height, const int width) {
+  int last = 0, before = 0; /* 1/32 px */
+  for (int k = 0; k < LENGTH_OF(side) && LINES_OF(side) > 2; ++k) {
+    const float2 inner = AT(side, 1, k), a = AT(side, 0, k) - inner, b = inner - AT(side, 2, k);
+    if (!IS_HERE(a) || !IS_HERE(b)) continue;
+    last += floor_of(32 * length_of(a) + 0.5f);
+    before += floor_of(32 * length_of(b) + 0.5f);
+  }
+  const float root = inverse_root((float)last);
+  return last ? (float)before * (root * root) : 1.0f;
+}
 
 /* Which pairs of squares a side has in sight, as far as some cells beyond it. Returns their number. */
 #define PAIRS_IN_SIGHT(side, sight)                                                 \
@@ -207,6 +228,26 @@ bool has_room(__global const float2 *nodes, __global const int *owner, const int
   return 2 * inside > known;
 }
 
+/* Whether a corner of no node lies so many steps before a place on a side's last line, and a way
+ * could join them: boundaries point to each other, of unlike colours if the steps are odd. */
+bool leads_on(__global const float *corners, const uint capacity, __global const float4 *lines,
+              __global const int *layout, __global const int *starts, __global const int *binned,
+              __global const uchar *used, const uint rows, const uint columns, const float reach,
+              const float least_cosine, const int own, const float2 at, const float2 step,
+              const int steps) {
+  const float2 p = at + (float)steps * step;
+  if (!IS_HERE(p) || !is_in_view(p, rows, columns)) return false;
+  float square;
+  const int i = nearest_corner(corners, capacity, layout, starts, binned, rows, columns, p,
+                               reach * length_of(step), &square);
+  if (i == NONE || used[i]) return false;
+  const float2 way = POSITIONS(corners)[i] - at;
+  const Boundary near = boundary_along(lines[own], way.x, way.y);
+  const Boundary far = boundary_along(lines[i], -way.x, -way.y);
+  return SMALLER(near.length, far.length) > least_cosine * length_of(way) &&
+         !((near.side + far.side + steps) & 1);
+}
+
 /* How far pairs of squares reach, twice the sum of their shares; UNSEEN if the medians of both
  * halves of a side differ by over a step, as along an oblique edge. */
 int common_reach(__local const int *reach, const int count) {
@@ -237,18 +278,34 @@ int step_past(IMAGE_OF_BOARD, __global const float2 *nodes, __global const int *
 
 /* Measure the sides of a board. One work-group. */
 __kernel void measure_border(__global const PIXEL *restrict image, const uint step, const uint rows,
-                             const uint columns, const float passing,
-                             __global const float2 *restrict nodes,
+                             const uint columns, __global const float *restrict corners,
+                             const uint capacity, __global const float4 *restrict lines,
+                             __global const int *restrict layout, __global const int *restrict starts,
+                             __global const int *restrict binned, __global const uchar *restrict used,
+                             const float passing, const float least_line, const float least_cosine,
+                             const float beside, __global const float2 *restrict nodes,
                              __global const int *restrict owner, __global int *restrict row_levels,
                              __global int *restrict border) {
   const int height = border[ROWS_OF], width = border[COLUMNS_OF];
   __local int first[SIDES * PAIRS], pairs[SIDES], near[SIDES], shown[SIDES * PAIRS];
-  __local int levels[SIDES * PAIRS * DEPTHS * 2], reach[SIDES * PAIRS];
+  __local int levels[SIDES * PAIRS * DEPTHS * 2], squares[SIDES * PAIRS];
   __local int reaches[SIDES], steps[4], low, high, count;
+  __local int room[SIDES], ahead[SIDES * SPAN], any_longer;
   FOR_ALL(k, 4) steps[k] = 0;
+  FOR_ALL(m, SIDES * SPAN) ahead[m] = 0;
+  if (get_local_id(0) == 0) any_longer = 0;
+  ALL_TOGETHER;
+  FOR_ALL(m, height < 2 || width < 2 ? 0 : SIDES * SPAN * LARGER(height, width)) {
+    const int side = m & 3, steps_on = (m >> 2) % SPAN + 1, k = (m >> 2) / SPAN;
+    if (k >= LENGTH_OF(side)) continue;
+    const int own = owner[place_on(side, 0, k, (int4)(0, height, 0, width), width)];
+    const float2 at = AT(side, 0, k);
+    if (leads_on(corners, capacity, lines, layout, starts, binned, used, rows, columns, beside,
+                 least_cosine, own, at, at - AT(side, 1, k), steps_on))
+      atomic_inc(ahead + side * SPAN + steps_on - 1);
+  }
   FOR_ALL(side, SIDES) {
-    border[ROOM_OF + side] =
-        height && width && has_room(nodes, owner, side, height, width, rows, columns);
+    room[side] = height && width && has_room(nodes, owner, side, height, width, rows, columns);
     pairs[side] = height < 2 || width < 2
                       ? 0
                       : list_pairs(nodes, owner, side, height, width, first + side * PAIRS);
@@ -285,7 +342,7 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
     int sum = 0;
     for (int k = NEAR_DEPTH; k < DEPTHS; ++k)
       sum += SMALLER(MAGNITUDE_OF(DIFFERENCE(n, k)), inside) * WHOLE / inside;
-    reach[n] = sum;
+    squares[n] = sum;
   }
   ALL_TOGETHER;
   FOR_ALL(side, SIDES) {
@@ -296,15 +353,34 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
       inside += DIFFERENCE(n, 0);
       beyond += DIFFERENCE(n, 1);
       for (int k = 0; k < 2; ++k) change += MAGNITUDE_OF(LEVEL(n, 0, k) - LEVEL(n, 1, k));
-      reach[start + some++] = reach[n];
+      squares[start + some++] = squares[n];
     }
     const bool read = some && 2 * some >= pairs[side];
     const float whole = (float)MAGNITUDE_OF(inside);
-    border[FOLLOWS_OF + side] = read && (float)change < 2.0f * passing * whole;
-    reaches[side] = read && (float)MAGNITUDE_OF(beyond) < passing * whole
-                        ? common_reach(reach + start, some)
-                        : UNSEEN;
-    border[REACH_OF + side] = reaches[side];
+    int reached = read && (float)MAGNITUDE_OF(beyond) < passing * whole
+                      ? common_reach(squares + start, some)
+                      : UNSEEN;
+    /* A line of corners past a side follows, though no sides of cells link it. One that is farther
+     * away, behind a bar, is counted alone: it may be another board's. */
+    bool follows = read && (float)change < 2.0f * passing * whole;
+    int further = 0;
+    for (int n = reached != UNSEEN; n < SPAN; ++n) {
+      const int on_line = ahead[side * SPAN + n];
+      if ((float)on_line < least_line * (float)LENGTH_OF(side)) continue;
+      further = LARGER(further, on_line);
+      follows |= !n && on_line;
+    }
+    border[FURTHER_OF + side] = further;
+    /* What reaches farther than a square is not the last one. */
+    const float reach = REACH(reached) * last_over_next(nodes, owner, side, height, width);
+    if (reached != UNSEEN && reach > 1 + STEP_OF_LEVELS) {
+      reached = UNSEEN;
+      any_longer = 1;
+    }
+    border[FOLLOWS_OF + side] = follows;
+    border[REACH_OF + side] = reached == UNSEEN ? UNSEEN : floor_of(WHOLE * reach);
+    reaches[side] = reached;
+    room[side] = room[side] && !follows;
   }
   /* The contrast of the pattern: that of the quartiles of a row of cells. */
   const int below = height / 2;
@@ -355,6 +431,7 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
         past = MAGNITUDE_OF(found) < MAGNITUDE_OF(past) ? found : past;
     }
     border[PAST_OF + side] = past;
+    border[ROOM_OF + side] = room[side] && !any_longer;
   }
   FOR_ALL(k, 4) border[STEPS_OF + k] = steps[k];
   if (get_local_id(0) == 0) border[CONTRAST_OF] = LARGER(high - low, 1);

@@ -207,10 +207,6 @@ bool is_beside_nodes(__global const float2 *at, const int place, const int width
   return IS_HERE(at[place + 1]) || IS_HERE(at[place - 1]) || IS_HERE(at[place + width]) ||
          IS_HERE(at[place - width]);
 }
-float length_of(const float2 v) {
-  const float squared = LARGER(v.x * v.x + v.y * v.y, 1e-6f);
-  return squared * inverse_root(squared);
-}
 Steps steps_of(__global const float2 *at, const int place, const int width) {
   Steps found;
   const bool across = step_of(at, place, width, 1, &found.u);
@@ -389,29 +385,6 @@ bool is_weak(__constant Nats *nats, const int width, const int place, __global c
   for (int r = -1; is_worst && r <= 1; ++r)
     for (int c = -1; c <= 1; ++c) is_worst &= own <= score[place + r * width + c];
   return is_worst;
-}
-
-/* The nearest corner within reach, the lower one of equals. */
-int nearest_corner(__global const float *corners, const uint capacity, __global const int *layout,
-                   __global const int *starts, __global const int *binned, const uint rows,
-                   const uint columns, const float2 at, const float reach, float *square) {
-  const int shift = layout[BIN_SHIFT], across = layout[BINS_ACROSS];
-  const float2 low = at - reach, high = at + reach;
-  const int top = BIN_ROW(low), bottom = BIN_ROW(high);
-  const int left = BIN_COLUMN(low), right = BIN_COLUMN(high);
-  int found = NONE;
-  *square = reach * reach;
-  for (int k = top; k <= bottom; ++k)
-    for (int n = starts[k * across + left]; n < starts[k * across + right + 1]; ++n) {
-      const int i = binned[n];
-      const float dx = POSITIONS(corners)[i].x - at.x, dy = POSITIONS(corners)[i].y - at.y;
-      const float own = dx * dx + dy * dy;
-      if (own < *square || (own == *square && i < found)) {
-        *square = own;
-        found = i;
-      }
-    }
-  return found;
 }
 
 /* A node that a missing place beside another may have: its corner, PLACE or NONE, its position, and

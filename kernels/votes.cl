@@ -37,7 +37,7 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
                          __global const float4 *restrict lines,
                          __global const int *restrict contrast, LEVELS_OF_IMAGE,
                          __global const float *restrict step, __global const int2 *restrict rims,
-                         __constant Way *ways, const int span, const float reach,
+                         __constant Way *ways, const float reach,
                          const float depth, const float depth_px, const int room,
                          __global int *restrict rims_and_votes, __global int *restrict votes) {
   const int n = get_global_id(0), count = rims_and_votes[0];
@@ -56,7 +56,7 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
     const Boundary far = boundary_along(lines[j], -dx, -dy);
     const float along = SMALLER(near.length, far.length), mean = 0.5f * (step[i] + step[j]);
     const float product = (float)contrast[i] * (float)contrast[j];
-    for (int m = 1; m <= span; ++m) {
+    for (int m = 1; m <= SPAN; ++m) {
       const Way way = ways[m - 1];
       if (!(along > way.cosine * length) || (near.side + far.side - m) & 1) continue;
       if (!(MAGNITUDE(length - (float)m * mean) < mean)) continue; /* a step off at most */

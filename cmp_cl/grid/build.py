@@ -71,19 +71,19 @@ def build_grid(
     """
     asked = asked_of(shape, like, previous)
     inside, found = _boards_of(corners, image, region, device)
-    return grid_of(found, corners, inside, asked, strict=strict)
+    return grid_of(found, corners, len(inside), asked, strict=strict)
 
 
 def grid_of(
     found: Iterable[Board],
     corners: Corners,
-    inside: Whole,
+    count: int,
     asked: Asked,
     *,
     strict: bool,
 ) -> Grid:
-    """Return the grid of the board that is meant; inside: (M,), corners that may belong to it."""
-    chosen, others = chosen_of(found_in(found, asked, corners, inside), asked, len(inside))
+    """Return the grid of the board that is meant; count: corners that may belong to it."""
+    chosen, others = chosen_of(found_in(found, asked), asked, count)
     if chosen is None:
         grid = empty_grid(len(corners), asked.shape, asked.like)
     else:
@@ -109,8 +109,7 @@ def build_grids(
     Raises the errors of `build_grid` for its arguments.
     """
     asked = asked_of(shape, None, None)
-    inside, every = _boards_of(corners, image, region, device)
-    found = found_in(every, asked, corners, inside)
+    found = found_in(_boards_of(corners, image, region, device)[1], asked)
     if shape is not None:
         found = [each for each in found if 2 * each.size >= shape[0] * shape[1]]
     return [placed(each, corners, asked, 0) for each in found]

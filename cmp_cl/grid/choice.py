@@ -8,11 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
-from cmp_cl.grid.further import with_further_lines
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
-from cmp_cl.lattice.arrays import NONE, Board, Border, Mask, Whole
+from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Mask
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.numbers import (
     Decision,
@@ -36,12 +34,10 @@ class Asked(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Found:
-    """A board in a view, upright; the number of its first node and how sure it is; the corners that
-    are none of its own and look like its next lines."""
+    """A board in a view, upright; the number of its first node and how sure it is."""
 
     board: Board
     decision: Decision
-    further: int
 
     @functools.cached_property
     def size(self) -> int:
@@ -93,16 +89,9 @@ class Found:
         return self.decision.best.nats > -K.end_nats
 
 
-def found_in(boards: Iterable[Board], asked: Asked, corners: Corners, inside: Whole) -> list[Found]:
-    """Return the boards of a view with their numbers, those of more corners first.
-
-    inside: (M,), the corners that may belong to them.
-    """
-    found = []
-    for board in boards:
-        if (board.owner >= 0).any():
-            board.border, further = with_further_lines(board, corners, inside)
-            found.append(Found(board, _decided(board, asked), further))
+def found_in(boards: Iterable[Board], asked: Asked) -> list[Found]:
+    """Return the boards of a view with their numbers, those of more corners first."""
+    found = [Found(board, _decided(board, asked)) for board in boards if (board.owner >= 0).any()]
     return sorted(found, key=lambda each: -each.size)
 
 
@@ -128,14 +117,13 @@ def _decided(board: Board, asked: Asked) -> Decision:
 @functools.lru_cache(maxsize=8)
 def reference_of(grid: Grid) -> Reference:
     """Return a grid as a reference for other views. The last few are kept for a recording."""
-    sides = np.zeros(4, np.bool_)
     board = Board(
         x=grid.xy[..., 0],
         y=grid.xy[..., 1],
         owner=np.where(np.isin(grid.status, MEASURED), 0, NONE),
         torn=grid.status == NodeStatus.ATTACHED,
         sign=1 - 2 * grid.parity,
-        border=Border(np.array(grid.reach), np.array(grid.past), sides, sides),
+        border=NOT_SEEN._replace(reach=np.array(grid.reach), past=np.array(grid.past)),
     )
     prints = prints_of(board.at, K.print_clip)
     return Reference(board, prints, grid.origin, not grid.ambiguous)
@@ -166,7 +154,9 @@ def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | Non
             f"{math.ceil(least)}; give the shape, a region, or a cut-out of the image"
         )
     complete = asked.shape is not None and chosen.size == math.prod(asked.shape)
-    return chosen, others or chosen.gap or (0 if complete else chosen.further)
+    return chosen, others or chosen.gap or (
+        0 if complete else int(chosen.board.border.further.sum())
+    )
 
 
 def _alike(found: list[Found]) -> tuple[Found, int]:

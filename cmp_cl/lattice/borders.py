@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from cmp_cl.lattice.plan import LatticePlan
 
 # In what is found, see kernels/borders.cl.
-ROWS, COLUMNS, SIGN, CONTRAST, ROOM, FOLLOWS, REACH, PAST, STEPS, FOUND = (
+ROWS, COLUMNS, SIGN, CONTRAST, ROOM, FOLLOWS, REACH, PAST, STEPS, FURTHER, FOUND = (
     *(0, 1, 2, 3),
-    *(4, 8, 12, 16, 20, 24),
+    *(4, 8, 12, 16, 20, 24, 28),
 )
 UNSEEN = -(2**31)
 WHOLE = 4096  # a share of 1
@@ -32,16 +32,16 @@ SPOTS = 3  # levels in a sum
 def border_of(found: NDArray[np.int32], k: LatticeConstants) -> Border:
     """Return the sides of a board from what the kernels found."""
     values = [math.nan if value == UNSEEN else value for value in found.tolist()]
-    steps = 1.5 + np.array(values[REACH:PAST]) * (0.5 / WHOLE)  # as REACH in the kernel
+    reach = np.array(values[REACH:PAST], np.float64) / WHOLE
     past = np.array(values[PAST:STEPS], np.float64) / (SPOTS * values[CONTRAST])
     follows, room = (np.array(values[n : n + 4], np.bool_) for n in (FOLLOWS, ROOM))
-    return Border(k.border_step_cells * steps, past, follows, room)
+    return Border(reach, past, follows, room, found[FURTHER:FOUND].astype(np.int64))
 
 
 def upright(found: NDArray[np.int32]) -> int:
     """Return the quarter turns after which the columns of a board follow the image's x axis, from
     what the kernels found."""
-    x, y, x_down, y_down = found[STEPS:FOUND].tolist()
+    x, y, x_down, y_down = found[STEPS:FURTHER].tolist()
     along, down = complex(x, y), complex(x_down, y_down)
     along, down = along or -1j * down, down or 1j * along
     away = [abs(cmath.phase(way)) for way in (along, down, -along, -down)]
@@ -62,13 +62,14 @@ def sizes(plan: "LatticePlan") -> dict[str, int]:
 def cut(plan: "LatticePlan") -> Launch:
     """Return the launch from a board with margins to one without, see `trimmed` of the oracle."""
     k, b = plan.constants, plan.buffers
-    names = ("layout", "result", "owner", "rough", "nodes", "node_owner", "node_rough", "border")
+    names = ("layout", "result", "owner", "rough", "used")
+    cut_to = ("nodes", "node_owner", "node_rough", "border")
     return plan.one_group(
         "cut_board",
         **plan.size,
         least_line=np.float32(k.least_line),
         edge=np.float32(k.contrast_radius_px),
-        **{name: b[name] for name in names},
+        **{name: b[name] for name in names + cut_to},
     )
 
 
@@ -80,7 +81,12 @@ def measure(plan: "LatticePlan") -> Launch:
         image=b["image"],
         step=np.uint32(plan.step),
         **plan.size,
+        **plan.corners,
+        **{name: b[name] for name in ("lines", "layout", "starts", "binned", "used")},
         passing=np.float32(k.passing),
+        least_line=np.float32(k.least_line),
+        least_cosine=np.float32(k.least_cosine),
+        beside=np.float32(k.reach_cells),
         nodes=b["nodes"],
         owner=b["node_owner"],
         row_levels=b["key"],

@@ -166,6 +166,7 @@ class LatticePlan(Binder):
             "EDGES_FIELD": EDGES.start,
             "METHOD_FIELD": METHOD,
             "SIDE_STEP": 4 // (len(k.side_points) - 1),
+            "SPAN": k.span,
         }
 
     def _sizes(self, *, own: bool) -> dict[str, int]:

@@ -35,7 +35,6 @@ def launches(plan: "LatticePlan", room: int) -> list[Launch]:
             step=b["step"],
             rims=b["rims"],
             ways=plan.constant(ways(plan)),
-            span=np.int32(k.span),
             reach=np.float32(k.span + 0.5),
             depth=np.float32(k.side_depth_cells),
             depth_px=np.float32(k.side_depth_px),

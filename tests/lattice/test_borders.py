@@ -11,6 +11,8 @@ from cmp_cl.lattice import borders
 from cmp_cl.lattice.arrays import NONE, Board
 from cmp_cl.lattice.borders import CONTRAST, UNSEEN, border_of
 from cmp_cl.lattice.nodes import LAYOUT
+from cmp_cl.reference.harmonic import smoothed
+from cmp_cl.reference.lattice import parts
 from cmp_cl.reference.lattice.borders import Sides, trimmed
 
 
@@ -26,13 +28,16 @@ def part_of(board, box):
     return Board(**arrays, sign=1)
 
 
-def assert_equal_to_the_oracle(plan, board, image):
+def assert_equal_to_the_oracle(plan, board, image, corners):
     plan.write("border", np.array(board.owner.shape, np.int32))
     plan.write("nodes", np.stack([board.x, board.y], axis=2))
     plan.write("node_owner", board.owner.astype(np.int32))
+    plan.write("used", np.isin(np.arange(len(corners)), board.owner))
     plan.enqueue(plan.measure)
     found = plan.read("border", np.int32)
-    border, sides = border_of(found, K), Sides(board, image, K)
+    plane = smoothed(image, plan.full_scale)[0]
+    directed = parts.directed(plane, corners.xy, corners.edges, K)
+    border, sides = border_of(found, K), Sides(board, image, directed, K)
     assert found[CONTRAST:].tolist() == sides.found()
     np.testing.assert_array_equal(border.ends, sides.reach != UNSEEN)
     return border
@@ -41,16 +46,18 @@ def assert_equal_to_the_oracle(plan, board, image):
 @pytest.mark.parametrize("bits", [8, 12])
 def test_a_whole_gel_ends_at_all_sides(device, bits):
     image = gel(0.5, bits=bits)
-    plan, board = settled(device, image, detect(image), 2**bits - 1)
-    border = assert_equal_to_the_oracle(plan, board, image)
+    corners = detect(image)
+    plan, board = settled(device, image, corners, 2**bits - 1)
+    border = assert_equal_to_the_oracle(plan, board, image, corners)
     assert border.ends.all()
     np.testing.assert_allclose(border.reach, 1, atol=0.1)
 
 
 def test_where_cells_follow_no_pattern_ends(device):
     image = gel(0.5)
-    plan, board = settled(device, image, detect(image))
-    border = assert_equal_to_the_oracle(plan, part_of(board, np.s_[5:, 4:-4]), image)
+    corners = detect(image)
+    plan, board = settled(device, image, corners)
+    border = assert_equal_to_the_oracle(plan, part_of(board, np.s_[5:, 4:-4]), image, corners)
     assert border.follows.tolist() == [True, False, True, True]
     assert border.ends.tolist() == [False, True, False, False]
 
@@ -61,13 +68,14 @@ def test_parts_of_boards(device, seed):
     draw = np.random.default_rng(seed)
     top, left = draw.integers(0, 60, 2)
     image = np.ascontiguousarray(gel(1.0, seed=seed)[top:, left : left + 200])
-    plan, board = settled(device, image, detect(image))
+    corners = detect(image)
+    plan, board = settled(device, image, corners)
     for share in (0.0, 0.05, 0.3):
         first, last = np.sort(draw.integers(0, min(board.owner.shape), (2, 2)), axis=0)
         box = np.s_[first[0] : last[0] + 2, first[1] : last[1] + 2]
         nodes = draw.random(board.owner.shape) >= share
         part = part_of(dataclasses.replace(board, owner=np.where(nodes, board.owner, NONE)), box)
-        assert_equal_to_the_oracle(plan, part, image)
+        assert_equal_to_the_oracle(plan, part, image, corners)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -71,7 +71,8 @@ def assert_equal_to_the_oracle(device, image, corners, *, change=None):
         plane, corners.xy, torn, board_of(alone(numbers), corners.xy, torn), K
     )
     wanted = borders.trimmed(wanted, image.shape, K)
-    sides = borders.Sides(wanted, image, K)
+    directed = lattice.directed(plane, corners.xy, corners.edges, K)
+    sides = borders.Sides(wanted, image, directed, K)
     seen = plan.read("border", np.int32)
     assert seen[CONTRAST:].tolist() == sides.found()
     wanted = wanted.turned(upright(seen))

@@ -13,7 +13,16 @@ from cmp_cl.image import GreyImage
 from cmp_cl.lattice.arrays import Board
 from cmp_cl.lattice.borders import UNSEEN, WHOLE
 from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.reference.lattice.parts import F, Mask, Real, Whole
+from cmp_cl.reference.lattice.nodes import inverse, nearest_corner
+from cmp_cl.reference.lattice.parts import (
+    Directed,
+    F,
+    Mask,
+    Real,
+    Whole,
+    boundary,
+    length_of,
+)
 
 PAIRS = 16  # pairs of neighbouring squares of a side that are read
 DEPTHS = range(2, 10)  # steps, where the last squares may end
@@ -69,36 +78,52 @@ def _ways(a: NDArray[Any]) -> list[NDArray[Any]]:
 class Sides:
     """What is seen at the sides of a board, (4,) each: top, bottom, left, right.
 
-    room: most places of a further line lie in the image. follows: cells follow. reach: of the last
-    squares beyond the last nodes, 1.5 steps and as many of .5 / 4096 more, UNSEEN where the
-    pattern is not seen to end. past: the sum of three levels beyond the line of a border, past the
-    pattern, less that of three within, UNSEEN where that is not seen. contrast: that of the
-    pattern. steps: sums of the steps to the next column, x and y, and to the next row, 1/32 px.
+    room: most places of a further line lie in the image, and it can be seen that there is none.
+    follows: cells follow, or corners that could be linked. reach: of the last squares beyond the
+    last nodes, 1/4096 cell, UNSEEN where the pattern is not seen to end. past: the sum of three
+    levels beyond the line of a border, past the pattern, less that of three within, UNSEEN where
+    that is not seen. contrast: that of the pattern. steps: sums of the steps to the next column, x
+    and y, and to the next row, 1/32 px. further: corners on a line that follows, and are no nodes.
     """
 
-    def __init__(self, board: Board, image: GreyImage, k: LatticeConstants) -> None:
+    def __init__(
+        self, board: Board, image: GreyImage, corners: Directed, k: LatticeConstants
+    ) -> None:
         there = board.owner >= 0
-        self.image, self.k = image, k
+        self.image, self.corners, self.k = image, corners, k
+        self.free = np.ones(len(corners.x), np.bool_)
+        self.free[board.owner[there]] = False
         self.x = np.where(there, board.x, F(np.nan))
         self.y = np.where(there, board.y, F(np.nan))
         self.ways = list(zip(_ways(self.x), _ways(self.y), strict=True))
         self.room = np.array([self._has_room(*way) for way in self.ways])
         self.follows, self.reach = np.zeros(4, np.bool_), np.full(4, UNSEEN)
-        self.past, self.contrast = np.full(4, UNSEEN), 1
+        self.past, self.further, self.contrast = np.full(4, UNSEEN), np.zeros(4, np.int64), 1
         steps = [np.diff(each, axis=axis) for axis in (1, 0) for each in (self.x, self.y)]
         self.steps = [int(np.floor(F(32) * d[~np.isnan(d)] + F(0.5)).sum()) for d in steps]
         if min(there.shape) < 2:
             return
-        for n, way in enumerate(self.ways):
-            self.follows[n], self.reach[n] = self._read(*way)
+        reach = np.zeros(4, np.float32)
+        for n, (way, owner) in enumerate(zip(self.ways, _ways(board.owner), strict=True)):
+            self.follows[n], reach[n] = self._read(*way)
+            line = F(self.k.least_line) * F(way[0].shape[1])
+            leading = np.array(self._leading(*way, owner)) * [reach[n] == 0, *[True] * (k.span - 1)]
+            leading[F(1) * leading < line] = 0
+            self.follows[n] |= leading[0] > 0
+            self.further[n] = leading.max()
+        cells = reach * np.array([self._last_over_next(*way) for way in self.ways])
+        longer = cells > F(1) + F(k.border_step_cells)
+        reach[longer] = 0
+        self.reach = np.where(reach > 0, np.floor(F(WHOLE) * cells), UNSEEN).astype(np.int64)
+        self.room &= ~(self.follows | longer.any())
         levels = self._levels_of_a_row()
         if len(levels):
             low, high = levels[len(levels) // 4], levels[3 * len(levels) // 4]
             self.contrast = max(high - low, 1)
         if len(levels) >= 2:
             for n, way in enumerate(self.ways):
-                others = self.reach[2:] if n < 2 else self.reach[:2]
-                self.past[n] = self._past(*way, self.reach[n], others)
+                others = reach[2:] if n < 2 else reach[:2]
+                self.past[n] = self._past(*way, reach[n], others)
 
     def found(self) -> list[int]:
         """Return all in the order of the kernel, after rows, columns and sign."""
@@ -109,6 +134,7 @@ class Sides:
             *self.reach.tolist(),
             *self.past.tolist(),
             *self.steps,
+            *self.further.tolist(),
         ]
 
     def _in_view(self, x: Real, y: Real) -> Mask:
@@ -136,8 +162,8 @@ class Sides:
             inside += bool(self._in_view(x1 + far * (x1 - x2), y1 + far * (y1 - y2)))
         return 2 * inside > known
 
-    def _read(self, x: Real, y: Real) -> tuple[bool, int]:
-        """Return whether cells follow at a side, and its reach."""
+    def _read(self, x: Real, y: Real) -> tuple[bool, np.float32]:
+        """Return whether cells follow at a side, and its reach in last steps, 0 where unseen."""
         middle, out, along = [], [], []
         for a in (x, y):
             middles = F(0.5) * (a[:2, 1:] + a[:2, :-1])
@@ -160,7 +186,7 @@ class Sides:
         near = bool(2 * np.count_nonzero(seen[0]) < asked)
         both = both[seen[near]]
         if not len(both) or 2 * len(both) < asked:
-            return False, UNSEEN
+            return False, F(0)
         step = F(self.k.border_step_cells)
         depths = [F(-0.5), cells[near], *(step * F(n) for n in DEPTHS)]
         spots = [step * F(n) for n in (-1, 0, 1)]
@@ -169,8 +195,42 @@ class Sides:
         change = int(np.abs(level[0] - level[1]).sum())
         follows = bool(F(change) < F(2) * F(self.k.passing) * F(inside))
         if not F(beyond) < F(self.k.passing) * F(inside):
-            return follows, UNSEEN
-        return follows, self._common(np.abs(level[..., 0] - level[..., 1]))
+            return follows, F(0)
+        reach = self._common(np.abs(level[..., 0] - level[..., 1]))
+        return follows, F(0) if reach == UNSEEN else step * (F(1.5) + F(reach) * F(0.5 / WHOLE))
+
+    def _last_over_next(self, x: Real, y: Real) -> np.float32:
+        """Return the step of the last two lines, in cells that lie past it, if steps grow on."""
+        dx, dy = x[:2] - x[1:3], y[:2] - y[1:3]
+        known = ~np.isnan(dx).any(axis=0)
+        if len(x) < 3 or not known.any():
+            return F(1)
+        steps = np.floor(F(32) * self._length(dx[:, known], dy[:, known]) + F(0.5))
+        last, before = steps.sum(axis=1, dtype=np.int64).astype(np.float32)[:, None]
+        return F((before * inverse(last))[0])
+
+    def _leading(self, x: Real, y: Real, owner: Whole) -> list[int]:
+        """Return how many places of each of the next lines have a corner of no node that a way
+        could join: boundaries point to each other, of unlike colours if the steps are odd."""
+        k, corners, found = self.k, self.corners, []
+        for steps in range(1, k.span + 1):
+            ox, oy = x[0] - x[1], y[0] - y[1]
+            px, py = x[0] + F(steps) * ox, y[0] + F(steps) * oy
+            some = np.flatnonzero(~np.isnan(px) & self._in_view(px, py))
+            own, far = owner[0][some], F(k.reach_cells) * self._length(ox[some], oy[some])
+            other, square = nearest_corner(corners.x, corners.y, px[some], py[some])
+            dx, dy = corners.x[other] - x[0][some], corners.y[other] - y[0][some]
+            s, one = boundary(corners.angle[own], dx, dy)
+            t, two = boundary(corners.angle[other], -dx, -dy)
+            leads = (square < far * far) & self.free[other] & ((s + t + steps) % 2 == 0)
+            leads &= corners.known[own] & corners.known[other]
+            leads &= np.minimum(one, two) > F(k.least_cosine) * self._length(dx, dy)
+            found.append(int(np.count_nonzero(leads)))
+        return found
+
+    @staticmethod
+    def _length(x: Real, y: Real) -> Real:
+        return length_of(np.maximum(x * x + y * y, F(1e-6)))
 
     @staticmethod
     def _common(contrast: Whole) -> int:
@@ -191,11 +251,11 @@ class Sides:
         there = ~np.isnan(x)
         return np.sort(self._grey(x[there], y[there]))
 
-    def _past(self, x: Real, y: Real, reach: int, others: Whole) -> int:
+    def _past(self, x: Real, y: Real, reach: Any, others: Real) -> int:
         """Return the smaller of the differences at both ends of a side, 0 if their signs differ."""
         found = []
         for end, inner, other in ((0, 1, others[0]), (-1, -2, others[1])):
-            if UNSEEN in (reach, other):
+            if 0 in (reach, other):
                 continue
             out, along = (
                 [a[0, end] - b for a, b in ((x, x[at]), (y, y[at]))]
@@ -203,11 +263,10 @@ class Sides:
             )
             levels = []
             step = F(self.k.border_step_cells)
-            across, ahead = (step * (F(1.5) + F(each) * F(0.5 / WHOLE)) for each in (reach, other))
             for aside in (F(-2) * step, F(2) * step):
-                on = [ahead + step * F(2 * n) for n in (1, 2, 3)]
+                on = [other + step * F(2 * n) for n in (1, 2, 3)]
                 px, py = (
-                    np.array([(a[0, end] + (across + aside) * o) + each * s for each in on])
+                    np.array([(a[0, end] + (reach + aside) * o) + each * s for each in on])
                     for a, o, s in ((x, out[0], along[0]), (y, out[1], along[1]))
                 )
                 if self._in_view(px, py).all():

@@ -301,7 +301,7 @@ def settled(
         new_owner = np.full(there.shape, NONE)
         new_torn = np.zeros(there.shape, np.bool_)
         cell = now.steps.cell[row, column]
-        nearest, square = _nearest(xy, px[row, column], py[row, column])
+        nearest, square = nearest_corner(xy[:, 0], xy[:, 1], px[row, column], py[row, column])
         used = np.zeros(len(xy), np.bool_)
         used[board.owner[board.owner >= 0]] = True
         reach = F(k.reach_cells) * cell
@@ -355,14 +355,14 @@ def dropped(plane: Plane, board: Board, k: LatticeConstants) -> Board:
         )
 
 
-def _nearest(xy: NDArray[np.float32], x: Real, y: Real) -> tuple[Whole, Real]:
+def nearest_corner(corner_x: Real, corner_y: Real, x: Real, y: Real) -> tuple[Whole, Real]:
     """Return the nearest corner to each point, the lower index of equals, and its squared
     distance."""
     best: Whole = np.zeros(len(x), np.int64)
     least = np.full(len(x), np.inf, np.float32)
     for first in range(0, len(x), 1024):
         some = np.s_[first : first + 1024]
-        dx, dy = xy[:, 0] - x[some, None], xy[:, 1] - y[some, None]
+        dx, dy = corner_x - x[some, None], corner_y - y[some, None]
         square = np.where(np.isnan(dx), np.inf, dx * dx + dy * dy)
         best[some] = square.argmin(axis=1)
         least[some] = square.min(axis=1)

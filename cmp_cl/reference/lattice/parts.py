@@ -190,8 +190,8 @@ def links(plane: NDArray[np.integer], corners: Directed, constants: LatticeConst
     dx, dy = corners.x[j] - corners.x[i], corners.y[j] - corners.y[i]
     square = dx * dx + dy * dy
     length = length_of(np.maximum(square, F(1)))
-    s, along_i = _boundary(corners.angle[i], dx, dy)
-    t, along_j = _boundary(corners.angle[j], -dx, -dy)
+    s, along_i = boundary(corners.angle[i], dx, dy)
+    t, along_j = boundary(corners.angle[j], -dx, -dy)
     straight = F(constants.least_cosine) * length
     good = (square >= 1) & (along_i > straight) & (along_j > straight) & ((s + t) % 2 == 1)
     cost = length + F(constants.turn_price) * ((length + length) - (along_i + along_j))
@@ -210,7 +210,7 @@ def links(plane: NDArray[np.integer], corners: Directed, constants: LatticeConst
     return np.where(choice >= 0, twin, -1)
 
 
-def _boundary(angle: Whole, dx: Real, dy: Real) -> tuple[Whole, Real]:
+def boundary(angle: Whole, dx: Real, dy: Real) -> tuple[Whole, Real]:
     """Return the boundary nearest to a chord, and the chord's length along it."""
     (across_0, down_0), (across_1, down_1) = unit(angle[:, 0]), unit(angle[:, 1])
     along_0, along_1 = across_0 * dx + down_0 * dy, across_1 * dx + down_1 * dy

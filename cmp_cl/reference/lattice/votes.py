@@ -10,7 +10,7 @@ from cmp_cl.reference.lattice.parts import (
     F,
     Real,
     Whole,
-    _boundary,
+    boundary,
     inverse_root,
     length_of,
     read,
@@ -59,8 +59,8 @@ def votes(
     a, b = units.corner[first], units.corner[second]
     dx, dy = corners.x[b] - corners.x[a], corners.y[b] - corners.y[a]
     length = length_of(np.maximum(dx * dx + dy * dy, F(1)))
-    s, along_a = _boundary(corners.angle[a], dx, dy)
-    t, along_b = _boundary(corners.angle[b], -dx, -dy)
+    s, along_a = boundary(corners.angle[a], dx, dy)
+    t, along_b = boundary(corners.angle[b], -dx, -dy)
     along = np.minimum(along_a, along_b)
     mean = F(0.5) * (step[a] + step[b])
     found = []
