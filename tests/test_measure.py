@@ -193,7 +193,7 @@ def test_a_view_is_measured_against_the_view_at_rest():
     assert against_rest.unit == "px"
     assert still.largest < 1e-6  # px, of single precision
     assert still.nodes == against_rest.nodes == 144
-    np.testing.assert_array_equal(still.grids[0].xy, against_rest.rest_grid.xy)
+    np.testing.assert_array_equal(still.grids[0].xy, against_rest.rest_grids[0].xy)
     assert moved.largest > 1
     assert (empty.nodes, empty.largest) == (0, 0)
     assert np.isnan(empty.field.displacement).all()

@@ -2,9 +2,9 @@
 
 import argparse
 import contextlib
-import dataclasses
 import sys
-from collections.abc import Generator
+from collections import deque
+from collections.abc import Generator, Iterator
 from typing import Any
 
 from cmp_cl.cli.arguments import (
@@ -12,13 +12,16 @@ from cmp_cl.cli.arguments import (
     add_full_scale,
     add_split,
     check_files,
+    check_split,
+    check_suffix,
     grid_shape,
+    positive_number,
     split_of,
 )
 from cmp_cl.cli.messages import Progress, counted, one_line, shown, tell
-from cmp_cl.cli.running import results, sources
-from cmp_cl.cli.running.pipeline import Pace, ahead
+from cmp_cl.cli.running.pace import Pace, ahead
 from cmp_cl.cli.running.results import Results
+from cmp_cl.cli.running.sources import at_rest, opened, why_left_out
 from cmp_cl.cli.running.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import CmpClError, ConfigError, GridError
@@ -27,7 +30,9 @@ from cmp_cl.measure import Measured, OneView, TwoViews
 from cmp_cl.media import Frame
 from cmp_cl.media.cameras import Pairs, Source
 from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.series import SERIES_SUFFIXES
 from cmp_cl.space import StereoRig
+from cmp_cl.viz.plots import new_figure
 
 _LINES_OF_BROKEN = 8  # broken frames that are reported one by one; the others are only counted
 
@@ -42,16 +47,9 @@ def add_parser(commands: Any) -> None:
         "Frames that cannot be read, or that a camera misses, are left out and counted; in frames "
         "without the pattern all nodes are missing. Ctrl-C ends the run and saves what has been "
         "measured.",
+        epilog="docs/formats.md lists the arrays of a series.",
     )
-    group = parser.add_argument_group("input")
-    sources.add_arguments(group)
-    group.add_argument(
-        "--rest-frame",
-        metavar="N",
-        type=int,
-        default=0,
-        help="number of the frame at rest, from 0; a camera's frames before it are dropped",
-    )
+    _add_input(parser.add_argument_group("input"))
     group = parser.add_argument_group("pattern")
     group.add_argument(
         "--grid",
@@ -66,14 +64,89 @@ def add_parser(commands: Any) -> None:
         "frame; it must move by less than half a cell from frame to frame, and from rest to the "
         "first one",
     )
-    results.add_arguments(parser.add_argument_group("output"))
+    _add_output(parser.add_argument_group("output"))
     group = parser.add_argument_group("rarely needed")
     add_split(group)
     group.add_argument("--config", metavar="TOML", help="settings of the detector")
     add_full_scale(group)
     add_device(group)
-    parser.epilog = "docs/formats.md lists the arrays of a series."
     parser.set_defaults(run=run)
+
+
+def _add_input(group: Any) -> None:
+    group.add_argument(
+        "source",
+        metavar="SOURCE",
+        nargs="?",
+        help="video, folder of images, image, number of a camera, device such as "
+        "/dev/video0, or address such as rtsp://camera/stream",
+    )
+    group.add_argument(
+        "--stereo",
+        metavar="YAML",
+        help="the calibration of two views; SOURCE shows both in each frame",
+    )
+    group.add_argument(
+        "--left", metavar="SOURCE", help="with --stereo: the left view, in place of SOURCE"
+    )
+    group.add_argument("--right", metavar="SOURCE", help="the right view")
+    group.add_argument(
+        "--set",
+        metavar="NAME=VALUE",
+        type=_setting,
+        action="append",
+        default=[],
+        help="a setting of the camera, given once for each, such as frame_width=1280, "
+        "frame_height=720, fps=60, fourcc=MJPG or exposure=50: a property CAP_PROP_NAME of OpenCV",
+    )
+    group.add_argument(
+        "--rest-frame",
+        metavar="N",
+        type=int,
+        default=0,
+        help="number of the frame at rest, from 0; a camera's frames before it are dropped",
+    )
+
+
+def _add_output(group: Any) -> None:
+    group.add_argument(
+        "--out",
+        metavar="FILE",
+        required=True,
+        help="the series: .npz, .h5, .csv, .pvd (ParaView), .mcap (ROS 2), or - for JSON lines on "
+        "standard output; until it is complete, and after a kill, it is FILE.part",
+    )
+    group.add_argument(
+        "--cell",
+        metavar="SIDE",
+        type=positive_number,
+        help="for one view of a flat pattern: side of its cells at rest, mm; lengths are then mm "
+        "in its plane",
+    )
+    group.add_argument(
+        "--strain",
+        action="store_true",
+        help="add the Green-Lagrange strain of each node, the principal strains and their "
+        "direction, each with its sigma; with one view in the plane, with two in the surface",
+    )
+    group.add_argument(
+        "--plot",
+        metavar="NAME",
+        help="write NAME.png, a sheet of maps and curves, and NAME.mp4, the annotated video of the "
+        "(left) view",
+    )
+    group.add_argument(
+        "--show",
+        action="store_true",
+        help="show the annotated (left) view live in a browser, at an address that is printed",
+    )
+
+
+def _setting(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not (name and equals and value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE such as fps=60")
+    return name, value
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -82,28 +155,32 @@ def run(arguments: argparse.Namespace) -> int:
     config = None if arguments.config is None else DetectorConfig.load(arguments.config)
     rig = None if arguments.stereo is None else StereoRig.load(arguments.stereo)
     device = select_device(arguments.device)
-    source, stop = sources.opened(arguments), Stop()
-    check_files([*source.paths, arguments.config, arguments.stereo], results.outputs(arguments))
-    rest, frames = sources.at_rest(source, arguments.rest_frame)
+    source, stop = opened(arguments), Stop()
+    pictures = [f"{arguments.plot}{suffix}" for suffix in (".png", ".mp4") if arguments.plot]
+    series = [] if arguments.out == "-" else [arguments.out]
+    check_files([*source.paths, arguments.config, arguments.stereo], [*series, *pictures])
+    rest, frames = at_rest(source, arguments.rest_frame)
+    settings = {
+        "source": source.name,
+        "rest_frame": str(arguments.rest_frame),
+        "device": str(device),
+        "configuration": repr(config) if config else "for the cells seen at rest",
+    }
     failed: list[Exception] = []
     with contextlib.ExitStack() as stack:
         stack.enter_context(handled(stop))
         measure = _measurement(arguments, source, rest, config, rig, device)
         stack.enter_context(measure)
-        _tell_doubts(arguments.rest_frame, measure)
-        settings = {
-            "source": source.name,
-            "rest_frame": str(arguments.rest_frame),
-            "device": str(device),
-            "configuration": repr(config) if config else "for the cells seen at rest",
-        }
-        in_air = rig is not None and rig.window is None
-        found = stack.enter_context(
-            Results(
-                arguments, measure, settings=settings, period_ms=source.period_ms, in_air=in_air
-            )
+        found = Results(
+            measure,
+            arguments.out,
+            pictures,
+            show=arguments.show,
+            settings=settings,
+            period_ms=source.period_ms,
         )
-        pace = Pace("the camera" if source.live else "decoding", "measuring", "writing")
+        stack.enter_context(found)
+        pace = Pace("the camera" if source.live else "decoding")
         try:
             _flow(arguments.rest_frame, source, rest, frames, measure, found, pace, stop)
         except (CmpClError, OSError) as error:
@@ -112,16 +189,19 @@ def run(arguments: argparse.Namespace) -> int:
             failed.append(error)
         if stop.name and not found.frames:  # an older series stays
             raise KeyboardInterrupt
-        pace.stages[-1].work(found.complete)
-        speed = f"{pace.line(found.frames)}; measured on {device}"
+        found.complete()
+        pace.lap("writing")
+        lengths = "" if rig or arguments.cell else " in the image: --stereo or --cell give lengths"
+        if rig and rig.window is None:
+            lengths = ", depth as in air: calibrate --window is for acrylic or gel"
+        said = f"{found.line(lengths)}; {pace.line(found.frames)}; measured on {device}"
         pictures = found.pictures()
-    report = sys.stderr if arguments.out == "-" else sys.stdout
-    stopped = f"stopped by {stop.name}; " if stop.name else ""
-    alone = ""
     if isinstance(source, Pairs) and any(source.alone):
         left, right = source.alone
-        alone = f"; {left} left and {right} right frames without a partner"
-    print(f"{stopped}wrote {shown(arguments.out)}: {found.line()}; {speed}{alone}", file=report)
+        said += f"; {left} left and {right} right frames without a partner"
+    report = sys.stderr if arguments.out == "-" else sys.stdout
+    stopped = f"stopped by {stop.name}; " if stop.name else ""
+    print(f"{stopped}wrote {shown(arguments.out)}: {said}", file=report)
     for picture in pictures:
         print(f"wrote {shown(picture)}", file=report)
     if found.ambiguous:
@@ -134,13 +214,25 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    """Raise ConfigError if the options do not fit together."""
+    """Raise ConfigError if the options do not fit together, or need what is not installed."""
+    two = arguments.left is not None or arguments.right is not None
+    if two == (arguments.source is not None):
+        raise ConfigError("give SOURCE, or --left and --right")
+    if two and (arguments.left is None or arguments.right is None or arguments.stereo is None):
+        raise ConfigError("--left and --right need each other, and --stereo")
+    check_split(arguments, both=arguments.stereo is not None and not two)
     if arguments.rest_frame < 0:
         raise ConfigError(f"--rest-frame must be 0 or more, not {arguments.rest_frame}")
-    sources.check(arguments)
-    results.check(arguments)
-    if arguments.out == "-" and sys.__stdout__ is None:
+    if arguments.cell is not None and arguments.stereo is not None:
+        raise ConfigError(
+            "--cell is for one view; with --stereo, the calibration gives the unit of length"
+        )
+    if arguments.out != "-":
+        check_suffix("--out", arguments.out, *SERIES_SUFFIXES)
+    elif sys.__stdout__ is None:
         raise ConfigError("--out - needs standard output, which is closed")
+    if arguments.plot is not None:
+        new_figure((1, 1))  # matplotlib is missed now, not after the recording
 
 
 def _measurement(
@@ -151,7 +243,7 @@ def _measurement(
     rig: StereoRig | None,
     device: Device,
 ) -> OneView | TwoViews:
-    """Return the measurement of frames against this frame at rest.
+    """Return the measurement of frames against this frame at rest, and tell the doubts about it.
 
     Raises GridError if it shows no pattern.
     """
@@ -166,18 +258,25 @@ def _measurement(
         "track": arguments.track,
         "strain": arguments.strain,
     }
+    where = f"frame {arguments.rest_frame}, the frame at rest"
+    measure: OneView | TwoViews
     try:
         if rig is None:
             hint = "; frames of two views need --stereo"
-            return OneView(rest, cell=arguments.cell, **search)
-        return TwoViews(rest, rig, split_of(arguments, rest.shape), **search)
+            measure = OneView(rest, cell=arguments.cell, **search)
+        else:
+            measure = TwoViews(rest, rig, split_of(arguments, rest.shape), **search)
     except GridError as error:
-        at_rest = f"frame {arguments.rest_frame}, the frame at rest"
-        raise GridError(f"{at_rest}: {error}{hint}") from error
+        raise GridError(f"{where}: {error}{hint}") from error
+    views = ("",) if rig is None else ("the left view: ", "the right view: ")
+    for view, grid in zip(views, measure.rest_grids, strict=True):
+        for doubt in grid.doubts:
+            tell(f"{where}: {view}{doubt}")
+    return measure
 
 
 def _flow(
-    at_rest: int,
+    rest_frame: int,
     source: Source | Pairs,
     rest: GreyImage,
     frames: Generator[Frame, None, None],
@@ -186,40 +285,47 @@ def _flow(
     pace: Pace,
     stop: Stop,
 ) -> None:
-    """Measure each frame, while the next are decoded and those before are written.
+    """Measure each frame, while the next ones are decoded, and write it.
 
     Whatever ends it, all that was measured is written.
     """
-    decoding, measuring, writing = pace.stages
-
-    def measured(frames: Generator[Frame, None, None]) -> Generator[tuple[Frame, Measured | None]]:
-        for frame in frames:
-            image, result = frame.image, None
-            if stop.name:
-                return
-            if image is None or (image.shape, image.dtype) != (rest.shape, rest.dtype):
-                measure.skip()
-            else:
-                result = measuring.work(measure, image)
-                if frame.index == at_rest:  # the others have its numbers
-                    result = dataclasses.replace(result, ambiguous=False)
-            yield frame, result
-
+    begun: deque[Frame] = deque()  # that are measured
     with (
-        contextlib.closing(ahead(decoding.each(frames))) as decoded,
-        contextlib.closing(ahead(measured(decoded))) as results,
+        contextlib.closing(ahead(frames)) as decoded,
         Progress(source.total, "frames") as progress,
     ):
+
+        def images() -> Iterator[GreyImage | None]:
+            while not stop.name:
+                pace.lap("measuring")
+                frame = next(decoded, None)
+                pace.lap(pace.source)
+                if frame is None:
+                    return
+                begun.append(frame)
+                image = frame.image
+                alike = image is not None and (image.shape, image.dtype) == (rest.shape, rest.dtype)
+                yield image if alike else None
+
+        def alone(image: GreyImage | None) -> Measured | None:
+            return measure.skip() if image is None else measure(image)
+
+        # A stream gives a frame when the next one is there, for which a camera would let it wait.
+        results = map(alone, images()) if source.live else measure.stream(images())
         try:
-            for frame, result in results:
+            for result in results:
+                pace.lap("measuring")
+                frame = begun.popleft()
                 progress.step(pace.limit)
                 if result is not None:
-                    writing.work(found.write, frame, result)
+                    # The others have the numbers of the frame at rest.
+                    ambiguous = result.ambiguous and frame.index != rest_frame
+                    found.write(frame, result, ambiguous=ambiguous)
+                    pace.lap("writing")
                     continue
                 found.left_out += 1
                 if found.left_out <= _LINES_OF_BROKEN:
-                    why = sources.why_left_out(frame, rest, live=source.live)
-                    progress.tell(why)
+                    progress.tell(why_left_out(frame, rest, live=source.live))
         finally:
             ignore()  # no signal stops the end of what is written
 
@@ -237,14 +343,3 @@ def _about_ambiguous(count: int, *, track: bool) -> str:
         "displacements of such a frame may be wrong by whole cells, so trust none of them (the "
         f"array `ambiguous` says which frames); {cure}"
     )
-
-
-def _tell_doubts(number: int, measure: OneView | TwoViews) -> None:
-    """Print the doubts about the frame at rest, whose number that is."""
-    if isinstance(measure, OneView):
-        views = {"": measure.rest_grid}
-    else:
-        views = dict(zip(("the left view: ", "the right view: "), measure.rest_grids, strict=True))
-    for view, grid in views.items():
-        for doubt in grid.doubts:
-            tell(f"frame {number}, the frame at rest: {view}{doubt}")

@@ -147,6 +147,11 @@ class Measurement(Closing):
             self._stack.close()
 
     @property
+    def rest_grids(self) -> tuple[Grid, ...]:
+        """Return the grid of each view of the frame at rest."""
+        return tuple(view.rest for view in self._views)
+
+    @property
     def times(self) -> dict[str, float]:
         """Return the milliseconds of each kernel of the last frame, those of the detector first;
         empty without profile=True. The kernels of a frame that was tracked run one after the other,
@@ -177,22 +182,24 @@ class Measurement(Closing):
         """Measure each frame, in order; a frame that is missing is None, and so is its result.
 
         The kernels of a frame run while the one before it becomes a result, so a frame must not
-        change before the frame after the next one is requested. Raises the errors of a call.
+        change before the frame after the next one is requested. Raises the errors of a call, and
+        what making a frame raises, after the results before it.
         """
         waiting: _Begun | None = None
         try:
-            for frame in frames:
+            for begun in self._each_begun(frames):
+                ready, waiting = waiting, begun if isinstance(begun, _Begun) else None
                 with self._lock:
-                    begun = None if frame is None else self._begin(self._views_of(frame))
-                    ready, waiting = waiting, begun
                     settled = [] if ready is None else [self._settled(ready)]
-                    if begun is None:
+                    if waiting is None:
                         self._skip()
                     else:
-                        self._follow(begun)
+                        self._follow(waiting)
                     done = [_with_field(each) for each in settled]
                 yield from done
-                if frame is None:
+                if isinstance(begun, Exception):
+                    raise begun
+                if begun is None:
                     yield None
             if waiting is not None:
                 with self._lock:
@@ -202,6 +209,19 @@ class Measurement(Closing):
         finally:
             if waiting is not None:
                 self._abandon(waiting)
+
+    def _each_begun(
+        self, frames: Iterable[GreyImage | None]
+    ) -> Iterator[_Begun | Exception | None]:
+        """Enqueue the kernels that find the corners of each frame; None is a missing one, and an
+        error is the last."""
+        try:
+            for frame in frames:
+                with self._lock:
+                    begun = None if frame is None else self._begin(self._views_of(frame))
+                yield begun
+        except Exception as error:
+            yield error
 
     def _abandon(self, begun: _Begun) -> None:
         """Forget a frame whose kernels run: nobody has checked the nodes that it tracks."""

@@ -1,7 +1,6 @@
 """Displacements in the image of one camera, or in the plane of a flat pattern."""
 
 from cmp_cl.config import DetectorConfig
-from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
 from cmp_cl.measure.measurement import Measurement
 from cmp_cl.motion import PlaneScale
@@ -61,17 +60,12 @@ class OneView(Measurement):
             strain=strain,
             profile=profile,
         )
-        self.constants["xy_rest"] = self.rest_grid.xy
+        self.constants["xy_rest"] = self.rest_grids[0].xy
         if cell is not None:
             self.constants["homography"] = self._scale.matrix
 
-    @property
-    def rest_grid(self) -> Grid:
-        """Return the grid of the frame at rest."""
-        return self._views[0].rest
-
     def _at_rest(self) -> tuple[Moment, InPlane]:
-        grid, cell = self.rest_grid, self._cell
+        (grid,), cell = self.rest_grids, self._cell
         self._scale = (
             PlaneScale.pixels()
             if cell is None

@@ -76,12 +76,6 @@ class TwoViews(Measurement):
         left, right = self.rest_grids
         self.constants |= {"left_rest": left.xy, "right_rest": right.xy}
 
-    @property
-    def rest_grids(self) -> tuple[Grid, Grid]:
-        """Return the grids of the frame at rest, left and right."""
-        left, right = self._views
-        return left.rest, right.rest
-
     def _at_rest(self) -> tuple[Moment, InSpace]:
         left, right = self._views
         right.rest = align_views(left.rest, right.rest, self._rig.R)

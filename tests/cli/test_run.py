@@ -18,6 +18,7 @@ from messages import fails_in_one_line
 from videos import write_deep_video, write_video
 
 from cmp_cl import (
+    Detector,
     DetectorConfig,
     DeviceError,
     EdgeLines,
@@ -25,7 +26,6 @@ from cmp_cl import (
     StereoRig,
     select_device,
 )
-from cmp_cl.measure import TwoViews
 from cmp_cl.media import Frame
 from cmp_cl.series import SeriesWriter, read_series
 from cmp_cl.synthetic import boards
@@ -166,15 +166,15 @@ def failing_decoder(press, monkeypatch):
 
 
 def failing_device(press, monkeypatch):
-    measure, calls = TwoViews.__call__, []
+    begin, calls = Detector.begin, []
 
-    def measuring(self, frame):
-        calls.append(frame)
-        if len(calls) == 3:
+    def beginning(self, frames):
+        calls.append(frames)
+        if len(calls) == 4:  # the first one is the frame at rest
             raise DeviceError("the device is lost")
-        return measure(self, frame)
+        return begin(self, frames)
 
-    monkeypatch.setattr(TwoViews, "__call__", measuring)
+    monkeypatch.setattr(Detector, "begin", beginning)
 
 
 def full_disk(press, monkeypatch):

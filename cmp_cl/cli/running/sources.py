@@ -1,62 +1,14 @@
-"""The source of `cmp-cl run`: its options, and the frame at rest."""
+"""The source of `cmp-cl run`, its frame at rest, and the frames that are left out."""
 
 import argparse
 import contextlib
 from collections.abc import Generator
-from typing import Any
 
-from cmp_cl.cli.arguments import check_split
 from cmp_cl.cli.messages import counted, in_shell, shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.image import GreyImage
 from cmp_cl.media import Frame
 from cmp_cl.media.cameras import Pairs, Source
-
-
-def add_arguments(group: Any) -> None:
-    """Add the options of the source to a group of an argparse parser."""
-    group.add_argument(
-        "source",
-        metavar="SOURCE",
-        nargs="?",
-        help="video, folder of images, image, number of a camera, device such as "
-        "/dev/video0, or address such as rtsp://camera/stream",
-    )
-    group.add_argument(
-        "--stereo",
-        metavar="YAML",
-        help="the calibration of two views; SOURCE shows both in each frame",
-    )
-    group.add_argument(
-        "--left", metavar="SOURCE", help="with --stereo: the left view, in place of SOURCE"
-    )
-    group.add_argument("--right", metavar="SOURCE", help="the right view")
-    group.add_argument(
-        "--set",
-        metavar="NAME=VALUE",
-        type=_setting,
-        action="append",
-        default=[],
-        help="a setting of the camera, given once for each, such as frame_width=1280, "
-        "frame_height=720, fps=60, fourcc=MJPG or exposure=50: a property CAP_PROP_NAME of OpenCV",
-    )
-
-
-def _setting(text: str) -> tuple[str, str]:
-    name, equals, value = text.partition("=")
-    if not (name and equals and value):
-        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE such as fps=60")
-    return name, value
-
-
-def check(arguments: argparse.Namespace) -> None:
-    """Raise ConfigError if the options do not name one source, or two."""
-    two = arguments.left is not None or arguments.right is not None
-    if two == (arguments.source is not None):
-        raise ConfigError("give SOURCE, or --left and --right")
-    if two and (arguments.left is None or arguments.right is None or arguments.stereo is None):
-        raise ConfigError("--left and --right need each other, and --stereo")
-    check_split(arguments, both=arguments.stereo is not None and not two)
 
 
 def opened(arguments: argparse.Namespace) -> Source | Pairs:

@@ -1,0 +1,57 @@
+"""Frames that are decoded ahead, and how fast a run goes."""
+
+import collections
+import contextlib
+import time
+from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
+
+_AHEAD = 4  # the most items that wait
+_WAITED = 0.1  # share of the time, waiting for the source, from which on it is what limits
+_END: Any = object()
+
+T = TypeVar("T")
+
+
+class Pace:
+    """How fast a run goes. source: what its frames come from, such as decoding."""
+
+    def __init__(self, source: str) -> None:
+        self.source = source
+        self._spent_s = dict.fromkeys((source, "measuring", "writing"), 0.0)
+        self._start = self._last = time.perf_counter()
+
+    def lap(self, what: str) -> None:
+        """Count the time since the last lap as spent in waiting for the source, measuring or
+        writing."""
+        last, self._last = self._last, time.perf_counter()
+        self._spent_s[what] += self._last - last
+
+    @property
+    def limit(self) -> str:
+        """Return what limits the run, as text: the source if frames are waited for, else what takes
+        most time."""
+        waited = self._spent_s[self.source] > _WAITED * (self._last - self._start)
+        most = self.source if waited else max(self._spent_s, key=self._spent_s.__getitem__)
+        return f"limited by {most}"
+
+    def line(self, frames: int) -> str:
+        """Return how many frames a second there were, as text, and what limited them."""
+        return f"{frames / (self._last - self._start):.3g} frames a second, {self.limit}"
+
+
+def ahead(items: Generator[T, None, None]) -> Generator[T, None, None]:
+    """Yield items that a thread makes ahead, and close them at the end.
+
+    What making one raises is raised in its place.
+    """
+    with contextlib.closing(items), ThreadPoolExecutor(1) as thread:
+        made = collections.deque(thread.submit(next, items, _END) for _ in range(_AHEAD))
+        try:
+            while (item := made.popleft().result()) is not _END:
+                made.append(thread.submit(next, items, _END))
+                yield item
+        finally:
+            for each in made:
+                each.cancel()
