@@ -4,7 +4,7 @@ import argparse
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,15 +18,13 @@ from cmp_cl.cli.arguments import (
     check_suffix,
     grid_shape,
     positive_number,
-    split_of,
 )
 from cmp_cl.cli.messages import Progress, counted, one_line, shown, tell
-from cmp_cl.cli.window import add_window, through_window, window_files
+from cmp_cl.cli.window import add_window, through_window, view_of, window_files
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
 from cmp_cl.grid import Grid
-from cmp_cl.image import GreyImage
 from cmp_cl.measure import find_board, trusted
-from cmp_cl.opencl.device import select_device
+from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.points import sides
 from cmp_cl.space import Calibration, Lens, MisfitError, calibrate
 from cmp_cl.space.calibration.advice import advice
@@ -78,12 +76,6 @@ def add_parser(commands: Any) -> None:
         required=True,
         help="side of a square, mm",
     )
-    board.add_argument(
-        "--free-board",
-        action="store_true",
-        help="find the nodes of the board too, for a print that is bent or not exact; at least "
-        "four views of a board whose rows and columns add up to an odd number, such as 9x6",
-    )
     output = parser.add_argument_group("output")
     output.add_argument(
         "--out",
@@ -107,52 +99,36 @@ def add_parser(commands: Any) -> None:
     parser.set_defaults(run=run)
 
 
-class _Found(NamedTuple):
-    """The boards that were found: by camera, at every moment. left_out: a line for each other."""
-
-    grids: dict[str, list[Grid | None]]
-    sizes: dict[str, tuple[int, int]]
-    left_out: list[str]
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
     files = _files(arguments)
-    picture = Path(arguments.out).with_name(f"{Path(arguments.out).name.split('.')[0]}.png")
+    out = Path(arguments.out)
+    picture = out.with_name(f"{out.name.split('.')[0]}.png")
     _check(arguments, files, picture)
     device = select_device(arguments.device)
-    boards = _boards(arguments, files, device)
+    grids, sizes, left_out = _boards(arguments, files, device)
     try:
-        found = calibrate(
-            boards.grids,
-            spacing=arguments.square,
-            sizes=boards.sizes,
-            lens=Lens(arguments.lens),
-            free_board=arguments.free_board,
-        )
+        found = calibrate(grids, spacing=arguments.square, sizes=sizes, lens=Lens(arguments.lens))
     except CalibrationError as error:
-        raise CalibrationError(_explained(error, files, boards.left_out)) from error
-    for line in boards.left_out:
+        raise CalibrationError(_explained(error, files, left_out)) from error
+    for line in left_out:
         tell(f"left out {line}")
     window, covariance = None, found.covariance
     if arguments.window is not None:
-        rig = through_window(
-            found.rig(), arguments, lambda path, side: _view(path, side, arguments), device
-        )
+        rig = through_window(found.rig(), arguments, device)
         window, covariance = rig.window, rig.covariance
-    written = save_cameras(arguments.out, found.cameras, covariance=covariance, window=window)
+    written = save_cameras(out, found.cameras, covariance=covariance, window=window)
     if arguments.corners is not None:
-        pictures = itertools.chain.from_iterable(
-            zip(map(str, files[name]), boards.grids[name], strict=True) for name in files
-        )
-        save_corners(arguments.corners, dict(pictures))
+        corners = [zip(map(str, files[name]), grids[name], strict=True) for name in files]
+        save_corners(arguments.corners, dict(itertools.chain(*corners)))
         written.append(Path(arguments.corners))
+    names = {name: [shown(path.name) for path in paths] for name, paths in files.items()}
     try:
-        save_figure(picture, calibration_figure(found, _names(files)))
+        save_figure(picture, calibration_figure(found, names))
         written.append(picture)
     except ConfigError as error:  # matplotlib is not installed
         tell(f"no picture: {one_line(error)}")
-    _report(found, files, arguments)
+    _report(found, names)
     print(f"wrote {', '.join(map(shown, written))}; corners found on {device}")
     return 0
 
@@ -194,19 +170,8 @@ def _files(arguments: argparse.Namespace) -> dict[str, list[Path]]:
     return found
 
 
-def _names(files: Mapping[str, list[Path]]) -> dict[str, list[str]]:
-    """Return how messages and pictures call each view, by camera."""
-    return {name: [shown(path.name) for path in paths] for name, paths in files.items()}
-
-
 def _check(arguments: argparse.Namespace, files: Mapping[str, list[Path]], picture: Path) -> None:
     check_split(arguments, both=arguments.stereo)
-    if arguments.free_board and sum(arguments.board) % 2 == 0:
-        rows, columns = arguments.board
-        raise ConfigError(
-            f"--free-board: a board of {rows} x {columns} corners looks the same after half a "
-            "turn, so that its nodes cannot be told apart; one such as 9x6 is needed"
-        )
     if check_cameras(arguments.out) not in (".yaml", ".yml") and arguments.window is not None:
         raise ConfigError(f"--window needs a calibration in .yaml: {shown(arguments.out)}")
     check_suffix("--corners", arguments.corners, ".vnl")
@@ -215,38 +180,37 @@ def _check(arguments: argparse.Namespace, files: Mapping[str, list[Path]], pictu
     check_files(inputs, outputs)
 
 
-def _boards(arguments: argparse.Namespace, files: Mapping[str, list[Path]], device: Any) -> _Found:
-    """Find the boards in all views; raises CalibrationError if a camera sees none."""
-    found = _Found({name: [] for name in files}, {}, [])
+def _boards(
+    arguments: argparse.Namespace, files: Mapping[str, list[Path]], device: Device
+) -> tuple[dict[str, list[Grid | None]], dict[str, tuple[int, int]], list[str]]:
+    """Return the boards in all views, the sizes of the images, and a line for each view without
+    one; raises CalibrationError if a camera sees none."""
+    grids: dict[str, list[Grid | None]] = {name: [] for name in files}
+    sizes: dict[str, tuple[int, int]] = {}
+    left_out = []
     moments = list(zip(*files.values(), strict=True))
     with Progress(len(moments), "views") as progress:
         for paths in moments:
             for side, (name, path) in enumerate(zip(files, paths, strict=True)):
                 grid = None
                 try:
-                    image = _view(path, side, arguments)
+                    image = view_of(path, side, arguments)
                     size = (image.shape[1], image.shape[0])
-                    if found.sizes.get(name, size) != size:
-                        raise ImageError(f"it has {size} px, earlier views {found.sizes[name]}")
+                    if sizes.get(name, size) != size:
+                        raise ImageError(f"it has {size} px, earlier views {sizes[name]}")
                     board = find_board(
                         image, arguments.board, full_scale=arguments.full_scale, device=device
                     )
-                    grid, found.sizes[name] = trusted(board, device=device), size
+                    grid, sizes[name] = trusted(board, device=device), size
                 except (GridError, ImageError) as error:
                     which = f" ({name})" if arguments.stereo else ""
-                    found.left_out.append(f"{shown(path)}{which}: {one_line(error)}")
-                found.grids[name].append(grid)
+                    left_out.append(f"{shown(path)}{which}: {one_line(error)}")
+                grids[name].append(grid)
             progress.step()
     for name in files:
-        if name not in found.sizes:
-            raise CalibrationError(_unseen(name, files, found.left_out, arguments))
-    return found
-
-
-def _view(path: Path, side: int, arguments: argparse.Namespace) -> GreyImage:
-    """Return the view of a camera in a file; side: its number among the cameras."""
-    image = media.read_image(path)
-    return split_of(arguments, image.shape)(image)[side] if arguments.stereo else image
+        if name not in sizes:
+            raise CalibrationError(_unseen(name, files, left_out, arguments))
+    return grids, sizes, left_out
 
 
 def _unseen(
@@ -282,20 +246,19 @@ def _explained(
     return text
 
 
-def _report(
-    found: Calibration, files: Mapping[str, list[Path]], arguments: argparse.Namespace
-) -> None:
-    first = {moment: group[0] for group in found.alike for moment in group[1:]}
+def _report(found: Calibration, names: Mapping[str, list[str]]) -> None:
+    """Print what was found. names: of the views, by camera."""
+    like = {moment: group[0] for group in found.alike for moment in group[1:]}
     print("corners used and RMS reprojection error, px:")
-    for name, paths in files.items():
-        for moment, path in enumerate(paths):
+    for name, views in names.items():
+        for moment, view in enumerate(views):
             grid, error = found.grids[name][moment], found.view_errors[name][moment]
             said = "   -  left out"
             if grid is not None:
                 said = f"{grid.valid.sum():4}  {error:.3f}   "
-            elif moment in first:
-                said = f"   -  like {shown(paths[first[moment]].name)}"
-            print(f"  {name}  {said}  {shown(path.name)}")
+            elif moment in like:
+                said = f"   -  like {views[like[moment]]}"
+            print(f"  {name}  {said}  {view}")
     for name, camera in found.cameras.items():
         matrix = camera.matrix
         pose = ""
@@ -311,7 +274,7 @@ def _report(
             f"{matrix[1, 2]:.1f}){pose}"
         )
     print(f"all views: {found.error:.3f} px")
-    if len(files) == 2 and arguments.lens != Lens.FISHEYE.value:
+    if len(names) == 2 and all(each.lens is not Lens.FISHEYE for each in found.cameras.values()):
         rig = found.rig()
         pairs = [pair for pair in zip(*found.grids.values(), strict=True) if None not in pair]
         lengths = np.concatenate([sides(rig.triangulate(*pair).xyz) for pair in pairs])
@@ -319,22 +282,5 @@ def _report(
             f"the squares measure {lengths.mean():.3f} {rig.unit} with a standard deviation of "
             f"{lengths.std():.3f}"
         )
-    if found.board is not None:
-        _report_board(found, arguments)
-    for line in advice(found, _names(files)):
+    for line in advice(found, names):
         print(f"advice: {line}")
-
-
-def _report_board(found: Calibration, arguments: argparse.Namespace) -> None:
-    """Print by how much the nodes of a free board lie off those of a flat and exact one."""
-    board = found.board
-    assert board is not None
-    row, column = np.indices(board.shape[:2])
-    off = board - arguments.square * np.stack([column, row, np.zeros(row.shape)], axis=-1)
-    off -= np.nanmean(off, axis=(0, 1))
-    inside, height = np.linalg.norm(off[..., :2], axis=2), np.abs(off[..., 2])
-    print(
-        f"the board: its nodes lie up to {np.nanmax(height):.3f} mm off its plane "
-        f"({np.sqrt(np.nanmean(height**2)):.3f} RMS), and up to {np.nanmax(inside):.3f} off their "
-        f"nominal places in it ({np.sqrt(np.nanmean(inside**2)):.3f} RMS)"
-    )

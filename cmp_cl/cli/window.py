@@ -2,19 +2,20 @@
 
 import argparse
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from cmp_cl.cli.arguments import grid_shape, positive_number
+from cmp_cl.cli.arguments import grid_shape, positive_number, split_of
 from cmp_cl.cli.messages import one_line, shown
 from cmp_cl.errors import CalibrationError, ConfigError, GridError
 from cmp_cl.grid import Grid, align
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import find_pattern
 from cmp_cl.measure.patterns import align_views
+from cmp_cl.media import read_image
+from cmp_cl.opencl.device import Device
 from cmp_cl.points import sides
 from cmp_cl.space import Lens, StereoRig, calibrate_window
 
@@ -104,39 +105,41 @@ def window_files(arguments: argparse.Namespace, cameras: Sequence[str]) -> list[
     return [Path(path) for path in itertools.chain(*images)]
 
 
-def through_window(
-    rig: StereoRig,
-    arguments: argparse.Namespace,
-    view: Callable[[Path, int], GreyImage],
-    device: Any,
-) -> StereoRig:
-    """Return a rig with the window of the options.
+def view_of(path: str | Path, side: int, arguments: argparse.Namespace) -> GreyImage:
+    """Return the view of a camera in a file; side: its number among the cameras."""
+    image = read_image(path)
+    return split_of(arguments, image.shape)(image)[side] if arguments.stereo else image
 
-    view: returns the view of a camera in a file, by its number. device: that finds the corners.
+
+def through_window(rig: StereoRig, arguments: argparse.Namespace, device: Device) -> StereoRig:
+    """Return a rig with the window of the options. device: that finds the corners.
+
     Raises CalibrationError if a view does not show the pattern, or the views do not fix the window.
     """
 
-    def seen(path: str, side: int) -> Grid:
-        try:
-            _, grid = find_pattern(
-                view(Path(path), side),
-                shape=arguments.grid,
-                full_scale=arguments.full_scale,
-                device=device,
-            )
-        except GridError as error:
-            raise CalibrationError(f"{shown(path)}: {one_line(error)}") from error
-        return grid
+    def seen(paths: list[str]) -> list[Grid]:
+        grids = []
+        for side, path in enumerate(paths * 2 if arguments.stereo else paths):
+            try:
+                _, grid = find_pattern(
+                    view_of(path, side, arguments),
+                    shape=arguments.grid,
+                    full_scale=arguments.full_scale,
+                    device=device,
+                )
+            except GridError as error:
+                raise CalibrationError(f"{shown(path)}: {one_line(error)}") from error
+            grids.append(grid)
+        return grids
 
-    files = (0, 0) if arguments.stereo else (0, 1)
-    left, right = (seen(arguments.rest[file], side) for side, file in enumerate(files))
+    left, right = seen(arguments.rest)
     rest = left, align_views(left, right, rig.R)
     stepped, step = None, None
     if arguments.step:
         length, *paths = arguments.step
-        now = [seen(paths[file], side) for side, file in enumerate(files)]
         step = float(length)
-        stepped = align([rest[0], now[0]])[1], align([rest[1], now[1]])[1]
+        left, right = (align([still, now])[1] for still, now in zip(rest, seen(paths), strict=True))
+        stepped = left, right
     found = calibrate_window(
         rig,
         rest,

@@ -101,7 +101,6 @@ def test_calibrate_finds_the_cameras_again(run, boards):
         (["plain.png"], ["no view shows a board of 7 x 7 corners", "--stereo"]),
         (["--stereo", "--left", "0.png", "--right", "1.png"], ["--stereo is for IMAGE"]),
         (["none.png"], ["none.png"]),
-        (["0.png", "--free-board"], ["7 x 7", "half a turn"]),
         (
             ["--stereo", "0.png", "--split", "0,0,9,9:0,0,9,8"],
             ["left and right must have one size"],
@@ -116,21 +115,6 @@ def test_a_wrong_argument_of_calibrate_is_one_line_and_no_file(
         cv2.imwrite(f"{number}.png", np.hstack(boards[number]))
     fails_in_one_line(run("calibrate", *BOARD, *arguments), *words)
     assert not list(tmp_path.glob("rig.*"))
-
-
-def test_a_free_board_halves_the_residuals_of_opencvs_pairs(run):
-    folder = photographs("stereo_opencv")
-    left, right = (sorted(folder.glob(f"{side}0?.jpg")) for side in ("left", "right"))
-    status, out, _ = run(
-        *("calibrate", "--left", *left, "--right", *right, "--board", "9x6", "--square", 25),
-        *("--out", "rig.yaml", "--free-board"),
-    )
-    assert status == 0
-    assert float(out.split("all views: ")[1].split()[0]) < 0.075
-    assert "the board: its nodes lie up to 0." in out
-    rig = StereoRig.load("rig.yaml")
-    for matrix in (rig.K1, rig.K2):  # the pixels are square
-        assert matrix[0, 0] == pytest.approx(matrix[1, 1], rel=5e-4)
 
 
 # all commands
