@@ -16,15 +16,15 @@ from cmp_cl.field import DisplacementField, green_lagrange
 Array = NDArray[np.float64]
 
 NEEDED = "index", "time_ms", "rest", "displacement", "sigma", "unit"  # arrays of a series
-_NARROWEST = 1e-5  # width of a surface over its length; a narrower one is a line
+_NARROWEST = 1e-5  # area of a mean cell over the squares of its sides; a narrower one is a line
 
 
 class Quantity(enum.Enum):
     """The quantity of a node that a map shows.
 
     DISPLACEMENT: its length, with some arrows. STRAIN: both principal Green-Lagrange strains in the
-    plane or in the surface, %. HEIGHT: the displacement towards the cameras, out of the plane that
-    fits the rest positions best; two views only. SIGMA: the standard deviation of the displacement
+    plane or in the surface, %. HEIGHT: the displacement towards the cameras, out of the plane of
+    the rest positions; two views only. SIGMA: the standard deviation of the displacement
     (two views) or of the position now (one view).
     """
 
@@ -44,9 +44,8 @@ class Map(NamedTuple):
 
     @property
     def cells(self) -> Array:
-        """Return the value of each cell, the mean of its four nodes, (R - 1, C - 1)."""
-        mean: Array = np.mean(corners_of_cells(self.values), axis=0)
-        return mean
+        """Return the value of each cell, (R - 1, C - 1)."""
+        return of_cells(self.values)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -174,31 +173,34 @@ def moments_of(series: Mapping[str, NDArray[Any]]) -> list[Moment]:
 def plane_of(rest: Array) -> tuple[Array, Array]:
     """Fit a plane to positions (R, C, 3), NaN where missing: (3, 3) axes as rows, (3,) origin.
 
-    The first axis runs along the rows, the second along the columns, the third towards the
-    cameras (a left-handed frame, as on a picture with y down and height towards the viewer).
+    They are fitted by a linear function of row and column. The first axis runs along the rows, the
+    second along the columns, the third towards the cameras (a left-handed frame, as on a picture
+    with y down and height towards the viewer).
 
     Raises FieldError if fewer than three nodes are valid, or all lie on a line.
     """
-    valid = ~np.isnan(rest[..., 0])
-    points = rest[valid]
+    row, column = np.nonzero(~np.isnan(rest[..., 0]))
+    points = rest[row, column]
     if len(points) < 3:
         raise FieldError(f"{len(points)} nodes are valid, at least 3 are needed to draw a surface")
     origin = points.mean(axis=0)
-    _, spread, directions = np.linalg.svd(points - origin, full_matrices=False)
-    if spread[1] < _NARROWEST * spread[0] or not spread[0]:
+    indices = np.column_stack([column - column.mean(), row - row.mean()])
+    along, down = np.linalg.lstsq(indices, points - origin, rcond=None)[0]
+    normal = np.cross(down, along)
+    area = np.linalg.norm(normal)
+    if not area > _NARROWEST * (along @ along + down @ down):
         raise FieldError("all valid nodes lie on a line: they make no surface")
-    normal = directions[2] if directions[2] @ origin < 0 else -directions[2]
-    row, column = np.nonzero(valid)
-    slopes = np.linalg.lstsq(
-        np.column_stack([column, row, np.ones(len(row))]), points - origin, rcond=None
-    )[0]
-    along = slopes[0] if slopes[0].any() else directions[0]
-    along = along - (along @ normal) * normal
-    along = along / np.linalg.norm(along)
+    normal *= -np.copysign(1 / area, normal @ origin)
+    along /= np.linalg.norm(along)
     across = np.cross(normal, along)
-    if across @ slopes[1] < 0:
-        across = -across
-    return np.stack([along, across, normal]), origin
+    return np.stack([along, np.copysign(1, across @ down) * across, normal]), origin
+
+
+def of_cells(values: Array) -> Array:
+    """Return the mean of the values (R, C, ...) at the four nodes of each cell, (R - 1, C - 1,
+    ...)."""
+    mean: Array = np.mean(corners_of_cells(values), axis=0)
+    return mean
 
 
 def corners_of_cells(values: Array) -> list[Array]:

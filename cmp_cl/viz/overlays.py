@@ -35,10 +35,8 @@ _UNKNOWN = (128, 128, 128)  # a node without a value
 _OFF_GRID = (150, 150, 190)  # corners off the grid
 _LINE, _FIRST_ROW, _FIRST_COLUMN = (220, 160, 60), (60, 60, 255), (255, 80, 40)
 _WHITE = (255, 255, 255)
-# (256, 3), BGR, from dark blue to yellow
-_PLASMA = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_PLASMA)[
-    :, 0
-]  # BGR
+_LEVELS = np.arange(256, dtype=np.uint8)[:, None]
+_PLASMA = cv2.applyColorMap(_LEVELS, cv2.COLORMAP_PLASMA)[:, 0]  # (256, 3), BGR
 _STRIP = 36  # px below the image for the legend
 _NARROWEST, _WIDEST = 480, 1920  # px, the width of `moved_overlay`
 _FRACTION_BITS = 4
@@ -81,8 +79,8 @@ def grid_overlay(
     check_kind("grid", grid, Grid, FieldError)
     if corners is not None:
         check_kind("corners", corners, Corners, FieldError)
-    if corners is not None and len(corners) != len(grid.index):
-        raise FieldError(f"the grid was built from {len(grid.index)} corners, not {len(corners)}")
+        if len(corners) != len(grid.index):
+            raise FieldError(f"the grid is of {len(grid.index)} corners, not of {len(corners)}")
     cell = _spacing(grid.xy[grid.valid])
     factor = _enlarging(image, cell)
     canvas = _Canvas(image, factor)
@@ -118,7 +116,7 @@ def moved_overlay(
     """
     if moved.shape != grid.shape:
         raise FieldError(f"moved is {moved.shape}, the grid has {grid.shape} nodes")
-    wide = max(image.shape[1], 1)
+    wide = image.shape[1]
     factor = 1 / -(-wide // _WIDEST) if wide > _WIDEST else -(-_NARROWEST // wide)
     canvas = _Canvas(image, factor)
     canvas.lattice(grid.xy)
@@ -138,10 +136,10 @@ class _Canvas:
     def __init__(self, image: GreyImage, factor: float) -> None:
         rows, columns = (round(side * factor) for side in image.shape)
         how = cv2.INTER_NEAREST if factor >= 1 else cv2.INTER_AREA
-        grey = _eight_bits(image)
-        if grey.size:
-            grey = np.asarray(cv2.resize(grey, (columns, rows), interpolation=how), np.uint8)
-        self._picture = np.repeat(grey[:, :, None], 3, axis=2)
+        white = 255 if image.dtype == np.uint8 else max(int(image.max()), 1)
+        grey = cv2.convertScaleAbs(image, alpha=255 / white)  # stretched to the brightest pixel
+        grey = cv2.resize(grey, (columns, rows), interpolation=how)
+        self._picture = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
         self._factor = factor
 
     def _places(self, xy: NDArray[Any]) -> NDArray[np.int32]:
@@ -217,13 +215,5 @@ def _spacing(xy: NDArray[np.float32]) -> float:
 
 def _enlarging(image: GreyImage, cell: float) -> int:
     """Return the factor by which `corner_overlay` enlarges an image."""
-    longest = max(*image.shape, 1)
+    longest = max(image.shape)
     return int(max(1, min(max(round(32 / cell), math.ceil(1000 / longest)), 2400 // longest)))
-
-
-def _eight_bits(image: GreyImage) -> NDArray[np.uint8]:
-    """Return an image as uint8; 16 bits are stretched to the brightest pixel."""
-    if image.dtype == np.uint8:
-        return image.astype(np.uint8, copy=False)
-    white = max(int(image.max(initial=0)), 1)
-    return np.asarray(np.rint(image * np.float32(255 / white)), np.uint8)

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from cmp_cl.errors import extra
 from cmp_cl.files import whole_file
 from cmp_cl.viz.moments import (
-    Array,
     Map,
     Moment,
     Quantity,
     Summary,
     corners_of_cells,
+    of_cells,
     plane_of,
 )
 from cmp_cl.viz.video import VideoFile
@@ -54,7 +54,7 @@ def map_figure(moment: Moment, quantity: Quantity, *, top: float | None = None) 
     at 0. top: the end of the scale; None means the largest value. Raises FieldError, and
     ConfigError without matplotlib.
     """
-    return _page(f"frame {moment.index}", _panels(moment, quantity, top))
+    return _page(moment, [quantity], top=top)
 
 
 def sheet_figure(moment: Moment, summary: Summary | None = None, *, title: str = "") -> "Figure":
@@ -65,69 +65,62 @@ def sheet_figure(moment: Moment, summary: Summary | None = None, *, title: str =
 
     Raises FieldError if there are too few nodes for a map, ConfigError without matplotlib.
     """
-    panels = [panel for quantity in moment.quantities() for panel in _panels(moment, quantity)]
     known = np.isfinite(moment.rest + moment.shift).all(axis=2)
-    if moment.in_space and np.count_nonzero(known) > 2:
-        panels.append(
-            lambda figure, at: _draw_surface(figure.add_subplot(at, projection="3d"), moment)
-        )
-    curves = summary if summary and len(summary.curves) >= _LEAST_OF_CURVE else None
-    return _page(title or f"frame {moment.index}", panels, curves, moment.unit)
-
-
-_Panel = Callable[["Figure", Any], object]  # draws on a place of a figure
-
-
-def _panels(moment: Moment, quantity: Quantity, top: float | None = None) -> list[_Panel]:
-    """Return what draws the maps of a quantity, on one scale; top: its end."""
-    maps = moment.maps(quantity)
-    top = _top_of(np.stack([each.cells for each in maps])) if top is None else top
-
-    def panel(shown: Map) -> _Panel:
-        return lambda figure, at: _draw_map(figure.add_subplot(at), moment, shown, top)
-
-    return [panel(shown) for shown in maps]
+    return _page(
+        moment,
+        moment.quantities(),
+        title=title,
+        surface=moment.in_space and bool(known.sum() > 2),
+        curves=summary if summary and len(summary.curves) >= _LEAST_OF_CURVE else None,
+    )
 
 
 def _page(
-    title: str, panels: list[_Panel], curves: Summary | None = None, unit: str = ""
+    moment: Moment,
+    quantities: Sequence[Quantity],
+    *,
+    top: float | None = None,
+    title: str = "",
+    surface: bool = False,
+    curves: Summary | None = None,
 ) -> "Figure":
-    """Return a figure with the panels, and the curves below them."""
-    across = 3 if len(panels) > 4 else min(len(panels), 2)
-    down = -(-len(panels) // across)
+    """Return a figure with the maps of the quantities, those of one on one scale, the surface and
+    below them the curves. top: the end of the scale; None means the largest value."""
+    maps = [(each, _top_of(group)) for group in map(moment.maps, quantities) for each in group]
+    count = len(maps) + surface
+    across = 3 if count > 4 else min(count, 2)
+    down = -(-count // across)
     heights = [_PANEL[1]] * down + [_CURVE] * (curves is not None)
     figure = new_figure((_PANEL[0] * across, sum(heights) + 0.4))
-    figure.suptitle(title)
+    figure.suptitle(title or f"frame {moment.index}")
     grid = figure.add_gridspec(len(heights), across, height_ratios=heights)
-    for number, draw in enumerate(panels):
-        draw(figure, grid[divmod(number, across)])
+    for number, (shown, largest) in enumerate(maps):
+        axes = figure.add_subplot(grid[divmod(number, across)])
+        _draw_map(axes, moment, shown, largest if top is None else top)
+    if surface:
+        place = grid[divmod(len(maps), across)]
+        _draw_surface(figure.add_subplot(place, projection="3d"), moment)
     if curves is not None:
-        _draw_curves(figure.add_subplot(grid[down, :]), curves, unit)
+        _draw_curves(figure.add_subplot(grid[down, :]), curves, moment.unit)
     return figure
 
 
 def _draw_map(axes: "Axes", moment: Moment, shown: Map, top: float) -> None:
     """Draw a map on the pattern at rest; top: the end of its scale."""
-    from matplotlib.collections import PolyCollection
-
     nodes, directions = moment.plane()
-    cells = np.stack(corners_of_cells(nodes), axis=2)
-    whole = ~np.isnan(cells).any(axis=(2, 3))
-    values = shown.cells[whole]
-    drawn = PolyCollection(
-        list(cells[whole]),
-        array=np.ma.masked_invalid(values),
+    cells = np.where(np.isnan(of_cells(nodes)).any(axis=2), np.nan, shown.cells)
+    drawn = axes.pcolormesh(
+        *np.moveaxis(np.nan_to_num(nodes), 2, 0),  # a cell without a value is not drawn
+        np.ma.masked_invalid(cells),
         cmap=_DIVERGING if shown.signed else _SEQUENTIAL,
-        clim=(-top if shown.signed else 0.0, top),
-        edgecolors="face",
-        linewidths=0.2,
+        vmin=-top if shown.signed else 0.0,
+        vmax=top,
     )
-    axes.add_collection(drawn)
     points = nodes[~np.isnan(nodes[..., 0])]
     low, high = points.min(axis=0), points.max(axis=0)
     edge = 0.03 * float((high - low).max() or 1.0)
     names = ("along rows", "along columns") if moment.in_space else ("x", "y")
-    title = shown.title if np.isfinite(values).any() else f"{shown.title}: no cell has a value"
+    title = shown.title if np.isfinite(cells).any() else f"{shown.title}: no cell has a value"
     if shown.title == "displacement":
         factor = 2 * float((high - low).max()) / _ARROWS / top  # the longest has two distances
         some = _spread(~np.isnan(shown.values) & ~np.isnan(nodes[..., 0]), _ARROWS)
@@ -162,12 +155,12 @@ def _draw_surface(axes: Any, moment: Moment) -> None:
     now = (moment.rest + moment.shift - origin) @ directions.T
     cells = np.stack(corners_of_cells(now), axis=2)
     whole = ~np.isnan(cells).any(axis=(2, 3))
-    length = moment.moved
+    (shown,) = moment.maps(Quantity.DISPLACEMENT)
     drawn = Poly3DCollection(
         cells[whole],
-        array=np.mean(corners_of_cells(length), axis=0)[whole],
+        array=shown.cells[whole],
         cmap=_SEQUENTIAL,
-        clim=(0, _top_of(length)),
+        clim=(0, _top_of([shown])),
         linewidths=0.2,
     )
     axes.add_collection3d(drawn)
@@ -213,9 +206,9 @@ def _spread(valid: NDArray[np.bool_], most: int) -> NDArray[np.bool_]:
     return some & valid
 
 
-def _top_of(values: Array) -> float:
-    """Return the upper end of a colour scale: the largest size of a known value."""
-    top = float(np.nan_to_num(np.abs(values)).max(initial=0))
+def _top_of(maps: Sequence[Map]) -> float:
+    """Return the upper end of the colour scale of some maps: the largest size of a known value."""
+    top = float(np.nan_to_num(np.abs([each.cells for each in maps])).max(initial=0))
     return top if top > _ROUNDING else 1.0
 
 
@@ -234,7 +227,7 @@ def animate(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     some = moments[:: -(-len(moments) // _MOST_ANIMATED)]
-    top = max(_top_of(each.cells) for moment in some for each in moment.maps(quantity))
+    top = max(_top_of(moment.maps(quantity)) for moment in some)
     with VideoFile(path, fps=_RATE) as video:
         for moment in some:
             canvas: Any = FigureCanvasAgg(map_figure(moment, quantity, top=top))
