@@ -564,6 +564,10 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
     raw[k * NODES + i] = moved[k * NODES + i];                                      \
   }
 
+/* The next frame counts from 0. */
+#define EMPTY_COUNTS \
+  if (i <= ROUNDS) counts[i] = 0;
+
 #if K == 3
 
 /* The covariance from the lattice, or that of the points where the lattice has none. */
@@ -584,8 +588,10 @@ __kernel void finish_in_space(__global const float *moved, __global const float 
                               __global const float *common, __global const float *points,
                               __global const float *bent, __global const uchar *valid,
                               __global float *displacement, __global float *raw,
-                              __global float *covariance, __global float *raw_covariance) {
+                              __global float *covariance, __global float *raw_covariance,
+                              __global int *counts) {
   const int i = get_global_id(0);
+  EMPTY_COUNTS
   if (i >= NODES) return;
   if (!valid[i]) {
     NO_DISPLACEMENT
@@ -608,8 +614,9 @@ __kernel void finish_in_plane(__global const float *moved, __global const float 
                               __global const float *points, __global const float *bent,
                               __global const uchar *valid, __global float *displacement,
                               __global float *raw, __global float *variance,
-                              __global float *raw_variance) {
+                              __global float *raw_variance, __global int *counts) {
   const int i = get_global_id(0);
+  EMPTY_COUNTS
   if (i >= NODES) return;
   if (!valid[i]) {
     NO_DISPLACEMENT

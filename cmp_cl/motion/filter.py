@@ -26,7 +26,7 @@ from cmp_cl.motion.tables import (
     in_lines,
 )
 from cmp_cl.opencl.device import Device, DeviceKind
-from cmp_cl.opencl.launches import GROUP, Launch, multiple
+from cmp_cl.opencl.launches import GROUP, Launch, bound, multiple
 from cmp_cl.opencl.program import Kernels, Programs, programs_of
 
 ROUNDS = 3  # rounds of the search for outliers
@@ -160,7 +160,7 @@ def _filtered(
     plan.inputs.upload()
     results.upload()
     for each in plan.launches:
-        cl.enqueue_nd_range_kernel(queue, each.kernel, each.items, each.group)
+        each.start(queue)
     results.download()
     queue.finish()
     arrays = results.arrays
@@ -208,7 +208,7 @@ def strain_of(
     found = Memory(queue, layout)
     kernels = programs.kernels(["strain"], defines_of((rows, columns), axes))
     launch = of_nodes(kernels, (rows, columns), given.parts | found.parts, "strain", STRAIN)
-    cl.enqueue_nd_range_kernel(queue, launch.kernel, launch.items, launch.group)
+    launch.start(queue)
     found.download()
     queue.finish()
     result = nodes(found.arrays["strain"]), matrices(found.arrays["strain_covariance"])
@@ -290,7 +290,7 @@ class LatticeFilter:
         displacement, raw_displacement: K planes (R, C), NaN where not valid. covariance,
         raw_covariance: 6 planes xx xy xz yy yz zz, or the variance per axis. slopes: 2 planes, see
         `Filtered`. variance: (R, C and more columns that are not used), of the noise before the
-        filter. counts: nodes without a vote, and those that each round has rejected.
+        filter. counts: nodes without a vote, and those that each round has rejected; 0 at the end.
         """
         planes = {
             "displacement": axes,
@@ -373,7 +373,7 @@ class LatticeFilter:
                 (1 if self._is_cpu else eights,),
                 *("near", "sums", "size", *pilots, *bounds, *noise),
             ),
-            _bound(self._kernels, self.parts, "settle", (group,), (group,), settle),
+            bound(self._kernels, self.parts, "settle", (group,), (group,), settle),
         ]
         owns = ("own_down", "own_along")
         finish, common = ("finish_in_space", ("common",)) if self._axes == 3 else (
@@ -399,7 +399,7 @@ class LatticeFilter:
                 finish,
                 *("moved", "values", "votes", "measured", "variance", "mixed_variance"),
                 *(*common, "points", "bent", "valid"),
-                *("displacement", "raw_displacement", "covariance", "raw_covariance"),
+                *("displacement", "raw_displacement", "covariance", "raw_covariance", "counts"),
             ),
         ]
 
@@ -422,7 +422,7 @@ class LatticeFilter:
         """Bind a kernel with one work-item per row, times `others`."""
         items = (self._shape[0], *others)
         group = (1,) * len(items) if self._is_cpu else None
-        return _bound(self._kernels, self.parts, name, items, group, arguments)
+        return bound(self._kernels, self.parts, name, items, group, arguments)
 
 
 def defines_of(shape: tuple[int, int], axes: int) -> dict[str, str | int]:
@@ -451,21 +451,7 @@ def of_nodes(
     arguments: tuple[Any, ...],
 ) -> Launch:
     """Bind a kernel with one work-item per node to its arguments, numbers and names of arrays."""
-    return _bound(
-        kernels, parts, name, (multiple(shape[0] * shape[1], GROUP),), (GROUP,), arguments
-    )
-
-
-def _bound(
-    kernels: Kernels,
-    parts: dict[str, cl.Buffer],
-    name: str,
-    items: tuple[int, ...],
-    group: tuple[int, ...] | None,
-    arguments: tuple[Any, ...],
-) -> Launch:
-    given = [parts[each] if isinstance(each, str) else each for each in arguments]
-    return Launch(name, kernels.bind(name, *given), items, group, {})
+    return bound(kernels, parts, name, (multiple(shape[0] * shape[1], GROUP),), (GROUP,), arguments)
 
 
 def covariances(axes: int) -> int:

@@ -17,7 +17,6 @@ from cmp_cl.corners import Corners
 from cmp_cl.field import DisplacementField
 from cmp_cl.grid.grid import Grid
 from cmp_cl.motion.filter import (
-    ROUNDS,
     STRAIN,
     LatticeFilter,
     covariances,
@@ -158,19 +157,9 @@ class FieldPlan:
     def start(self) -> list[tuple[str, cl.Event]]:
         """Enqueue the launches and the download of the results; return the event of each launch.
         The inputs are on the device."""
-        queue = self._queue
-        cl.enqueue_fill_buffer(
-            queue, self._parts["counts"], np.zeros(1, np.int32), 0, 4 * (1 + ROUNDS)
-        )
-        events = [
-            (
-                each.stage,
-                cl.enqueue_nd_range_kernel(queue, each.kernel, each.items, each.group),
-            )
-            for each in self.launches
-        ]
+        events = [each.start(self._queue) for each in self.launches]
         self.frame.download()
-        queue.flush()
+        self._queue.flush()
         return events
 
     def read(self) -> dict[str, NDArray[Any]]:

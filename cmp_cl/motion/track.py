@@ -14,7 +14,7 @@ from cmp_cl.corners import Corners
 from cmp_cl.grid.grid import NO_SIDES, Grid
 from cmp_cl.motion.memory import Layout, Memory
 from cmp_cl.opencl.device import Device, DeviceKind
-from cmp_cl.opencl.launches import GROUP, Launch, multiple
+from cmp_cl.opencl.launches import GROUP, Launch, bound, multiple
 from cmp_cl.opencl.program import Programs
 from cmp_cl.stages import refine
 from cmp_cl.stages.layout import CORNER_COLUMNS
@@ -242,9 +242,7 @@ class Tracker:
     def _bound(
         self, name: str, items: tuple[int, ...], group: tuple[int, ...], *arguments: Any
     ) -> Launch:
-        """Bind a kernel to its arguments, numbers and names of arrays."""
-        given = [self._parts[each] if isinstance(each, str) else each for each in arguments]
-        return Launch(name, self._kernels.bind(name, *given), items, group, {})
+        return bound(self._kernels, self._parts, name, items, group, arguments)
 
     def begin(self, grids: Sequence[Grid]) -> bool:
         """Go on from the nodes of these grids, which are on the device; return whether they are
@@ -262,13 +260,8 @@ class Tracker:
             launch.kernel.set_arg(0, result)
             launch.kernel.set_arg(1, np.uint32(_stride(room)))
             launch.kernel.set_arg(2, np.uint32(room))
-        return [
-            (
-                each.stage,
-                cl.enqueue_nd_range_kernel(self._queue, each.kernel, each.items, each.group),
-            )
-            for each in (*self.launches[:-1], *looks, self.launches[-1])
-        ]
+        in_order = *self.launches[:-1], *looks, self.launches[-1]
+        return [each.start(self._queue) for each in in_order]
 
     def looks(self, plan: Plan) -> list[Launch]:
         """Return the launches of the second look at the frames of a detector's plan."""

@@ -22,6 +22,10 @@ class Launch(NamedTuple):
     group: tuple[int, ...] | None
     arguments: dict[str, Any]
 
+    def start(self, queue: cl.CommandQueue) -> tuple[str, cl.Event]:
+        """Enqueue it; return its stage and the event of its end."""
+        return self.stage, cl.enqueue_nd_range_kernel(queue, self.kernel, self.items, self.group)
+
 
 class Binder:
     """Binds the kernels of a plan. queue: where they will run; kernels: the compiled ones."""
@@ -55,6 +59,19 @@ class Binder:
         """
         group = (1, 1) if self.device.kind is DeviceKind.CPU else None
         return self.stage(name, (items, planes), group, **arguments)
+
+
+def bound(
+    kernels: Kernels,
+    parts: Mapping[str, cl.Buffer],
+    name: str,
+    items: tuple[int, ...],
+    group: tuple[int, ...] | None,
+    arguments: Iterable[Any],
+) -> Launch:
+    """Bind a kernel to its arguments in their order: numbers, and names of parts of a memory."""
+    given = [parts[each] if isinstance(each, str) else each for each in arguments]
+    return Launch(name, kernels.bind(name, *given), items, group, {})
 
 
 def sum_times(

@@ -230,7 +230,7 @@ def seen_by(views, rig, *grids):
 def test_the_field_is_the_oracles(run, case, views, lens, window):
     rig = rig_with(lens, window)
     seen = seen_by(views, rig, *pressed(case, rig, 3))
-    _, results, field = run(*seen[:3], complete=seen[3])
+    _, _, field = run(*seen[:3], complete=seen[3])
     wanted = expected(*seen)
     found = wanted.found
     assert found.margin > 1e-3, "the case tests a bound"
@@ -244,7 +244,6 @@ def test_the_field_is_the_oracles(run, case, views, lens, window):
     covariance = (common * found.sigma[..., None, None] ** 2)[known]
     largest = np.max(covariance, initial=0)
     np.testing.assert_allclose(field.covariance[known], covariance, rtol=0, atol=3e-3 * largest)
-    assert results["counts"][1:].sum() == found.refused.sum()
     assert bool(CASES[case][2]) == found.refused.any()
 
 
