@@ -1,14 +1,13 @@
 """Boards that are drawn: sharp or blurred, with ink that spreads, noise, steep light, JPEG."""
 
 import math
-from typing import NamedTuple
 
 import cv2
 import numpy as np
+from scenes import View
 
 from cmp_cl.image import GreyImage
-from cmp_cl.synthetic.boards import corners_in, samples
-from cmp_cl.synthetic.scoring import match
+from cmp_cl.synthetic.boards import corners_in, inside, samples
 
 SHAPE = (480, 640)
 SAMPLES = 3  # of a pixel, along each axis
@@ -16,29 +15,21 @@ BLACK, WHITE = 40.0, 200.0
 MARGIN = 12  # px from the border, or .6 cells: nearer corners are not scored
 
 
-class Board(NamedTuple):
-    """An image full of cells, its corners (N, 2) px, and the side of a cell, px."""
-
-    image: GreyImage
-    truth: np.ndarray
-    cell: float
-
-    def judge(self, xy: np.ndarray) -> tuple[int, int, int]:
-        """Return how many corners are missed, how many detections false, and how many corners
-        there are, all away from the border."""
-        reach = min(max(3.0, 0.1 * self.cell), self.cell / 3)
-        partner, inside = match(xy, self.truth, reach), within(self.truth, self.cell)
-        false = (partner < 0) & within(xy, self.cell)
-        inside[partner[partner >= 0]] = False
-        scored = within(self.truth, self.cell)
-        return int(inside.sum()), int(false.sum()), int(scored.sum())
-
-
-def within(xy: np.ndarray, cell: float) -> np.ndarray:
-    """Return which places are away from the border."""
+def view(image: GreyImage, truth: np.ndarray, cell: float) -> View:
+    """Return an image full of cells; corners and detections near its border do not count."""
     margin = max(MARGIN, 0.6 * cell)
-    inside: np.ndarray = ((xy >= margin) & (xy <= np.array(SHAPE[::-1]) - 1 - margin)).all(axis=1)
-    return inside
+    y, x = (
+        np.minimum(each, n - 1 - each) for each, n in zip(np.indices(SHAPE), SHAPE, strict=True)
+    )
+    away = inside(truth, SHAPE, margin)
+    return View(
+        image,
+        truth[away],
+        cell,
+        region=np.minimum(x, y) >= margin,
+        ignored=truth[~away],
+        within=min(max(3.0, 0.1 * cell), cell / 3),  # halved frames are less exact
+    )
 
 
 def board(
@@ -124,7 +115,7 @@ def cluttered(rng: np.random.Generator, reflectance: np.ndarray) -> np.ndarray:
     return np.hstack([reflectance[:, : SHAPE[1] // 2], soft[:, SHAPE[1] // 2 :]])
 
 
-def drawn(seed: int) -> tuple[Board, list[str]]:
+def drawn(seed: int) -> tuple[View, list[str]]:
     """Return a board of drawn cells (8 to 200 px), blur, ink, noise, light and compression, and
     which of these are strong."""
     rng = np.random.default_rng(seed)
@@ -161,4 +152,4 @@ def drawn(seed: int) -> tuple[Board, list[str]]:
         "clutter": clutter,
         "cells under 20 px": cell < 20,
     }
-    return Board(image, truth, cell), [name for name, true in strong.items() if true]
+    return view(image, truth, cell), [name for name, true in strong.items() if true]

@@ -7,6 +7,7 @@ Every method sees the same frames. A frame is right if no corner is missed and n
 A row of results/detection.csv is a method on the scenes of one density, severity and object.
 """
 
+import argparse
 import itertools
 import time
 from collections.abc import Iterator, Sequence
@@ -14,9 +15,9 @@ from typing import Any
 
 import methods
 import numpy as np
-from environment import QUICK, parser_of, write_table
-from peers import PEERS, Pattern, available, keep_freed_memory
-from scenes import TEST_SEED, Frame, rendered
+from environment import run
+from peers import PEERS, Pattern, available
+from scenes import TEST_SEED, View, rendered
 from tqdm import tqdm
 
 from cmp_cl.synthetic import Indenter, Mode, Scene, random_scene
@@ -57,7 +58,7 @@ def figures(scores: Sequence[Score], spent: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def timed(method: methods.Method, frame: Frame) -> tuple[Score, float]:
+def timed(method: methods.Method, frame: View) -> tuple[Score, float]:
     """Return the score of a method on a frame, and its time, ms."""
     start = time.perf_counter()
     xy = method.detect(frame.image)
@@ -65,42 +66,41 @@ def timed(method: methods.Method, frame: Frame) -> tuple[Score, float]:
     return frame.score(xy), 1e3 * getattr(method.detect, "seconds", spent)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    parser = parser_of(__doc__, quick="30 scenes, no slow peers")
-    parser.add_argument("--repeats", type=int, default=3, help="scenes of each object and severity")
-    arguments = parser.parse_args(argv)
-    names, reasons = available()
-    for name, reason in reasons.items():
-        print(f"left out: {PEERS[name].label}: {reason}")
-    names = [name for name in names if not (arguments.quick and PEERS[name].slow)]
+def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    names = [name for name in available() if not (arguments.quick and PEERS[name].slow)]
     severities = (0.5, 1.0) if arguments.quick else SEVERITIES
     densities = DENSITIES[:3] if arguments.quick else DENSITIES
     repeats = 1 if arguments.quick else arguments.repeats
-    keep_freed_memory()
-    rows = []
-    with tqdm(total=len(densities) * len(severities) * len(INDENTERS)) as progress:
-        for markers in densities:
-            pattern = Pattern(markers)
-            used: list[methods.Method] = []
-            for some in scenes(markers, severities, repeats):
-                frames = [rendered(scene) for scene in some]
-                if not used:
-                    used = methods.own(pattern, frames[0].image.shape)
-                    used += [methods.peer(name, pattern) for name in names]
-                    for method in used:  # some compile or allocate only now
-                        method.detect(frames[0].image)
-                for method in used:
-                    scores, spent = zip(*(timed(method, frame) for frame in frames), strict=True)
-                    which = {
-                        "method": method.name,
-                        "markers": markers,
-                        "severity": some[0].severity,
-                        "indenter": some[0].indenter.value,
-                    }
-                    rows.append(which | figures(scores, spent))
-                progress.update()
-    write_table("detection", rows, arguments.out or (QUICK if arguments.quick else None))
-    return 0
+    for markers in densities:
+        pattern = Pattern(markers)
+        used: list[methods.Method] = []
+        for some in tqdm(list(scenes(markers, severities, repeats)), unit=" kinds of scenes"):
+            frames = [rendered(scene) for scene in some]
+            if not used:
+                used = methods.own(pattern, frames[0].image.shape)
+                used += [methods.peer(name, pattern) for name in names]
+                for method in used:  # some compile or allocate only now
+                    method.detect(frames[0].image)
+            for method in used:
+                scores, spent = zip(*(timed(method, frame) for frame in frames), strict=True)
+                which = {
+                    "method": method.name,
+                    "markers": markers,
+                    "severity": some[0].severity,
+                    "indenter": some[0].indenter.value,
+                }
+                yield which | figures(scores, spent)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    repeats = {"type": int, "default": 3, "help": "scenes of each object and severity"}
+    return run(
+        __doc__,
+        {"detection": rows},
+        argv,
+        quick="30 scenes, no slow peers",
+        options={"repeats": repeats},
+    )
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import cv2
@@ -21,6 +22,7 @@ import cmp_cl
 RESULTS = Path(__file__).with_name("results")
 QUICK = Path(tempfile.gettempdir()) / "cmp_cl-bench"
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"  # photographs, not in the repository
+Row = Mapping[str, Any]
 _PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution", "chess_corners", "libCBDetect")
 
 
@@ -47,43 +49,45 @@ def environment() -> dict[str, Any]:
     }
 
 
-def parser_of(doc: str, *, quick: str | None = None) -> argparse.ArgumentParser:
-    """Return the parser of a part with that docstring: --out, and --quick if its help is given."""
+def run(
+    doc: str,
+    tables: Mapping[str, Callable[[argparse.Namespace], Iterable[Row]]],
+    argv: Sequence[str] | None = None,
+    *,
+    quick: str | None = None,
+    options: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+) -> int:
+    """Print the rows of a part as they come, and write each table that has rows as NAME.csv.
+
+    doc: of the part. tables: what yields the rows of each, from the arguments. quick: the help of
+    --quick, by which tables go into the folder for temporary files; None if a part has no short
+    form. options: further arguments, as for argparse.
+    """
     parser = argparse.ArgumentParser(description=doc.splitlines()[0])
     if quick is not None:
         parser.add_argument("--quick", action="store_true", help=quick)
-    parser.add_argument("--out", type=Path, help="the JSON to write")
-    return parser
-
-
-def run(
-    doc: str,
-    name: str,
-    rows: Callable[[bool], Iterable[Mapping[str, Any]]],
-    *,
-    quick: str | None = None,
-    argv: Sequence[str] | None = None,
-) -> int:
-    """Print the rows of a part as they come, and write them as NAME.csv: into results/, or into the
-    folder for temporary files if it is quick. quick: the help of that option, None if a part has
-    no short form."""
-    arguments = parser_of(doc, quick=quick).parse_args(argv)
-    table = []
-    short = quick is not None and arguments.quick
-    for row in rows(short):
-        table.append(row)
-        print(", ".join(f"{key} {_short(value)}" for key, value in row.items()), flush=True)
-    write_table(name, table, arguments.out or (QUICK if short else None))
+    parser.add_argument("--out", type=Path, help="folder of the tables")
+    for name, settings in options.items():
+        parser.add_argument(f"--{name}", **settings)
+    arguments = parser.parse_args(argv)
+    usual = QUICK if quick is not None and arguments.quick else RESULTS
+    for name, rows in tables.items():
+        table = []
+        for row in rows(arguments):
+            table.append(row)
+            print(", ".join(f"{key} {_short(value)}" for key, value in row.items()), flush=True)
+        if table:
+            _write(arguments.out or usual, name, table)
     return 0
 
 
-def write_table(name: str, rows: Sequence[Mapping[str, Any]], out: Path | None) -> None:
-    """Write rows as results/NAME.csv, or as NAME.csv in the folder `out`.
+def _write(folder: Path, name: str, rows: Sequence[Row]) -> None:
+    """Write rows as NAME.csv: one row a measurement, one column a quantity.
 
-    One row a measurement, one column a quantity. The first line is a comment with `environment()`
-    as JSON; pandas reads the rest with comment="#".
+    The first line is a comment with `environment()` as JSON; pandas reads the rest with
+    comment="#".
     """
-    path = (out or RESULTS) / f"{name}.csv"
+    path = folder / f"{name}.csv"
     path.parent.mkdir(parents=True, exist_ok=True)
     columns = list(dict.fromkeys(key for row in rows for key in row))
     with path.open("w", newline="") as file:

@@ -10,6 +10,7 @@ that are known exactly. A row of results/field.csv is a figure: `what` was measu
 detection of the same frame, which is measured in turns with it.
 """
 
+import argparse
 import dataclasses
 import itertools
 import re
@@ -17,12 +18,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from environment import QUICK, parser_of, write_table
+from environment import run
 from scenes import TEST_SEED
 
 from cmp_cl import BinocularSplit, Detector, DetectorConfig
@@ -286,29 +287,31 @@ def from_a_file(film: Film) -> Row:
     return "cmp-cl run from MJPG", case, FILE_FRAMES, float(rate), "1/s", "at least 100"
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    parser = parser_of(__doc__, quick="two minutes")
-    parser.add_argument("--endure", metavar="FRAMES", type=int, help="measure so many, alone")
-    arguments = parser.parse_args(argv)
-    short = bool(arguments.quick or arguments.endure)
-    made = films(1 if short else 4)
+def measured(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    if arguments.endure:
+        return
+    made = films(1 if arguments.quick else 4)
     presses = [film for film in made if len(film) > len(STEPS)]
     parts: Sequence[Callable[[], list[Row]]] = (
-        lambda: times(presses[:3], 1 if short else 4),
+        lambda: times(presses[:3], 1 if arguments.quick else 4),
         lambda: [from_a_file(presses[0])],
         lambda: errors(made),
         lambda: anew(made),
     )
-    if arguments.endure:
-        parts = (lambda: endure(presses[0], arguments.endure),)
-    rows: list[Row] = []
     for row in itertools.chain.from_iterable(part() for part in parts):
-        what, case, frames, value, unit, goal = row
-        print(f"{what:34}{case:40}{frames:6} frames {value:9.3g} {unit:6}{goal}", flush=True)
-        rows.append(row)
-    table = [dict(zip(COLUMNS, row, strict=True)) for row in rows]
-    write_table("field", table, arguments.out or (QUICK if short else None))
-    return 0
+        yield dict(zip(COLUMNS, row, strict=True))
+
+
+def endured(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    if arguments.endure:
+        for row in endure(films(1)[0], arguments.endure):
+            yield dict(zip(COLUMNS, row, strict=True))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    tables = {"field": measured, "field_endured": endured}
+    frames = {"metavar": "FRAMES", "type": int, "help": "measure so many, alone"}
+    return run(__doc__, tables, argv, quick="two minutes", options={"endure": frames})
 
 
 if __name__ == "__main__":

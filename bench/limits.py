@@ -8,6 +8,7 @@ A row of results/limits.csv is a method at one level of one difficulty; results/
 single cases and the differences to the oracle, each beside what is expected.
 """
 
+import argparse
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -15,7 +16,7 @@ from typing import Any
 import cv2
 import methods
 import numpy as np
-from environment import QUICK, parser_of, write_table
+from environment import run
 from peers import Pattern, available
 from scenes import MILD, TEST_SEED, rendered
 from tqdm import tqdm
@@ -63,37 +64,34 @@ def sweeps() -> dict[str, tuple[list[float], Make]]:
     }
 
 
-def breaking(names: Sequence[str], *, quick: bool) -> list[Row]:
-    """Return missed, false and RMSE of every method at every level."""
-    rows = []
+def breaking(arguments: argparse.Namespace) -> Iterator[Row]:
+    """Yield missed, false and RMSE of every method at every level."""
+    names = [name for name in available() if name in SHOWN]
     levels = [(what, v, make) for what, (values, make) in sweeps().items() for v in values]
-    for what, level, make in tqdm(levels[::3] if quick else levels, unit=" levels"):
+    for what, level, make in tqdm(levels[::3] if arguments.quick else levels, unit=" levels"):
         frames = []
-        for k in range(1 if quick else 3):
+        for k in range(1 if arguments.quick else 3):
             try:
                 frames.append(rendered(make(level, SEED + k)))
             except ConfigError as error:  # a surface that folds over cannot be rendered
                 tqdm.write(f"{what} {level}: {error}")
         if not frames:
             continue
-        pattern = Pattern(frames[0].markers)
+        pattern = Pattern(frames[0].whole[0])
         density = min((20, 30, 40), key=lambda known: abs(known - pattern.markers))
         used = methods.own(pattern, frames[0].image.shape)
         used += [methods.peer(name, pattern, density) for name in names]
         for method in used:
             score = total(frame.score(method.detect(frame.image)) for frame in frames)
-            rows.append(
-                {
-                    "difficulty": what,
-                    "level": level,
-                    "method": method.name,
-                    "corners": score.expected,
-                    "missed": score.missed,
-                    "false": score.false,
-                    "rmse": score.rmse,
-                }
-            )
-    return rows
+            yield {
+                "difficulty": what,
+                "level": level,
+                "method": method.name,
+                "corners": score.expected,
+                "missed": score.missed,
+                "false": score.false,
+                "rmse": score.rmse,
+            }
 
 
 # single cases
@@ -148,23 +146,19 @@ def blank() -> Iterator[Row]:
         yield case(f"blank frame, noise of {sd}, correlated over 2 px", len(detect(soft)), "< 3")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    arguments = parser_of(__doc__, quick="few levels, two minutes").parse_args(argv)
-    repeats = 1 if arguments.quick else 3
+def single(arguments: argparse.Namespace) -> Iterator[Row]:
     mixed = [
         random_scene(SEED + k, markers=MARKERS, severity=severity)
-        for k in range(repeats)
+        for k in range(1 if arguments.quick else 3)
         for severity in (0.25, 1.0, 1.5)
     ]
     image = rendered(random_scene(SEED, markers=MARKERS, severity=0.5)).image
-    cases = [*blank(), *along_the_image(image), *against_oracle(mixed)]
-    for row in cases:
-        print(f"{row['case']:64}{row['figure']:10.4g}   expected {row['expected']}")
-    out = arguments.out or (QUICK if arguments.quick else None)
-    write_table("stiff", cases, out)
-    names = [name for name in available()[0] if name in SHOWN]
-    write_table("limits", breaking(names, quick=arguments.quick), out)
-    return 0
+    yield from (*blank(), *along_the_image(image), *against_oracle(mixed))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    tables = {"stiff": single, "limits": breaking}
+    return run(__doc__, tables, argv, quick="few levels, two minutes")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ those of the board, or those at rest. A frame is silent if a number is wrong and
 clutter also if a node is none of the board.
 """
 
+import argparse
 import dataclasses
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -18,12 +19,10 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from environment import parser_of, write_table
+from environment import DATA, run
 from patterns import (
-    DATA,
     SIDE,
     Open,
-    View,
     Views,
     clutter,
     corners_in,
@@ -31,7 +30,6 @@ from patterns import (
     gels,
     marked,
     open_patterns,
-    photograph,
     photographs,
     picture,
     place,
@@ -39,6 +37,7 @@ from patterns import (
     torn_otherwise,
     without_end,
 )
+from scenes import View, photograph
 
 from cmp_cl import Corners, Detector, DetectorConfig, Grid, NodeStatus, build_grid, select_device
 from cmp_cl.errors import GridError
@@ -47,6 +46,7 @@ from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.plan import LatticePlan
 
 SEED = 8_100_000  # of the report; constants were chosen on other frames
+FEWER = 10  # --quick takes one frame in so many
 HIT, SHARE = 3.0, 0.25  # px; of a cell
 FEW = 0.002  # share of wrong numbers in a frame of an open pattern that counts as right
 K = LatticeConstants()
@@ -214,14 +214,13 @@ def scored(view: View, answer: Answer, *, alone: bool) -> dict[str, int]:
         return row | {"frame": VERDICTS.index("refused")}
     away = np.linalg.norm(xy[:, None] - view.truth[None, :, :2], axis=2)
     nearest, distance = away.argmin(axis=1), away.min(axis=1)
-    x, y = np.rint(xy).astype(int).T
-    rows, columns = view.region.shape
-    counts = view.region[y.clip(0, rows - 1), x.clip(0, columns - 1)]
     hit = distance < HIT
     truth = view.truth[nearest[hit], 2:].astype(int)
     right, of_board = agreeing(number[hit], truth, view.whole)
     row |= {"right": right, "wrong": int(np.count_nonzero(hit)) - right}
-    row["false"] = int(np.count_nonzero((distance >= max(HIT, SHARE * view.cell)) & counts))
+    row["false"] = int(
+        np.count_nonzero((distance >= max(HIT, SHARE * view.cell)) & view.counted(xy))
+    )
     bad = row["wrong"] > 0 or (answer.sized and not of_board) or (alone and row["false"] > 0)
     return row | {"frame": verdict(good=not bad, told=answer.doubts)}
 
@@ -251,12 +250,13 @@ def agreeing(
 
 
 def singles(
-    methods: dict[str, Method], peers: dict[str, Method], seed: int, fewer: int
+    methods: dict[str, Method], peers: dict[str, Method], arguments: argparse.Namespace, fewer: int
 ) -> Iterator[dict[str, Any]]:
     """Run every method on every view, and sum by family."""
-    for name, family in FAMILIES.items():
+    for name in arguments.families or FAMILIES:
+        family = FAMILIES[name]
         totals: dict[str, dict[str, Any]] = {}
-        for view in family.views(seed, max(family.frames // fewer, 1)):
+        for view in family.views(arguments.seed, max(family.frames // fewer, 1)):
             with Detector(
                 shape=view.image.shape, config=DetectorConfig.for_cell(view.cell)
             ) as detector:
@@ -395,37 +395,32 @@ def add(row: dict[str, Any], score: dict[str, int]) -> None:
         row[key] += score.get(key, 0)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    parser = parser_of(__doc__, quick="a tenth of the frames")
-    parser.add_argument("--seed", type=int, default=SEED, help="of the first frames")
-    parser.add_argument("--ablation", action="store_true", help="ours alone, each idea left out")
-    parser.add_argument("--families", nargs="+", choices=FAMILIES, help="only these")
-    arguments = parser.parse_args(argv)
-    fewer = 10 if arguments.quick else 1
-    methods, peers = dict(OURS), PEERS
+def numbered(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     if arguments.ablation:
-        peers = {}
-        for name, changes in ABLATION.items():
-            methods[f"lattice, {name}"] = of_lattice(dataclasses.replace(K, **changes))
-    for name in set(FAMILIES) - set(arguments.families or FAMILIES):
-        del FAMILIES[name]
-    rows = []
-
-    def keep(row: dict[str, Any]) -> None:
-        rows.append(row)
-        counts = [f"{value:7g}" for value in row.values() if not isinstance(value, str)]
-        print(f"{row['family']:26}{row['method']:36}" + "".join(counts), flush=True)
-
-    print("family, method: " + ", ".join(list(new_row("", ""))[2:]) + ", ms, ms of the detection")
-    for row in singles(methods, peers, arguments.seed, fewer):
-        keep(row)
+        return
+    fewer = FEWER if arguments.quick else 1
+    yield from singles(OURS, PEERS, arguments, fewer)
     if not arguments.families:
-        keep(wrong_sizes(fewer))
-        for row in liked(arguments.seed, 120 // fewer):
-            keep(row)
-        keep(film(arguments.seed, 360 // fewer))
-    write_table("ablation" if arguments.ablation else "numbering", rows, arguments.out)
-    return 0
+        yield wrong_sizes(fewer)
+        yield from liked(arguments.seed, max(120 // fewer, 1))
+        yield film(arguments.seed, max(360 // fewer, 1))
+
+
+def ablation(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    if arguments.ablation:
+        changed = {name: dataclasses.replace(K, **each) for name, each in ABLATION.items()}
+        methods = {f"lattice, {name}": of_lattice(each) for name, each in changed.items()}
+        yield from singles(OURS | methods, {}, arguments, FEWER if arguments.quick else 1)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    options = {
+        "seed": {"type": int, "default": SEED, "help": "of the first frames"},
+        "ablation": {"action": "store_true", "help": "ours alone, each idea left out"},
+        "families": {"nargs": "+", "choices": FAMILIES, "help": "only these"},
+    }
+    tables = {"numbering": numbered, "ablation": ablation}
+    return run(__doc__, tables, argv, quick="a tenth of the frames", options=options)
 
 
 if __name__ == "__main__":

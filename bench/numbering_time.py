@@ -7,13 +7,15 @@ Numbering is `Detector.grid` less `Detector.__call__`. A row of results/numberin
 of frame: medians of wall time, and of processor time, which other programs disturb less.
 """
 
+import argparse
 import contextlib
 import time
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
-from environment import environment, parser_of, write_table
+from environment import run
 from patterns import gels, torn, torn_otherwise
 
 from cmp_cl import Detector, DetectorConfig
@@ -21,15 +23,15 @@ from cmp_cl.errors import GridError
 from cmp_cl.image import GreyImage
 
 SEED = 5_300_000
-ROUNDS = 60
+ROUNDS, GELS = 60, 6  # of each gel, and gels of each kind
 FINE, ANGLE, SIZE = 6.0, 17.0, (1200, 1600)  # px, degrees, of the finest board
 SMALL = 10  # px, cells of many boards
 
 
 def frames() -> Iterator[tuple[str, GreyImage, float]]:
     """Yield kinds of frames, images, and sides of cells, px."""
-    yield from (("whole gels", view.image, view.cell) for view in gels(SEED, 6))
-    for views in (torn(SEED, 6), torn_otherwise(SEED, 6)):
+    yield from (("whole gels", view.image, view.cell) for view in gels(SEED, GELS))
+    for views in (torn(SEED, GELS), torn_otherwise(SEED, GELS)):
         yield from (("torn gels", view.image, view.cell) for view in views)
     yield "cells of 6 px", fine(), FINE
     yield "400 boards", many(), SMALL
@@ -83,15 +85,13 @@ def times(image: GreyImage, cell: float, rounds: int) -> dict[str, float]:
     }
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    arguments = parser_of(__doc__, quick="a third of the rounds").parse_args(argv)
-    print(f"cores at other work: {environment()['others']}")
+def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     kinds: dict[str, list[dict[str, float]]] = {}
     for kind, image, cell in frames():
         rounds = ROUNDS if "gels" in kind else 4
         found = times(image, cell, max(rounds // (3 if arguments.quick else 1), 3))
         kinds.setdefault(kind, []).append(found)
-    rows, gel = [], 0.0
+    gel = 0.0
     for kind, found in kinds.items():
         row = {name: float(np.median([each[name] for each in found])) for name in found[0]}
         for name, one, other in (
@@ -103,10 +103,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         own = row["processor_numbering"] / row["corners"]
         gel = gel or own
         row["per_corner_of_gel"] = own / gel
-        rows.append({"kind": kind, "frames": len(found), **row})
-        print(kind, ", ".join(f"{name} {value:.4g}" for name, value in row.items()), flush=True)
-    write_table("numbering_time", rows, arguments.out)
-    return 0
+        yield {"kind": kind, "frames": len(found), **row}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    return run(__doc__, {"numbering_time": rows}, argv, quick="a third of the rounds")
 
 
 if __name__ == "__main__":

@@ -8,23 +8,25 @@ within two sigma; the ink of half of these boards has spread. said: the share of
 whose corners `Corners.advice` says to be noise.
 """
 
+import argparse
 import itertools
-import json
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import boards
 import numpy as np
-from boards import Board, board, photographed
-from environment import DATA, parser_of, write_table
-from photographs import Photograph, small_boards
+from boards import board, photographed, view
+from environment import DATA, run
+from photographs import folder, small_boards
+from scenes import View
 
 from cmp_cl import Corners, Detector, DetectorConfig, RingHarmonic
 from cmp_cl.image import GreyImage
-from cmp_cl.synthetic.scoring import match
+from cmp_cl.synthetic.scoring import match, total
 
 FIRST_SEED = 800_000
+DRAWN = 400  # boards
 SETTINGS = {
     "octaves=3": DetectorConfig(),
     "octaves=0": DetectorConfig(detection=RingHarmonic(octaves=0)),
@@ -47,7 +49,7 @@ class Finder:
         return self._detectors[image.shape](image)
 
 
-def spread_ink() -> Iterator[tuple[str, list[Board]]]:
+def spread_ink() -> Iterator[tuple[str, list[View]]]:
     """Yield boards of each cell whose black squares have grown or shrunk by up to 10 % of it."""
     for cell in (12, 25, 50, 100):
         group = []
@@ -55,11 +57,11 @@ def spread_ink() -> Iterator[tuple[str, list[Board]]]:
             rng = np.random.default_rng(seed)
             ink, angle = cell * percent / 100, rng.uniform(0, 1.5)
             reflectance, truth = board(cell, angle=angle, ink=ink, start=(0.3, 0.2))
-            group.append(Board(photographed(reflectance, rng, noise=2), truth, cell))
+            group.append(view(photographed(reflectance, rng, noise=2), truth, cell))
         yield f"spread ink, cells of {cell} px", group
 
 
-def noisy(count: int) -> Iterator[tuple[str, list[Board]]]:
+def noisy(count: int) -> Iterator[tuple[str, list[View]]]:
     """Yield drawn boards, those with strong noise first."""
     drawn = [boards.drawn(FIRST_SEED + n) for n in range(count)]
     wide = [each for each, strong in drawn if "noise, wide" in strong]
@@ -69,10 +71,11 @@ def noisy(count: int) -> Iterator[tuple[str, list[Board]]]:
     yield "drawn", [each for each, _ in drawn]
 
 
-def judged(group: Sequence[Board], finder: Finder) -> dict[str, Any]:
-    """Return the counts of a group of boards."""
-    missed, false, corners = np.sum([each.judge(finder(each.image).xy) for each in group], axis=0)
-    return {"images": len(group), "corners": corners, "missed": missed, "false": false}
+def judged(group: Sequence[View], finder: Finder) -> dict[str, Any]:
+    """Return the counts of a group of images."""
+    whole = total(each.score(finder(each.image).xy) for each in group)
+    counts = {"corners": whole.expected, "missed": whole.missed, "false": whole.false}
+    return {"images": len(group), **counts}
 
 
 def every_cell_and_blur() -> dict[str, Any]:
@@ -84,10 +87,10 @@ def every_cell_and_blur() -> dict[str, Any]:
             continue
         rng = np.random.default_rng(FIRST_SEED + cell)
         reflectance, truth = board(cell, angle=0.3, blur=blur)
-        each = Board(photographed(reflectance, rng, noise=3), truth, cell)
-        ours, _, corners = each.judge(default(each.image).xy)
-        best = min(each.judge(finder(each.image).xy)[0] for finder in finders)
-        behind.append(100 * (ours - best) / corners)
+        each = view(photographed(reflectance, rng, noise=3), truth, cell)
+        ours = each.score(default(each.image).xy)
+        best = min(each.score(finder(each.image).xy).missed for finder in finders)
+        behind.append(100 * (ours.missed - best) / ours.expected)
         if behind[-1] == max(behind):
             worst = f"cells of {cell} px, blur {blur} px"
     return {"set": "every cell and blur", "behind_percent": max(behind), "worst": worst}
@@ -126,49 +129,29 @@ def covered(finder: Finder) -> dict[str, Any]:
     return {"set": "sigma in octaves", "covered": float(np.concatenate(within).mean())}
 
 
-def photographs(finder: Finder) -> Iterator[dict[str, Any]]:
-    """Yield the counts of the photographs that are listed, and of boards in front of them."""
-    names = sorted(str(path.relative_to(DATA).with_suffix("")) for path in DATA.glob("*/*.json"))
-    listed = [
-        name for name in names if "corners" in json.loads((DATA / f"{name}.json").read_text())
-    ]
-    groups: dict[str, list[Photograph]] = {}
-    for name in listed:
-        groups.setdefault(name.split("/")[0], []).append(Photograph.read(name))
-    groups["small boards before photographs"] = small_boards()
-    for name, group in groups.items():
-        parts = [each.judge(finder(each.image).xy) for each in group]
-        yield {
-            "set": name,
-            "images": len(group),
-            "corners": sum(part.expected for part in parts),
-            "missed": sum(part.missed for part in parts),
-            "false": sum(part.false for part in parts),
-        }
+def groups() -> Iterator[tuple[str, list[View]]]:
+    """Yield all images of which the corners are counted."""
+    yield from spread_ink()
+    yield from noisy(DRAWN)
+    if DATA.is_dir():
+        for path in sorted(DATA.glob("*/")):
+            yield path.name, folder(path.name)
+        yield "small boards before photographs", small_boards()
+
+
+def rows(_: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    finders = {name: Finder(config) for name, config in SETTINGS.items()}
+    for name, group in groups():
+        for setting, finder in finders.items():
+            yield {"settings": setting, "set": name, **judged(group, finder)}
+    for correlation, (setting, finder) in itertools.product(CORRELATIONS, finders.items()):
+        yield {"settings": setting, **blank(correlation, finder)}
+    yield {"settings": "octaves=3", **covered(finders["octaves=3"])}
+    yield {"settings": "octaves=3", **every_cell_and_blur()}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    arguments = parser_of(__doc__).parse_args(argv)
-    rows: list[dict[str, Any]] = []
-
-    def keep(row: dict[str, Any]) -> None:
-        rows.append(row)
-        print(row, flush=True)
-
-    finders = {name: Finder(config) for name, config in SETTINGS.items()}
-    for name, group in [*spread_ink(), *noisy(400)]:
-        for setting, finder in finders.items():
-            keep({"settings": setting, "set": name, **judged(group, finder)})
-    for correlation, (setting, finder) in itertools.product(CORRELATIONS, finders.items()):
-        keep({"settings": setting, **blank(correlation, finder)})
-    keep({"settings": "octaves=3", **covered(finders["octaves=3"])})
-    keep({"settings": "octaves=3", **every_cell_and_blur()})
-    if DATA.is_dir():
-        for setting, finder in finders.items():
-            for row in photographs(finder):
-                keep({"settings": setting, **row})
-    write_table("octaves", rows, arguments.out)
-    return 0
+    return run(__doc__, {"octaves": rows}, argv)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from environment import DATA
-from scenes import read_listed
+from scenes import View, photograph
 
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic import Indenter, Scene, boards, random_scene
@@ -29,30 +29,12 @@ NAMES = {
 }
 
 
-class View(NamedTuple):
-    """A picture. truth: (N, 4), x, y, row and column of each corner in view. region: where a node
-    that is no listed corner is false, (H, W) bool. whole: rows and columns of the pattern, None if
-    it has none or they are unknown. cell: px."""
-
-    image: GreyImage
-    truth: np.ndarray
-    region: np.ndarray
-    cell: float
-    whole: tuple[int, int] | None = None
-
-
 Views = Iterator[View]
-
-
-def everywhere(
-    image: GreyImage, truth: np.ndarray, cell: float, whole: tuple[int, int] | None
-) -> View:
-    return View(image, truth, np.ones(image.shape, np.bool_), cell, whole)
 
 
 def gel(scene: Scene) -> View:
     seen = boards.gel(scene)
-    return everywhere(seen.image, seen.corners, seen.cell, seen.shape)
+    return View(seen.image, seen.corners, seen.cell, seen.shape)
 
 
 def cut(view: View, box: tuple[float, float, float, float]) -> View:
@@ -61,7 +43,8 @@ def cut(view: View, box: tuple[float, float, float, float]) -> View:
     image = np.ascontiguousarray(view.image[y0:y1, x0:x1])
     moved = view.truth - np.array([x0, y0, 0, 0])
     seen = moved[boards.inside(moved, image.shape)]
-    return view._replace(image=image, truth=seen, region=view.region[y0:y1, x0:x1])
+    region = None if view.region is None else view.region[y0:y1, x0:x1]
+    return view._replace(image=image, truth=seen, region=region)
 
 
 def cuts(view: View, share: float) -> Views:
@@ -125,17 +108,6 @@ def torn_otherwise(seed: int, count: int) -> Views:
                 corrosion=float(draw.choice([1, 2])),
             )
         )
-
-
-def photograph(name: str) -> View:
-    listed, image = read_listed(name)
-    truth = np.array([[c["x"], c["y"], c["j"], c["i"]] for c in listed["corners"]])
-    region = np.ones(image.shape, np.bool_)
-    drawn = DATA / f"{name}.region.png"
-    if drawn.is_file():
-        region = cv2.imread(str(drawn), cv2.IMREAD_GRAYSCALE) > 0
-    whole = (6, 9) if name.startswith("stereo_opencv") else None
-    return View(image, truth, region, listed["cell_px"]["median"], whole)
 
 
 def photographs(seed: int, count: int) -> Views:
@@ -224,7 +196,7 @@ def before_ground(seed: int) -> View:
         seed=draw,
         count=SAMPLES,
     )
-    return everywhere(seen.image, seen.corners, cell, seen.shape)
+    return View(seen.image, seen.corners, cell, seen.shape)
 
 
 # boards with marks in their cells
@@ -285,7 +257,7 @@ def with_marks(mark: str, cell: float, seed: int, texels: int = 48) -> View:
         count=SAMPLES,
     )
     truth = seen.corners[boards.inside(seen.corners, SHAPE, 8)]
-    return everywhere(seen.image, truth, cell, seen.shape)
+    return View(seen.image, truth, cell, seen.shape)
 
 
 # patterns without an end
@@ -389,4 +361,4 @@ def without_end(seed: int, count: int) -> Views:
     """Yield single frames of patterns without an end."""
     for number, case in enumerate(open_patterns(seed, count)):
         image = picture(case, seed + number)
-        yield everywhere(image, corners_in(case), case.cell * case.zoom, None)
+        yield View(image, corners_in(case), case.cell * case.zoom)

@@ -296,7 +296,20 @@ PEERS: dict[str, Peer] = {
 NAMES = {peer.label: name for name, peer in PEERS.items()}
 
 
-def keep_freed_memory() -> None:
+def available() -> list[str]:
+    """Return the names of the peers that run here, and say why the others do not."""
+    _keep_freed_memory()
+    names = []
+    for name, peer in PEERS.items():
+        try:
+            peer.make(peer.settings(40), Pattern(40))
+            names.append(name)
+        except Unavailable as reason:
+            print(f"left out: {peer.label}: {reason}")
+    return names
+
+
+def _keep_freed_memory() -> None:
     """Keep freed memory in the process from now on, if malloc is glibc's.
 
     OpenCV makes its images anew for every frame. Whether malloc returns their memory to the system
@@ -307,14 +320,3 @@ def keep_freed_memory() -> None:
     if mallopt is not None:
         mallopt(-1, 2**30)  # M_TRIM_THRESHOLD
         mallopt(-3, 2**25)  # M_MMAP_THRESHOLD, the most that it takes
-
-
-def available() -> tuple[list[str], dict[str, str]]:
-    """Return the names of the peers that run here, and the reasons of the others."""
-    reasons: dict[str, str] = {}
-    for name, peer in PEERS.items():
-        try:
-            peer.make(peer.settings(40), Pattern(40))
-        except Unavailable as reason:
-            reasons[name] = str(reason)
-    return [name for name in PEERS if name not in reasons], reasons

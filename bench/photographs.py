@@ -9,20 +9,21 @@ soft shapes, which can be taken for cells. Peers have the settings of the densit
 cell, found on rendered scenes.
 """
 
+import argparse
 import time
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import methods
 import numpy as np
 from environment import DATA, run
-from peers import Pattern, available, keep_freed_memory
-from scenes import read_listed
+from peers import Pattern, available
+from scenes import View, photograph
 
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic import boards
-from cmp_cl.synthetic.scoring import match
+from cmp_cl.synthetic.scoring import total
 
 PICTURES = ("water/reference_df", "water/ellipse_10", "puzzleboard/example1", "curved/curve_4")
 BOARDS = ("stereo_opencv", "stereo_bumblebee2")  # folders of boards in a room
@@ -32,68 +33,30 @@ ROOMS = "stereo_opencv"  # the photographs behind the small boards
 ENLARGED = 4
 FIRST_SEED = 21_000  # of the small boards
 AT_ONCE = ("find_chessboard", "find_chessboard_sb")  # ask for whole boards of known size
-
-
 Row = dict[str, Any]
 
 
-class Photograph(NamedTuple):
-    """image; truth (N, 2) px; sure (N,) bool, the others are not scored as missed; region
-    (H, W) bool, where a detection that is no listed corner is false; cell, px."""
-
-    name: str
-    image: GreyImage
-    truth: np.ndarray
-    sure: np.ndarray
-    region: np.ndarray
-    cell: float
-
-    @classmethod
-    def read(cls, name: str) -> "Photograph":
-        listed, image = read_listed(name)
-        region = np.zeros_like(image)  # nowhere, if not every corner is listed
-        if listed["region"] is not None:
-            region = cv2.imread(str(DATA / f"{name}.region.png"), cv2.IMREAD_GRAYSCALE)
-        corners = listed["corners"]
-        return cls(
-            name=name,
-            image=image,
-            truth=np.array([(corner["x"], corner["y"]) for corner in corners]),
-            sure=np.array([corner.get("sure", True) for corner in corners]),
-            region=region > 0,
-            cell=listed["cell_px"]["median"],
-        )
-
-    def judge(self, xy: np.ndarray) -> "Judged":
-        """Return missed, false and distances; matched within a quarter of a cell, at most 3 px."""
-        partner = match(xy, self.truth, min(3, self.cell / 4))
-        hit = partner >= 0
-        missed = np.ones(len(self.truth), np.bool_)
-        missed[partner[hit]] = False
-        rows, columns = self.region.shape
-        x, y = np.rint(xy[~hit]).astype(int).T
-        x, y = x.clip(0, columns - 1), y.clip(0, rows - 1)
-        false = int(self.region[y, x].sum())
-        return Judged(
-            expected=int(self.sure.sum()),
-            missed=int((missed & self.sure).sum()),
-            false=false,
-            outside=int(len(xy) - hit.sum()) - false,
-            apart=np.hypot(*(xy[hit] - self.truth[partner[hit]]).T),
-        )
+def listed(*names: str) -> list[View]:
+    """Return photographs. Nothing is false in those of which not every corner is listed."""
+    views = [photograph(name) for name in names]
+    return [
+        view._replace(region=np.zeros(view.image.shape, np.bool_)) if view.region is None else view
+        for view in views
+    ]
 
 
-def small_boards() -> list[Photograph]:
+def folder(name: str) -> list[View]:
+    """Return all photographs of a folder."""
+    return listed(*(f"{name}/{path.stem}" for path in sorted((DATA / name).glob("*.json"))))
+
+
+def small_boards() -> list[View]:
     """Return a small board in front of two parts of each photograph of a room, enlarged."""
-    found = []
-    for path in sorted((DATA / ROOMS).glob("*.json")):
-        room = Photograph.read(f"{ROOMS}/{path.stem}").image
-        for _ in range(2):
-            found.append(before(room, FIRST_SEED + len(found)))
-    return found
+    rooms = [view.image for view in folder(ROOMS) for _ in range(2)]
+    return [before(room, seed) for seed, room in enumerate(rooms, FIRST_SEED)]
 
 
-def before(room: GreyImage, seed: int) -> Photograph:
+def before(room: GreyImage, seed: int) -> View:
     """Return a view of a board in front of a part of a photograph, in the photograph's size.
 
     Beyond half a cell outside the board's corners nothing is scored.
@@ -123,80 +86,52 @@ def before(room: GreyImage, seed: int) -> Photograph:
         seed=draw,
         count=3,
     )
-    truth = seen.corners[:, :2]
-    return Photograph(
-        name=f"{SMALL} {seed}",
-        image=seen.image,
-        truth=truth,
-        sure=np.ones(len(truth), np.bool_),
-        region=boards.covered(*camera(*boards.samples(room.shape)), seen.shape, -0.5),
-        cell=cell,
-    )
+    region = boards.covered(*camera(*boards.samples(room.shape)), seen.shape, -0.5)
+    return View(seen.image, seen.corners, cell, seen.shape, region)
 
 
-class Judged(NamedTuple):
-    """Counts of a photograph, and distances of what was found from the truth, px."""
-
-    expected: int
-    missed: int
-    false: int
-    outside: int
-    apart: np.ndarray
-
-
-def summary(parts: Sequence[Judged]) -> dict[str, Any]:
-    """Return the sums over some photographs."""
-    expected, missed, false, outside = (
-        int(sum(column)) for column in list(zip(*parts, strict=True))[:4]
-    )
-    apart = np.concatenate([part.apart for part in parts])
-    return {
-        "expected": expected,
-        "missed": missed,
-        "false": false,
-        "outside": outside,
-        "median": float(np.median(apart)) if len(apart) else float("nan"),
-        "p95": float(np.percentile(apart, 95)) if len(apart) else float("nan"),
-    }
-
-
-def rows_of(name: str, photographs: Sequence[Photograph], names: Sequence[str]) -> Iterator[Row]:
+def rows_of(name: str, views: Sequence[View], names: Sequence[str]) -> Iterator[Row]:
     """Run every method on some photographs of one size."""
-    first = photographs[0]
-    cell = float(np.median([each.cell for each in photographs]))
+    cell = float(np.median([view.cell for view in views]))
     nearest = min(CELLS, key=lambda markers: abs(CELLS[markers] - cell))
-    used = methods.own(Pattern(nearest, views=2), first.image.shape)  # without a grid
-    pattern = Pattern(round(len(first.truth) ** 0.5))
+    used = methods.own(Pattern(nearest, views=2), views[0].image.shape)  # without a grid
+    pattern = Pattern(round(len(views[0].truth) ** 0.5))
     used += [methods.peer(each, pattern, nearest) for each in names]
     for method in used:
-        spent, judged = [], []
-        for photograph in photographs:
+        spent, scores, outside = [], [], 0
+        for view in views:
             for _ in range(1 if method.slow else 4):
                 start = time.perf_counter()
-                xy = np.asarray(method.detect(photograph.image))
+                xy = np.asarray(method.detect(view.image))
                 spent.append(getattr(method.detect, "seconds", time.perf_counter() - start))
-            judged.append(photograph.judge(xy))
-        row = {"photograph": name, "photographs": len(photographs), "method": method.name}
-        yield {**row, "ms": 1e3 * float(np.median(spent[1:] or spent)), **summary(judged)}
+            scores.append(view.score(xy))
+            outside += len(xy) - scores[-1].found - scores[-1].false
+        whole = total(scores)
+        yield {
+            "photograph": name,
+            "photographs": len(views),
+            "method": method.name,
+            "ms": 1e3 * float(np.median(spent[1:] or spent)),
+            "expected": whole.expected,
+            "missed": whole.missed,
+            "false": whole.false,
+            "outside": outside,
+            "median": float(np.median(whole.errors)) if whole.found else float("nan"),
+        }
 
 
-def rows(names: Sequence[str]) -> Iterator[Row]:
-    groups = {name: [Photograph.read(name)] for name in PICTURES}
-    for folder in BOARDS:
-        files = sorted((DATA / folder).glob("*.json"))
-        groups[folder] = [Photograph.read(f"{folder}/{path.stem}") for path in files]
-    groups[SMALL] = small_boards()
-    for name, photographs in groups.items():
-        yield from rows_of(name, photographs, names)
+def rows(_: argparse.Namespace) -> Iterator[Row]:
+    names = [name for name in available() if name not in AT_ONCE]
+    groups = {name: listed(name) for name in PICTURES} | {name: folder(name) for name in BOARDS}
+    for name, views in (groups | {SMALL: small_boards()}).items():
+        yield from rows_of(name, views, names)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     if not DATA.is_dir():
         print(f"there are no photographs: {DATA} is missing")
         return 2
-    keep_freed_memory()
-    names = [name for name in available()[0] if name not in AT_ONCE]
-    return run(__doc__, "photographs", lambda quick: rows(names), argv=argv)
+    return run(__doc__, {"photographs": rows}, argv)
 
 
 if __name__ == "__main__":

@@ -14,10 +14,11 @@ drawn and said to be uncertain by as much. In `time`: that of the kernel that tr
 time without a window, in turns.
 """
 
+import argparse
 import contextlib
 import dataclasses
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import cv2
@@ -49,6 +50,7 @@ PRESS = Scene(shape=VIEW, markers=29, side=24.0, severity=0.5, seed=900001)
 PITCH = PRESS.side / (PRESS.markers + 1)
 ACRYLIC = 5.0, 1.49
 NOISE = 0.05  # px
+RIGS, ROUNDS = 100, 200  # drawn rigs, and frames that are timed
 STACKS = {
     "one layer": (ACRYLIC,),
     "three layers": ((2.0, 1.49), (1.0, 1.0), (2.0, 1.52)),
@@ -151,7 +153,7 @@ def images(*, quick: bool) -> Iterator[Row]:
 
 def drawn(*, quick: bool) -> Iterator[Row]:
     board = 2.5 * np.stack([*np.mgrid[-4:5, -6:6][::-1], np.zeros((9, 12))], axis=-1)
-    for seed, index_sigma in itertools.product(range(10 if quick else 100), (0.0, 0.005)):
+    for seed, index_sigma in itertools.product(range(RIGS // 10 if quick else RIGS), (0.0, 0.005)):
         rng, gel = np.random.default_rng(seed), (5.0, 10.0, 20.0)[seed % 3]
         boards: dict[str, list[Grid]] = {"left": [], "right": []}
         for _ in range(12):
@@ -196,7 +198,7 @@ def kernel_times(*, quick: bool) -> Iterator[Row]:
             )
             views = TwoViews(rest, rig, split, shape=(40, 40), profile=True)
             used[name] = stack.enter_context(views), now
-        for number in range(30 if quick else 200):
+        for number in range(ROUNDS // 5 if quick else ROUNDS):
             for name, (measure, now) in used.items():
                 measure(now)
                 if number:  # the first compiles
@@ -206,10 +208,14 @@ def kernel_times(*, quick: bool) -> Iterator[Row]:
         yield {"part": "time", "gel_mm": 20.0, "changed": name, "times": float(times)}
 
 
-def rows(quick: bool) -> Iterator[Row]:
+def rows(arguments: argparse.Namespace) -> Iterator[Row]:
     for part in (without_the_model, wrong_parameters, images, drawn, kernel_times):
-        yield from part(quick=quick)
+        yield from part(quick=arguments.quick)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    return run(__doc__, {"refraction": rows}, argv, quick="few gels, ten drawn rigs")
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(__doc__, "refraction", rows, quick="few gels, ten drawn rigs"))
+    raise SystemExit(main())

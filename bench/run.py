@@ -4,13 +4,14 @@ python bench/run.py --quick         some minutes; into a folder for temporary fi
 python bench/run.py                 about an hour on two quiet cores; into results/
 """
 
+import argparse
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from environment import QUICK, RESULTS, parser_of
+from environment import QUICK, RESULTS
 
 PARTS = (
     *("speed", "detection", "photographs", "sigma", "numbering", "field"),
@@ -20,7 +21,10 @@ WHOLE = ("photographs", "report")  # have no short form
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    arguments = parser_of(__doc__, quick="the short form of each part").parse_args(argv)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="the short form of each part")
+    parser.add_argument("--out", type=Path, help="folder of the tables")
+    arguments = parser.parse_args(argv)
     out = arguments.out or (QUICK if arguments.quick else RESULTS)
     failed = []
     for part in PARTS:

@@ -13,7 +13,7 @@ import json
 from collections.abc import Sequence
 
 from peers import FOUND_SETTINGS, PEERS, Pattern, Settings, available
-from scenes import SEARCH_SEED, Frame, rendered
+from scenes import SEARCH_SEED, View, rendered
 
 from cmp_cl.synthetic import random_scene
 from cmp_cl.synthetic.scoring import Score, total
@@ -23,7 +23,7 @@ SEVERITIES = (0.25, 0.5, 0.75, 1.0)
 SCENES_EACH = 2
 
 
-def frames_of(markers: int) -> list[Frame]:
+def frames_of(markers: int) -> list[View]:
     """Return the scenes of the search for one density."""
     return [
         rendered(random_scene(SEARCH_SEED + 100 * k + n, markers=markers, severity=severity))
@@ -38,9 +38,9 @@ def rank(score: Score) -> tuple[int, int, float]:
     return score.frames - score.success, score.missed + score.false, rmse
 
 
-def best_settings(name: str, frames: Sequence[Frame]) -> Settings:
+def best_settings(name: str, frames: Sequence[View]) -> Settings:
     """Return the best settings of a peer on some frames of one density."""
-    peer, pattern = PEERS[name], Pattern(frames[0].markers)
+    peer, pattern = PEERS[name], Pattern(frames[0].whole[0])
     known: dict[str, Score] = {}
 
     def tried(settings: Settings) -> Score:
@@ -62,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("peers", nargs="*", metavar="PEER", help="default: all")
     asked = parser.parse_args(argv).peers
-    names = [name for name in available()[0] if name in asked or not asked]
+    names = [name for name in available() if name in asked or not asked]
     found = json.loads(FOUND_SETTINGS.read_text()) if FOUND_SETTINGS.is_file() else {}
     for markers in DENSITIES:
         frames = frames_of(markers)

@@ -8,6 +8,7 @@ within two stated standard deviations: 95 % if errors are normal and sigma is ri
 results/sigma.csv is a kind of figure on the frames of one wear and severity.
 """
 
+import argparse
 import dataclasses
 import itertools
 import math
@@ -105,11 +106,11 @@ def summary(kind: str, parts: Sequence[Errors], **group: Any) -> dict[str, Any]:
     }
 
 
-def rows(quick: bool) -> Iterator[dict[str, Any]]:
+def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     detectors: dict[int, Detector] = {}
     groups: dict[tuple[str, float, float, float], list[Errors]] = defaultdict(list)
     lost = 0
-    for scene in tqdm(list(scenes(quick)), unit=" scenes"):
+    for scene in tqdm(list(scenes(arguments.quick)), unit=" scenes"):
         detector = detectors.setdefault(scene.markers, Detector(shape=scene.shape))
         found = measured(scene, detector)
         lost += found is None
@@ -121,5 +122,9 @@ def rows(quick: bool) -> Iterator[dict[str, Any]]:
     print(f"{lost} scenes were not numbered")
 
 
+def main(argv: Sequence[str] | None = None) -> int:
+    return run(__doc__, {"sigma": rows}, argv, quick="20 frames, a minute")
+
+
 if __name__ == "__main__":
-    raise SystemExit(run(__doc__, "sigma", rows, quick="20 frames, a minute"))
+    raise SystemExit(main())

@@ -9,27 +9,28 @@ results/speed.csv is a method on one class of frames; the last ones are our defa
 frames at once, whose time is that of a frame.
 """
 
+import argparse
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import methods
 import numpy as np
-from environment import QUICK, environment, parser_of, write_table
-from peers import PEERS, Pattern, available, keep_freed_memory
-from scenes import TEST_SEED, Frame, vga, wide
+from environment import run
+from peers import Pattern, available
+from scenes import TEST_SEED, View, vga, wide
 
 from cmp_cl import Corners, Detector
 from cmp_cl.synthetic.scoring import Score, total
 
-SCENES: dict[str, Callable[[int], Frame]] = {"vga": vga, "wide": wide}
+SCENES: dict[str, Callable[[int], View]] = {"vga": vga, "wide": wide}
 SHORT = ("good_features_refined", "chess_corners_saddle", "chess_opencl", "spectrum_opencl")
 BLOCK = 8  # frames of a turn
 MANY = 16  # frames in a stream, and in a batch
 
 
 def measure(
-    used: Sequence[methods.Method], frames: Sequence[Frame], rounds: int
+    used: Sequence[methods.Method], frames: Sequence[View], rounds: int
 ) -> list[dict[str, Any]]:
     """Time the methods in turns, and score the very answers that were timed."""
     times: dict[str, list[float]] = {method.name: [] for method in used}
@@ -57,7 +58,7 @@ def measure(
     ]
 
 
-def many(frames: Sequence[Frame], rounds: int) -> Iterator[dict[str, Any]]:
+def many(frames: Sequence[View], rounds: int) -> Iterator[dict[str, Any]]:
     """Time our default on many frames at once: what a frame takes then."""
     film = [frames[k % len(frames)] for k in range(MANY)]
     images = [frame.image for frame in film]
@@ -89,26 +90,20 @@ def row_of(name: str, spent: Sequence[float], score: Score) -> dict[str, Any]:
     }
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    arguments = parser_of(__doc__, quick="a minute").parse_args(argv)
-    names, reasons = available()
-    for name, reason in reasons.items():
-        print(f"left out: {PEERS[name].label}: {reason}")
-    names = [name for name in names if not arguments.quick or name in SHORT]
+def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    names = [name for name in available() if not arguments.quick or name in SHORT]
     count, rounds = (2, 8) if arguments.quick else (4, 12)
-    keep_freed_memory()
-    print(f"cores at other work: {environment()['others']}")
-    table = []
     for scene, draw in SCENES.items():
         frames = [draw(TEST_SEED + k) for k in range(count)]
-        pattern = Pattern(frames[0].markers, frames[0].views)
+        pattern = Pattern(frames[0].whole[0], frames[0].pictures)
         used = methods.own(pattern, frames[0].image.shape)
         used += [methods.peer(name, pattern) for name in names]
         for row in [*measure(used, frames, rounds), *many(frames, rounds)]:
-            table.append({"scene": scene, **row})
-            print(f"{scene:6}{row['method']:38}{row['ms']:9.3f} ms{row['missed']:7} missed")
-    write_table("speed", table, arguments.out or (QUICK if arguments.quick else None))
-    return 0
+            yield {"scene": scene, **row}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    return run(__doc__, {"speed": rows}, argv, quick="a minute")
 
 
 if __name__ == "__main__":

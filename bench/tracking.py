@@ -17,8 +17,9 @@ of tracking:
     slip at squares a slip, and squares like those of the board appear beside it
 """
 
+import argparse
 import collections
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import cv2
@@ -181,11 +182,11 @@ def trials_of(kind: str, numbers: range, rng: np.random.Generator) -> Iterator[s
             yield int(np.count_nonzero((off > WRONG * CELL) & there))
 
 
-def rows(quick: bool) -> Iterator[dict[str, Any]]:
+def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     for number, kind in enumerate(KINDS):
         rng = np.random.default_rng(7000 + number)
         counts: collections.Counter[str] = collections.Counter()
-        for group in range(1 if quick else GROUPS):
+        for group in range(1 if arguments.quick else GROUPS):
             for found in trials_of(kind, range(group * EACH, (group + 1) * EACH), rng):
                 if isinstance(found, str):
                     counts[found] += 1
@@ -197,5 +198,9 @@ def rows(quick: bool) -> Iterator[dict[str, Any]]:
         yield {"jump": kind, **{name: counts[name] for name in names}}
 
 
+def main(argv: Sequence[str] | None = None) -> int:
+    return run(__doc__, {"tracking": rows}, argv, quick="25 jumps of each kind")
+
+
 if __name__ == "__main__":
-    raise SystemExit(run(__doc__, "tracking", rows, quick="25 jumps of each kind"))
+    raise SystemExit(main())

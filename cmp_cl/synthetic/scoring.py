@@ -59,11 +59,19 @@ def match(found: ArrayLike, truth: ArrayLike, distance: float) -> NDArray[np.int
     return partner
 
 
-def score(found: ArrayLike, truth: ArrayLike, cell: float, ignored: ArrayLike = ()) -> Score:
+def score(
+    found: ArrayLike,
+    truth: ArrayLike,
+    cell: float,
+    ignored: ArrayLike = (),
+    *,
+    within: float | None = None,
+) -> Score:
     """Score the detections of one frame.
 
     found: (N, 2), truth: (M, 2) or (R, C, 2), px. cell: side of a cell, px.
     ignored: (K, 2), px, points where a detection is neither true nor false.
+    within: largest distance of a detection from its corner, px; None: 0.35 cells, at most 3.
 
     Raises FieldError if cell is not positive, or the others are not arrays of such a shape.
     """
@@ -73,10 +81,11 @@ def score(found: ArrayLike, truth: ArrayLike, cell: float, ignored: ArrayLike = 
         _points("truth", truth),
         _points("ignored", ignored),
     )
-    partner = match(detections, corners, reach(cell))
+    within = reach(cell) if within is None else within
+    partner = match(detections, corners, within)
     hit = partner >= 0
     unmatched = detections[~hit]
-    near_junction, _, _ = _near(unmatched, junctions, reach(cell))
+    near_junction, _, _ = _near(unmatched, junctions, within)
     false = len(unmatched) - len(np.unique(near_junction))
     missed = len(corners) - int(hit.sum())
     return Score(

@@ -244,6 +244,7 @@ def test_corners_lie_inside_the_mask_and_samples_beyond_it(detector_in_form, con
     mask[10:40, 5:81:2] = True
     corners = assert_equal(detector_in_form(image, config, mask), image, mask=mask)
     assert 0 < len(corners) < len(detector_in_form(image, config)(image))
+    assert mask[corners.pixel[:, 1], corners.pixel[:, 0]].all() or config.scale
 
 
 @pytest.mark.parametrize(
