@@ -270,7 +270,7 @@ def singles(
                     answer = ask(view, corners)
                 except GridError:
                     answer = NOTHING
-                except (ImportError, AttributeError):
+                except ImportError:  # a peer that is not installed
                     continue
                 if answer is None:
                     continue

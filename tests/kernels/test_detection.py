@@ -5,7 +5,6 @@ forms. Scale: resample.
 """
 
 import time
-from pathlib import Path
 
 import images
 import numpy as np
@@ -30,7 +29,6 @@ from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import PlanBase
 
 EIGHT, DEEP = images.eight_bits(), images.sixteen_bits()
-VECTORS = sorted((Path(__file__).resolve().parents[1] / "data").glob("harmonic-*.npz"))
 
 
 def harmonic(nms_radius=3, full_scale=None, **rule):
@@ -120,16 +118,6 @@ def test_levels_of_every_full_scale(detector_in_form):
         assert_maps_equal(detector_in_form(scaled, config), scaled)
         rough = (noise((61, 83)).astype(np.int64) * full_scale // 255).astype(np.uint16)
         assert_corners_equal(detector_in_form(rough, config), rough)
-
-
-@pytest.mark.parametrize("path", VECTORS, ids=lambda path: path.stem)
-def test_corners_of_stored_images_are_the_stored_ones(detector_in_form, path):
-    with np.load(path) as file:
-        vector = dict(file)
-    config = harmonic(full_scale=int(vector["full_scale"]), relative=24 / 128, octaves=0)
-    corners = detector_in_form(vector["image"], config)(vector["image"])
-    np.testing.assert_array_equal(corners.pixel, vector["kept"][:, :2])
-    np.testing.assert_array_equal(corners.response, vector["kept"][:, 2])
 
 
 # shapes
