@@ -30,7 +30,7 @@ PARTS = [  # scripts, arguments, and constants in place of the script's own
     ("numbering_time", ["--quick"], {"ROUNDS": 3, "GELS": 1}),
     ("field", ["--quick"], {"STEPS": (0.25, 0.5, 0.75, 1.0, 1.25, 1.5), "FILE_FRAMES": 20}),
     ("tracking", ["--quick"], {"EACH": 2}),
-    ("refraction", ["--quick"], {"RIGS": 10, "ROUNDS": 10}),
+    ("refraction", ["--quick"], {"RIGS": 10, "ROUNDS": 10, "STACKS": {"one": ((5.0, 1.49),)}}),
     ("limits", ["--quick"], {}),
     ("field", ["--endure", "3"], {"STEPS": (0.25, 0.5)}),
     ("octaves", [], {"DRAWN": 20, "CELLS": (20,), "BLURS": (1,), "CORRELATIONS": (0,)}),
