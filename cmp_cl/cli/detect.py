@@ -2,13 +2,14 @@
 
 import argparse
 import contextlib
+import dataclasses
 import functools
 import itertools
 import statistics
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,41 +82,38 @@ def run(arguments: argparse.Namespace) -> int:
         config = config.replace(full_scale=arguments.full_scale)
     paths = media.find_inputs(arguments.inputs)
     overlays = _overlay_paths(arguments.overlay, paths)
-    out = arguments.out
+    out, shape = arguments.out, arguments.grid
     check_suffix("--out", out, ".csv")
     check_files([*paths, arguments.config], [*overlays.values(), out])
-    columns = _CORNER_COLUMNS if arguments.grid is None else _NODE_COLUMNS
     device = select_device(arguments.device)
-    failed = hinted = False
-    rows = 0
+    failed, count = False, 0
     with contextlib.ExitStack() as stack:
         table = None if out is None else stack.enter_context(whole_file(out))
         if table is not None:
+            columns = _CORNER_COLUMNS if shape is None else _NODE_COLUMNS
             table.write(csv_bytes([("image", "frame", *columns)]))
         progress = stack.enter_context(Progress(None, "frames"))
         for path in paths:
-            found = _Found(path)
+            found = _Found(path, device)
             try:
-                for frame, written in _searched(found, config, device, arguments.grid):
+                for index, image, corners, grid in _searched(found, config, shape):
                     progress.step()
-                    rows += len(written.rows)
+                    rows = _node_rows(grid) if shape else _corner_rows(corners)
+                    count += len(rows)
                     if table is not None:
-                        table.write(
-                            csv_bytes([(str(path), frame.index, *row) for row in written.rows])
-                        )
+                        table.write(csv_bytes([(str(path), index, *row) for row in rows]))
                     if path in overlays:
-                        name = _of_frame(overlays[path], path, frame.index)
-                        media.write_image(name, written.draw())
-                        found.overlays.append(name)
+                        found.overlays.append(_of_frame(overlays[path], path, index))
+                        media.write_image(found.overlays[-1], _picture(image, corners, grid))
             except ImageError as error:
-                found.failures.append(one_line(error))
-            found.report(progress, hint=not hinted)
-            hinted = hinted or bool(found.dark)
-            failed = failed or bool(found.failures)
-        if table is not None and failed and not rows:  # an error keeps an older table
+                progress.tell(one_line(error))
+                failed = True
+            found.report(progress)
+            failed = failed or bool(found.refused)
+        if table is not None and failed and not count:  # an error keeps an older table
             raise ImageError(f"nothing was found, so {shown(out)} is not written")
     if out is not None:
-        print(f"wrote {shown(out)}: {rows} {'corners' if arguments.grid is None else 'nodes'}")
+        print(f"wrote {shown(out)}: {count} {'corners' if shape is None else 'nodes'}")
     return 2 if failed else 0
 
 
@@ -127,58 +125,32 @@ def _detector(
     return Detector(shape=shape, dtype=dtype, config=config, device=device)
 
 
-class _Written(NamedTuple):
-    """A frame for the table, and for its picture."""
-
-    rows: list[Sequence[object]]
-    draw: Callable[[], NDArray[np.uint8]]
-
-
 def _searched(
-    found: "_Found",
-    config: DetectorConfig,
-    device: Device,
-    shape: tuple[int, int] | None,
-) -> Iterator[tuple[media.Frame, _Written]]:
-    """Search the frames of a file; what there is to say goes to `found`. Raises ImageError."""
+    found: "_Found", config: DetectorConfig, shape: tuple[int, int] | None
+) -> Iterator[tuple[int, GreyImage, Corners, Grid | None]]:
+    """Yield the number of each frame of a file, its image, its corners, and their grid if there is
+    one of that shape; what there is to say goes to `found`. Raises ImageError."""
     if config.full_scale is None:
         config = config.replace(full_scale=media.video_info(found.path).full_scale)
+    found.full_scale = config.full_scale
     for frame in media.read_frames(found.path):
         image = frame.image
         if image is None:
             found.broken[frame.index] = frame.why
             continue
         start = time.perf_counter()
-        corners = _detector(image.shape, image.dtype, config, device)(image)
-        found.add(image, corners, config, 1e3 * (time.perf_counter() - start))
-        yield frame, _written(found, frame.index, image, corners, shape)
+        corners = _detector(image.shape, image.dtype, config, found.device)(image)
+        found.add(image, corners, 1e3 * (time.perf_counter() - start))
+        grid = None if shape is None else found.numbered(frame.index, image, corners, shape)
+        yield frame.index, image, corners, grid
     if not found.corners:
         raise ImageError(f"{str(found.path)!r} has no frame that can be read")
 
 
-def _written(
-    found: "_Found",
-    number: int,
-    image: GreyImage,
-    corners: Corners,
-    shape: tuple[int, int] | None,
-) -> _Written:
-    """Return the corners of a frame, or its nodes if they are numbered."""
-    if shape is None:
-        return _Written(_corner_rows(corners), lambda: corner_overlay(image, corners))
-    try:
-        grid = build_grid(corners, image, shape=shape)
-        if grid.seen_shape is not None or not grid.valid.any():
-            raise GridError(grid.doubts[0])  # which part of a board is wanted, or no board
-    except GridError as error:
-        found.refused[number] = one_line(error)
-        return _Written([], lambda: corner_overlay(image, corners))
-    found.ambiguous += [number] if grid.ambiguous else []
-    if grid.others:
-        found.doubted[number] = grid.doubts[0]
-    found.nodes.append(int(np.count_nonzero(grid.valid)))
-    found.of_nodes = grid.status.size
-    return _Written(_node_rows(grid), lambda: grid_overlay(image, grid, corners=corners))
+def _picture(image: GreyImage, corners: Corners, grid: Grid | None) -> NDArray[np.uint8]:
+    if grid is None:
+        return corner_overlay(image, corners)
+    return grid_overlay(image, grid, corners=corners)
 
 
 def _corner_rows(corners: Corners) -> list[Sequence[object]]:
@@ -193,77 +165,84 @@ def _corner_rows(corners: Corners) -> list[Sequence[object]]:
     ]
 
 
-def _node_rows(grid: Grid) -> list[Sequence[object]]:
+def _node_rows(grid: Grid | None) -> list[Sequence[object]]:
     """Return a row of _NODE_COLUMNS for every node; missing positions are NaN."""
+    if grid is None:
+        return []
     return [
         (*index, *grid.xy[index], grid.sigma[index], NodeStatus(int(status)).name)
         for index, status in np.ndenumerate(grid.status)
     ]
 
 
+@dataclasses.dataclass
 class _Found:
-    """What was found in a file, and what there is to say about it."""
+    """What was found in the frames of a file. Mappings are from frames to reasons."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.failures: list[str] = []
-        self.corners: list[int] = []  # in each frame
-        self.milliseconds: list[float] = []
-        self.nodes: list[int] = []
-        self.of_nodes = 0
-        self.refused: dict[int, str] = {}  # frame to reason
-        self.ambiguous: list[int] = []
-        self.doubted: dict[int, str] = {}  # likewise
-        self.broken: dict[int, str] = {}  # likewise
-        self.overlays: list[Path] = []
-        self.darkest, self.brightest = 65535, 0
-        self.full_scale: int | None = None
-        self.device = ""
-        self.advice = ""  # of the first frame that gives one
+    path: Path
+    device: Device
+    full_scale: int | None = None
+    corners: list[int] = dataclasses.field(default_factory=list)  # in each frame
+    milliseconds: list[float] = dataclasses.field(default_factory=list)
+    nodes: list[int] = dataclasses.field(default_factory=list)
+    of_nodes: int = 0
+    ambiguous: list[int] = dataclasses.field(default_factory=list)
+    broken: dict[int, str] = dataclasses.field(default_factory=dict)
+    refused: dict[int, str] = dataclasses.field(default_factory=dict)
+    doubted: dict[int, str] = dataclasses.field(default_factory=dict)
+    overlays: list[Path] = dataclasses.field(default_factory=list)
+    darkest: int = 65535  # of 16 bits
+    brightest: int = 0
+    advice: str = ""  # of the first frame that gives one
 
-    def add(
-        self, image: GreyImage, corners: Corners, config: DetectorConfig, milliseconds: float
-    ) -> None:
+    def add(self, image: GreyImage, corners: Corners, milliseconds: float) -> None:
         """Count the corners of a frame."""
         if not self.corners or not (len(corners) or self.advice):
             self.advice = corners.advice(image)
         self.corners.append(len(corners))
         self.milliseconds.append(milliseconds)
-        self.device = corners.device
         if image.dtype == np.uint16:
             self.darkest = min(self.darkest, int(image.min()))
             self.brightest = max(self.brightest, int(image.max()))
-            self.full_scale = config.full_scale
 
-    @property
-    def dark(self) -> str:
-        """What to do about pixels of 16 bits that seem to be of fewer, as text; "" if none do."""
-        levels = self.darkest, self.brightest
-        return of_few_bits(np.uint16, *levels) if self.full_scale is None else ""
+    def numbered(
+        self, index: int, image: GreyImage, corners: Corners, shape: tuple[int, int]
+    ) -> Grid | None:
+        """Return the grid of a frame, and count its nodes; None if it is refused."""
+        try:
+            grid = build_grid(corners, image, shape=shape)
+            if grid.seen_shape is not None or not grid.valid.any():
+                raise GridError(grid.doubts[0])  # which part of a board is wanted, or no board
+        except GridError as error:
+            self.refused[index] = one_line(error)
+            return None
+        self.ambiguous += [index] if grid.ambiguous else []
+        if grid.others:
+            self.doubted[index] = grid.doubts[0]
+        self.nodes.append(int(np.count_nonzero(grid.valid)))
+        self.of_nodes = grid.status.size
+        return grid
 
-    def report(self, progress: Progress, *, hint: bool) -> None:
-        """Print the lines about the file; hint: about a dark image too."""
+    def report(self, progress: Progress) -> None:
+        """Print the lines about the file."""
         name = shown(self.path)
-        if self.refused:
-            self.failures.append(f"{name}: {_listed(self.refused, 'not numbered')}")
-        for failure in self.failures:
-            progress.tell(failure)
-        if not self.corners:
-            return
-        if self.broken:
-            progress.tell(f"{name}: {_listed(self.broken, 'left out')}")
-        progress.say(f"{name}: {self._counts()}")
+        for frames, what in ((self.refused, "not numbered"), (self.broken, "left out")):
+            if frames and self.corners:
+                progress.tell(f"{name}: {_listed(frames, what)}")
+        if self.corners:
+            progress.say(f"{name}: {self._counts()}")
         if self.doubted:
             progress.tell(f"{name}: {_listed(self.doubted, 'in doubt')}")
-        if self.full_scale is not None and self.brightest > self.full_scale:
+        advice = self.advice
+        if self.full_scale is None:
+            advice = of_few_bits(np.uint16, self.darkest, self.brightest) or advice
+        elif self.brightest > self.full_scale:
             progress.tell(
                 f"{name}: the brightest pixel is {self.brightest}, above the full scale of "
                 f"{self.full_scale}: such pixels all look alike"
             )
-        if self.advice and not self.dark:
-            progress.tell(f"{name}: {self.advice}")
-        if hint and self.dark:
-            progress.tell(f"{name}: {in_shell(self.dark)}")
+        if advice:
+            progress.tell(f"{name}: {in_shell(advice)}")
 
     def _counts(self) -> str:
         corners, spent = f"{_span(self.corners)} corners", f"{self.milliseconds[0]:.2f} ms"
