@@ -21,7 +21,7 @@ from cmp_cl import (
 )
 from cmp_cl.field import surface_normals
 from cmp_cl.grid import align
-from cmp_cl.measure import OneView, TwoViews, trusted
+from cmp_cl.measure import OneView, TwoViews
 from cmp_cl.media.cameras import Source
 from cmp_cl.motion import PlaneScale, contact_of, displacement, filter_positions
 from cmp_cl.space.exports import save_cameras
@@ -51,7 +51,6 @@ def several(views=None, **changed):
         (lambda: toed_in_rig().triangulate(GRID, IMAGE), "right must be of type Grid"),
         (lambda: align([GRID, 3]), "each of grids must be of type Grid"),
         (lambda: contact_of(FIELD, deeper_than=None), "deeper_than must be of type Real"),
-        (lambda: trusted(IMAGE), "grid must be of type Grid"),
         (lambda: Moment.of(None), "field must be of type DisplacementField"),
         (lambda: media.write_image("a.png", None), "image must be of type ndarray"),
         (lambda: corner_overlay(IMAGE, GRID), "corners must be of type Corners"),

@@ -23,7 +23,7 @@ from cmp_cl.cli.messages import Progress, counted, one_line, shown, tell
 from cmp_cl.cli.window import add_window, through_window, view_of, window_files
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
 from cmp_cl.grid import Grid
-from cmp_cl.measure import find_board, trusted
+from cmp_cl.measure import find_board
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.points import sides
 from cmp_cl.space import Calibration, Lens, MisfitError, calibrate
@@ -198,10 +198,10 @@ def _boards(
                     size = (image.shape[1], image.shape[0])
                     if sizes.get(name, size) != size:
                         raise ImageError(f"it has {size} px, earlier views {sizes[name]}")
-                    board = find_board(
+                    grid = find_board(
                         image, arguments.board, full_scale=arguments.full_scale, device=device
                     )
-                    grid, sizes[name] = trusted(board, device=device), size
+                    sizes[name] = size
                 except (GridError, ImageError) as error:
                     which = f" ({name})" if arguments.stereo else ""
                     left_out.append(f"{shown(path)}{which}: {one_line(error)}")

@@ -23,17 +23,14 @@ from cmp_cl.measure.measured import Measured, Tally
 from cmp_cl.measure.measurement import Measurement
 from cmp_cl.measure.one_view import OneView
 from cmp_cl.measure.patterns import (
-    MAX_SIGMA,
     align_views,
     find_board,
     find_pattern,
-    trusted,
 )
 from cmp_cl.measure.sensor import Sensor, pytac3d
 from cmp_cl.measure.two_views import TwoViews
 
 __all__ = [
-    "MAX_SIGMA",
     "Measured",
     "Measurement",
     "OneView",
@@ -44,5 +41,4 @@ __all__ = [
     "find_board",
     "find_pattern",
     "pytac3d",
-    "trusted",
 ]

@@ -64,7 +64,7 @@ class Measured:
         None from one view."""
         return None if self.rig is None else self.rig.triangulate(*self.grids)
 
-    @property
+    @functools.cached_property
     def bias_sigma(self) -> NDArray[np.float64] | None:
         """Return the standard deviation of the displacement by the error of the rig, (R, C), see
         `cmp_cl.space.Bias`; None without a bias."""
@@ -100,8 +100,8 @@ class Measured:
         }
         if field.raw is not None:
             arrays |= {"raw_displacement": field.raw.displacement, "raw_sigma": field.raw.sigma}
-        if self.bias is not None:
-            arrays["bias_sigma"] = self.bias.sigma(field.displacement)
+        if self.bias_sigma is not None:
+            arrays["bias_sigma"] = self.bias_sigma
         names = ("xy",) if self.rig is None else ("left", "right")
         seen = {name: positions_of(self._arrays, view) for view, name in enumerate(names)}
         return arrays | seen

@@ -15,11 +15,12 @@ from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
-from cmp_cl.errors import DeviceError
+from cmp_cl.errors import ConfigError, DeviceError, check_kind
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.measure.measured import Measured, Tally
-from cmp_cl.measure.views import config_for, views_at_rest
+from cmp_cl.measure.patterns import find_pattern
+from cmp_cl.measure.views import View, named
 from cmp_cl.motion.geometry import InPlane, InSpace
 from cmp_cl.motion.moments import Moment
 from cmp_cl.motion.nodes import grid_of
@@ -87,7 +88,13 @@ class Measurement(Closing):
         self._running: _Begun | None = None  # whose results have not been read
         self._follows = False  # whether the tracker has the nodes of the frame before
         chosen, images = select_device(device), [check_image(view) for view in at_rest]
-        config = config_for(images, config, shape, full_scale, chosen)
+        if config is None:
+            with named(0, images):
+                cell, _ = find_pattern(images[0], shape=shape, full_scale=full_scale, device=chosen)
+            config = DetectorConfig.for_cell(cell)
+        check_kind("config", config, DetectorConfig, ConfigError)
+        if full_scale is not None:
+            config = config.replace(full_scale=full_scale)
         with contextlib.ExitStack() as stack:
             self._detector = stack.enter_context(
                 Detector(
@@ -98,7 +105,11 @@ class Measurement(Closing):
                     profile=profile,
                 )
             )
-            self._views = views_at_rest(self._detector, images, shape, track=track)
+            self._views: list[View] = []
+            for number, image in enumerate(images):
+                with named(number, images):
+                    self._views.append(View(self._detector, image, shape, track=track))
+                shape = self._views[0].rest.shape
             rest, geometry = self._at_rest()
             programs = programs_of(chosen.handle)
             self._plan = FieldPlan(
@@ -160,12 +171,6 @@ class Measurement(Closing):
             return {}
         with self._lock:
             return sum_times(self._events, self._detector.times)
-
-    @property
-    def launches(self) -> int:
-        """Return the number of launches that a tracked frame takes."""
-        count = len(self._detector.layout.launches) + len(self._plan.launches)
-        return count + (0 if self._tracker is None else len(self._tracker.launches) + 1)
 
     def __call__(self, frame: GreyImage) -> Measured:
         """Measure one frame, of the size and the type of the frame at rest.

@@ -14,9 +14,8 @@ class OneView(Measurement):
 
     rest: the frame at rest, (H, W) uint8 or uint16.
     shape: (rows, columns) of the pattern's corners; None takes the shape that is seen at rest.
-    cell: side of the cells of a flat pattern, in `unit`, to measure in its plane, see
+    cell: side of the cells of a flat pattern, mm, to measure in its plane, see
         `cmp_cl.motion.PlaneScale.of_cells`; None measures in px.
-    unit: name of the unit of length; only with a cell.
     config: configuration of the detector; None finds the pattern at rest with `DetectorConfig()`,
         as every caller does, and then takes `DetectorConfig.for_cell` for its cells.
     track: continue the numbers of the previous frame if the frame at rest leaves them ambiguous.
@@ -41,7 +40,6 @@ class OneView(Measurement):
         *,
         shape: tuple[int, int] | None = None,
         cell: float | None = None,
-        unit: str = "mm",
         config: DetectorConfig | None = None,
         full_scale: int | None = None,
         device: Device | str | None = None,
@@ -49,7 +47,7 @@ class OneView(Measurement):
         strain: bool = False,
         profile: bool = False,
     ) -> None:
-        self._cell, self._cell_unit = cell, unit
+        self._cell = cell
         super().__init__(
             [rest],
             shape=shape,
@@ -66,11 +64,7 @@ class OneView(Measurement):
 
     def _at_rest(self) -> tuple[Moment, InPlane]:
         (grid,), cell = self.rest_grids, self._cell
-        self._scale = (
-            PlaneScale.pixels()
-            if cell is None
-            else PlaneScale.of_cells(grid, cell, self._cell_unit)
-        )
+        self._scale = PlaneScale.pixels() if cell is None else PlaneScale.of_cells(grid, cell)
         return Moment.in_plane(grid, self._scale), InPlane(self._scale, grid.edge_radius)
 
     def _views_of(self, frame: GreyImage) -> tuple[GreyImage, ...]:

@@ -7,7 +7,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from cmp_cl.config import DetectorConfig
 from cmp_cl.detector import Detector
-from cmp_cl.errors import GridError, check_kind, check_shape
+from cmp_cl.errors import GridError, check_shape
 from cmp_cl.grid import Grid, NodeStatus, align
 from cmp_cl.grid.align import row_direction
 from cmp_cl.image import GreyImage
@@ -15,7 +15,7 @@ from cmp_cl.motion import filter_positions
 from cmp_cl.opencl.device import Device
 from cmp_cl.points import sides
 
-MAX_SIGMA = 0.2  # px; less certain corners of a board are not used
+_MAX_SIGMA = 0.2  # px; less certain corners of a board are not used
 _MOST_ROTATED = np.pi / 3  # rad between the rows of one pattern in two views
 _FEW_LEVELS = 1 / 80  # of full scale, under which a print has no corners
 _FEW_BITS = 2**14  # a grey level that an image of 16 bits reaches, unless it is very dark
@@ -66,10 +66,12 @@ def find_board(
 ) -> Grid:
     """Find a rigid board in a view; return its grid, which `cmp_cl.calibrate` takes.
 
-    view: (H, W) uint8 or uint16. shape: (rows, columns) of the board's inner corners.
-        full_scale, device: as in `OneView`.
+    view: (H, W) uint8 or uint16. shape: (rows, columns) of the board's inner corners. full_scale,
+        device: as in `OneView`.
 
-    The corners are those of `DetectorConfig()`, the settings of every caller that gives none.
+    The corners are those of `DetectorConfig()`, the settings of every caller that gives none. The
+    grid has the nodes that a calibration may use, at their filtered positions: those that were
+    detected, with a sigma of at most 0.2 px.
 
     Raises GridError if the view does not show corners of all four sides of the board.
     """
@@ -80,18 +82,7 @@ def find_board(
         raise GridError(
             f"it shows {seen.sum()} of {seen.size} corners, and not those of every side"
         )
-    return grid
-
-
-def trusted(grid: Grid, *, device: Device | str | None = None) -> Grid:
-    """Return the filtered grid of a board with only the nodes that calibration may use.
-
-    It leaves out nodes that were not detected, and nodes whose corner has a sigma above MAX_SIGMA.
-    The sigma of the others is that of their filtered positions. device: as in `OneView`. Raises
-    GridError if grid is of another type.
-    """
-    check_kind("grid", grid, Grid, GridError)
-    good = (grid.status == NodeStatus.DETECTED) & (grid.image_sigma <= MAX_SIGMA)
+    good = seen & (grid.image_sigma <= _MAX_SIGMA)
     kept = dataclasses.replace(
         grid,
         xy=np.where(good[..., None], grid.xy, np.float32(np.nan)),

@@ -5,15 +5,13 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
 
-from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
-from cmp_cl.errors import ConfigError, GridError, check_kind
+from cmp_cl.errors import GridError
 from cmp_cl.grid import Grid, build_grid
 from cmp_cl.grid.grid import empty_grid
 from cmp_cl.image import GreyImage
-from cmp_cl.measure.patterns import check_size, find_pattern
-from cmp_cl.opencl.device import Device
+from cmp_cl.measure.patterns import check_size
 
 # Frames without a grid over which numbers are continued. After more of them, a motion of half a
 # cell per frame could reach the next position that looks the same.
@@ -94,42 +92,9 @@ class View:
         return self.rest if self._previous is None else self._previous()
 
 
-def config_for(
-    images: Sequence[GreyImage],
-    config: DetectorConfig | None,
-    shape: tuple[int, int] | None,
-    full_scale: int | None,
-    device: Device,
-) -> DetectorConfig:
-    """Return the configuration of the detector of some views, by default that for the cells in the
-    first one, see `OneView`. Raises GridError if that shows no pattern."""
-    if config is None:
-        with _named(0, images):
-            cell, _ = find_pattern(images[0], shape=shape, full_scale=full_scale, device=device)
-        return DetectorConfig.for_cell(cell).replace(full_scale=full_scale)
-    check_kind("config", config, DetectorConfig, ConfigError)
-    return config if full_scale is None else config.replace(full_scale=full_scale)
-
-
-def views_at_rest(
-    detector: Detector,
-    images: Sequence[GreyImage],
-    shape: tuple[int, int] | None,
-    *,
-    track: bool,
-) -> list[View]:
-    """Return the pattern at rest in each view; raises GridError if one shows none."""
-    found: list[View] = []
-    for number, image in enumerate(images):
-        with _named(number, images):
-            found.append(View(detector, image, shape, track=track))
-        shape = found[0].rest.shape
-    return found
-
-
 @contextlib.contextmanager
-def _named(number: int, views: Sequence[GreyImage]) -> Iterator[None]:
-    """Say in a GridError which of two views it is about."""
+def named(number: int, views: Sequence[GreyImage]) -> Iterator[None]:
+    """Say in a GridError which of the views it is about, if there are two; number: of the view."""
     try:
         yield
     except GridError as error:
