@@ -10,12 +10,10 @@ from cmp_cl.grid.choice import Asked, chosen_of, found_in
 from cmp_cl.grid.grid import Grid, check_size, empty_grid
 from cmp_cl.grid.placing import placed
 from cmp_cl.image import GreyImage, check_image
-from cmp_cl.lattice.arrays import Board, Real, Whole
+from cmp_cl.lattice.arrays import Board
 from cmp_cl.lattice.boards import boards
 from cmp_cl.lattice.plan import lattice_plan
 from cmp_cl.opencl.device import Device, select_device
-
-Region = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 
 BITS = (10, 12, 14, 16)  # of a camera whose pixels have 16
 FARTHEST = 1e6  # px, of any corner
@@ -26,7 +24,6 @@ def build_grid(
     image: GreyImage,
     shape: tuple[int, int] | None = None,
     like: Grid | None = None,
-    region: Region | None = None,
     *,
     previous: Grid | None = None,
     strict: bool = False,
@@ -42,7 +39,6 @@ def build_grid(
         numbers, and at least its rows and columns: nodes beyond a side on which that grid
         shows no border are kept, see `Grid.origin`. Without it row 0 is at the top and column
         0 at the left of the image.
-    region: (x0, y0, x1, y1), px; corners outside belong to no node.
     previous: the grid of the frame before, with the numbers of `like`, or `like` itself for the
         first frame. The pattern as a whole moves by less than half a cell from frame to frame.
     strict: raise GridError if the result has doubts, see `Grid.doubts`.
@@ -70,20 +66,18 @@ def build_grid(
     corners' own; DeviceError.
     """
     asked = asked_of(shape, like, previous)
-    inside, found = _boards_of(corners, image, region, device)
-    return grid_of(found, corners, len(inside), asked, strict=strict)
+    return grid_of(_boards_of(corners, image, device), corners, asked, strict=strict)
 
 
 def grid_of(
     found: Iterable[Board],
     corners: Corners,
-    count: int,
     asked: Asked,
     *,
     strict: bool,
 ) -> Grid:
-    """Return the grid of the board that is meant; count: corners that may belong to it."""
-    chosen, others = chosen_of(found_in(found, asked), asked, count)
+    """Return the grid of the board that is meant."""
+    chosen, others = chosen_of(found_in(found, asked), asked, len(corners))
     if chosen is None:
         grid = empty_grid(len(corners), asked.shape, asked.like)
     else:
@@ -97,46 +91,35 @@ def build_grids(
     corners: Corners,
     image: GreyImage,
     shape: tuple[int, int] | None = None,
-    region: Region | None = None,
     *,
     device: Device | str | None = None,
 ) -> list[Grid]:
     """Number the corners of every checkerboard in a view, the one with the most nodes first.
 
-    corners, image, shape, region, device: as in `build_grid`. A corner belongs to one grid at most.
+    corners, image, shape, device: as in `build_grid`. A corner belongs to one grid at most.
     A board has nine corners or more, and half the nodes of a known shape.
 
     Raises the errors of `build_grid` for its arguments.
     """
     asked = asked_of(shape, None, None)
-    found = found_in(_boards_of(corners, image, region, device)[1], asked)
+    found = found_in(_boards_of(corners, image, device), asked)
     if shape is not None:
         found = [each for each in found if 2 * each.size >= shape[0] * shape[1]]
     return [placed(each, corners, asked, 0) for each in found]
 
 
-def _boards_of(
-    corners: Corners, image: GreyImage, region: Region | None, device: Device | str | None
-) -> tuple[Whole, list[Board]]:
-    """Return which corners lie in the region, and the boards that they form, the largest part's
-    first."""
+def _boards_of(corners: Corners, image: GreyImage, device: Device | str | None) -> list[Board]:
+    """Return the boards that corners form, the largest part's first."""
     frame = check_image(image)
     _check_corners(corners, frame)
-    inside = _inside(corners.xy, region)
-    if len(inside) < 4:
-        return inside, []
-    plan = lattice_plan(
-        select_device(device), frame.shape, frame.dtype, _full_scale(frame), len(inside)
-    )
-    xy = corners.xy[inside]
+    count = len(corners)
+    if count < 4:
+        return []
+    plan = lattice_plan(select_device(device), frame.shape, frame.dtype, _full_scale(frame), count)
     with plan.lock:
-        plan.take(frame, xy, corners.edges[inside], corners.refusal[inside])
+        plan.take(frame, corners.xy, corners.edges, corners.refusal)
         plan.start()
-        found = list(boards(plan, xy))
-    for board in found:
-        mine = board.owner >= 0
-        board.owner[mine] = inside[board.owner[mine]]
-    return inside, found
+        return list(boards(plan, corners.xy))
 
 
 def _full_scale(image: GreyImage) -> int:
@@ -188,17 +171,3 @@ def _check_corners(corners: Corners, image: GreyImage) -> None:
             "the corners have no edge angles, which the grid is built from; "
             "detect them with a refinement (EdgeLines, EdgeStep or Midlines)"
         )
-
-
-def _inside(xy: Real, region: Region | None) -> Whole:
-    if region is None:
-        return np.arange(len(xy))
-    try:
-        x0, y0, x1, y1 = map(float, region)
-        sensible = x0 < x1 and y0 < y1
-    except (TypeError, ValueError):
-        sensible = False
-    if not sensible:
-        raise GridError(f"region must be (x0, y0, x1, y1) with x0 < x1 and y0 < y1, not {region!r}")
-    x, y = xy.T
-    return np.flatnonzero((x >= x0) & (x <= x1) & (y >= y0) & (y <= y1))

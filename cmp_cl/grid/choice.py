@@ -133,7 +133,7 @@ def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | Non
     """Return the board that is meant, None without any, and the corners of another that may be, or
     how many are missing inside it or beside it.
 
-    count: corners that may belong to it.
+    count: corners in view.
 
     Raises GridError if two are comparable, or the board holds few of the corners.
     """
@@ -151,7 +151,7 @@ def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | Non
     if not sure and chosen.size < least:
         raise GridError(
             f"the largest board has {chosen.size} of {count} corners, expected at least "
-            f"{math.ceil(least)}; give the shape, a region, or a cut-out of the image"
+            f"{math.ceil(least)}; give the shape, or a cut-out of the image"
         )
     complete = asked.shape is not None and chosen.size == math.prod(asked.shape)
     return chosen, others or chosen.gap or (
@@ -202,5 +202,5 @@ def _two(one: Found, other: Found) -> GridError:
     boxes = [f"({', '.join(f'{value:.0f}' for value in each.box)})" for each in (one, other)]
     return GridError(
         f"two patterns are seen, of {one.size} and {other.size} corners, within {boxes[0]} and "
-        f"{boxes[1]}; give a region, or a cut-out of the image, with one of them"
+        f"{boxes[1]}; give a cut-out of the image with one of them"
     )

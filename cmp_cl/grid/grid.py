@@ -174,7 +174,7 @@ class Grid:
         if self.others:
             found.append(
                 f"another pattern of {self.others} corners is seen, or so many of this one are no "
-                "nodes, beside which numbers may be wrong; give a region or a cut-out without it"
+                "nodes, beside which numbers may be wrong; give a cut-out without it"
             )
         if self.ambiguous and self.seen_shape is None:
             other = ""

@@ -177,16 +177,6 @@ def test_lost_corners_leave_holes_and_false_ones_no_nodes():
     assert grid.shape == (24, 24)
 
 
-def test_corners_outside_a_region_belong_to_no_node():
-    view, corners = seen("gel, severity 0.5")
-    grid = build_grid(corners, view.image, region=(150, 0, 400, 160))
-    used = corners.xy[grid.index[:, 0] >= 0]
-    assert (used >= (150, 0)).all()
-    assert (used <= (400, 160)).all()
-    assert len(used) > 100
-    assert scored(grid, view).clean
-
-
 # other patterns in view
 
 
@@ -208,8 +198,6 @@ def test_the_larger_board_is_numbered_and_the_other_is_told_or_given_on_demand()
     assert [each.shape for each in boards] == [(6, 9), (5, 4)]
     owned = np.sum([each.index[:, 0] >= 0 for each in boards], axis=0)
     assert owned.max() == 1
-    alone = grid_of(view, region=(250, 0, 400, 300))
-    assert alone.shape == (5, 4)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -567,8 +555,6 @@ def test_requests_that_make_no_sense_are_refused_in_one_line():
         ("shape must be", GridError, {"shape": (0, 6)}),
         ("shape must be", GridError, {"shape": "66"}),
         ("has (6, 9)", GridError, {"shape": (5, 6), "like": rest}),
-        ("region must be", GridError, {"region": (50, 0, 40, 10)}),
-        ("region must be", GridError, {"region": "left"}),
         ("like must be of type Grid", GridError, {"like": corners}),
         ("no nodes", GridError, {"like": empty}),
         ("needs the grid at rest", GridError, {"previous": rest}),
