@@ -26,7 +26,8 @@ from cmp_cl.image import GreyImage
 from cmp_cl.synthetic.scoring import match, total
 
 FIRST_SEED = 800_000
-DRAWN = 400  # boards
+DRAWN, COVERED = 400, 60  # boards
+INK_CELLS = (12, 25, 50, 100)  # px
 SETTINGS = {
     "octaves=3": DetectorConfig(),
     "octaves=0": DetectorConfig(detection=RingHarmonic(octaves=0)),
@@ -51,7 +52,7 @@ class Finder:
 
 def spread_ink() -> Iterator[tuple[str, list[View]]]:
     """Yield boards of each cell whose black squares have grown or shrunk by up to 10 % of it."""
-    for cell in (12, 25, 50, 100):
+    for cell in INK_CELLS:
         group = []
         for seed, percent in enumerate((-10, -7, -5, -3, 0, 3, 5, 7, 10), FIRST_SEED):
             rng = np.random.default_rng(seed)
@@ -114,7 +115,7 @@ def blank(correlation: float, finder: Finder) -> dict[str, Any]:
 def covered(finder: Finder) -> dict[str, Any]:
     """Return how many errors two sigma cover, of corners that halved frames found."""
     within = []
-    for seed in range(FIRST_SEED, FIRST_SEED + 60):
+    for seed in range(FIRST_SEED, FIRST_SEED + COVERED):
         rng = np.random.default_rng(seed)
         cell, angle = rng.uniform(40, 160), rng.uniform(0, 1.5)
         blur = rng.uniform(cell / 12, cell / 6)

@@ -33,7 +33,7 @@ PARTS = [  # scripts, arguments, and constants in place of the script's own
     ("refraction", ["--quick"], {"RIGS": 10, "ROUNDS": 10, "STACKS": {"one": ((5.0, 1.49),)}}),
     ("limits", ["--quick"], {}),
     ("field", ["--endure", "3"], {"STEPS": (0.25, 0.5)}),
-    ("octaves", [], {"DRAWN": 20, "CELLS": (20,), "BLURS": (1,), "CORRELATIONS": (0,)}),
+    ("octaves", [], {"DRAWN": 10, "COVERED": 3, "INK_CELLS": (12,), "DATA": Path("none")}),
 ]
 
 

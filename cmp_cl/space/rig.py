@@ -125,19 +125,18 @@ class StereoRig:
         object.__setattr__(self, name, value)
 
     @classmethod
-    def load(cls, *paths: str | PathLike[str], unit: str | None = None) -> Self:
+    def load(cls, *paths: str | PathLike[str]) -> Self:
         """Read a rig from one or more files of OpenCV's FileStorage (YAML, XML or JSON).
 
         The keys are K1 D1 K2 D2 R T; M1, M2, cameraMatrix1, distCoeffs1, ... are accepted too.
         OpenCV's stereo_calib writes two files, intrinsics.yml and extrinsics.yml.
-        unit: name of the unit of T; None means the file's key `unit`. Without either it is mm, with
-            a warning.
+        The key `unit` names the unit of T; without it, that is mm, with a warning.
 
         Raises CalibrationError if a file cannot be read, or a parameter is missing, malformed or
         given twice.
         """
         found: dict[str, Array] = {}
-        named = unit
+        unit: str | None = None
         keys = [*itertools.chain.from_iterable(_ALIASES.values()), _COVARIANCE, "unit"]
         keys += [f"window_{name}" for name in ("normal", "distance", "layers", "index")]
         window: Window | None = None
@@ -163,20 +162,20 @@ class StereoRig:
             written = storage.getNode("unit")
             if not (written.empty() or written.isString()):
                 raise CalibrationError(f"{path}: unit must be a word such as mm")
-            if named is None and written.isString():
-                named = written.string()
+            if written.isString():
+                unit = written.string()
         files = ", ".join(map(str, paths))
         missing = [" or ".join(_ALIASES[name]) for name in _ALIASES if name not in found]
         if missing:
             what = f"{files}: no {'; no '.join(missing)}"
             raise CalibrationError(f"{what}; a rig has two cameras" if "K1" in found else what)
-        if named is None:
-            named = "mm"
+        if unit is None:
+            unit = "mm"
             warnings.warn(
                 f"{files}: no unit, so T is taken to be in mm; add a line unit: mm", stacklevel=2
             )
         try:
-            return cls(**found, unit=named, covariance=covariance, window=window)
+            return cls(**found, unit=unit, covariance=covariance, window=window)
         except CalibrationError as error:
             raise CalibrationError(f"{files}: {error}") from error
 

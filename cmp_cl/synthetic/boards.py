@@ -171,33 +171,15 @@ def drawn(
         paper = np.where(covered(u, v, shape, margin), levels[1], _spread(ground, size, count))
         level = np.where(covered(u, v, shape), level, paper)
     before = _spread(front, size, count)
-    level = np.where(np.isnan(before), level, before)
-    return View(
-        exposed(level, size, blur=blur, noise=noise, seed=seed, bits=bits),
-        seen := corners_in(camera, size, shape),
-        shape,
-        cell_of(seen),
-        bits,
-    )
-
-
-def exposed(
-    level: Image,
-    size: tuple[int, int],
-    *,
-    blur: float,
-    noise: float,
-    seed: int | np.random.Generator = 0,
-    bits: int = 8,
-) -> GreyImage:
-    """Return the image (H, W) of grey levels, of 255, that have several samples a pixel."""
-    small: Image = cv2.resize(level.astype(np.float32), size[::-1], interpolation=cv2.INTER_AREA)
+    level = np.where(np.isnan(before), level, before).astype(np.float32)
+    small: Image = cv2.resize(level, size[::-1], interpolation=cv2.INTER_AREA)
     if blur:
         small = cv2.GaussianBlur(small, (0, 0), blur)
     small = small + noise * np.random.default_rng(seed).standard_normal(size)
     high = 2**bits - 1
-    image: GreyImage = np.clip(np.rint(small * (high / 255)), 0, high).astype(f"u{(bits + 7) // 8}")
-    return image
+    image = np.clip(np.rint(small * (high / 255)), 0, high).astype(f"u{(bits + 7) // 8}")
+    seen = corners_in(camera, size, shape)
+    return View(image, seen, shape, cell_of(seen), bits)
 
 
 def _spread(level: Image | float, size: tuple[int, int], count: int) -> Image:
