@@ -289,38 +289,17 @@ def _flow(
 
     Whatever ends it, all that was measured is written.
     """
-    begun: deque[Frame] = deque()  # that are measured
     with (
         contextlib.closing(ahead(frames)) as decoded,
         Progress(source.total, "frames") as progress,
     ):
-
-        def images() -> Iterator[GreyImage | None]:
-            while not stop.name:
-                pace.lap("measuring")
-                frame = next(decoded, None)
-                pace.lap(pace.source)
-                if frame is None:
-                    return
-                begun.append(frame)
-                image = frame.image
-                alike = image is not None and (image.shape, image.dtype) == (rest.shape, rest.dtype)
-                yield image if alike else None
-
-        def alone(image: GreyImage | None) -> Measured | None:
-            return measure.skip() if image is None else measure(image)
-
-        # A stream gives a frame when the next one is there, for which a camera would let it wait.
-        results = map(alone, images()) if source.live else measure.stream(images())
         try:
-            for result in results:
-                pace.lap("measuring")
-                frame = begun.popleft()
+            for frame, measured in _measured(decoded, rest, measure, pace, stop, live=source.live):
                 progress.step(pace.limit)
-                if result is not None:
+                if measured is not None:
                     # The others have the numbers of the frame at rest.
-                    ambiguous = result.ambiguous and frame.index != rest_frame
-                    found.write(frame, result, ambiguous=ambiguous)
+                    ambiguous = measured.ambiguous and frame.index != rest_frame
+                    found.write(frame, measured, ambiguous=ambiguous)
                     pace.lap("writing")
                     continue
                 found.left_out += 1
@@ -328,6 +307,39 @@ def _flow(
                     progress.tell(why_left_out(frame, rest, live=source.live))
         finally:
             ignore()  # no signal stops the end of what is written
+
+
+def _measured(
+    decoded: Iterator[Frame],
+    rest: GreyImage,
+    measure: OneView | TwoViews,
+    pace: Pace,
+    stop: Stop,
+    *,
+    live: bool,
+) -> Iterator[tuple[Frame, Measured | None]]:
+    """Yield each frame with what is measured in it, None if it is not like the frame at rest."""
+    begun: deque[Frame] = deque()
+
+    def images() -> Iterator[GreyImage | None]:
+        while not stop.name:
+            pace.lap("measuring")
+            frame = next(decoded, None)
+            pace.lap(pace.source)
+            if frame is None:
+                return
+            begun.append(frame)
+            image = frame.image
+            alike = image is not None and (image.shape, image.dtype) == (rest.shape, rest.dtype)
+            yield image if alike else None
+
+    def alone(image: GreyImage | None) -> Measured | None:
+        return measure.skip() if image is None else measure(image)
+
+    # A stream gives a frame when the next one is there, for which a camera would let it wait.
+    for measured in map(alone, images()) if live else measure.stream(images()):
+        pace.lap("measuring")
+        yield begun.popleft(), measured
 
 
 def _about_ambiguous(count: int, *, track: bool) -> str:
