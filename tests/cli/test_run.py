@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 
 import cv2
 import numpy as np
@@ -26,7 +27,7 @@ from cmp_cl import (
     StereoRig,
     select_device,
 )
-from cmp_cl.media import Frame
+from cmp_cl.media import Frame, read_image
 from cmp_cl.series import SeriesWriter, read_series
 from cmp_cl.synthetic import boards
 from cmp_cl.viz.live import LiveView
@@ -204,6 +205,15 @@ def test_an_error_of_any_stage_is_one_line_and_keeps_the_frames_before_it(
     fails_in_one_line((status, out, err), why)
     assert out.startswith(f"wrote press.npz: {frames} frames")
     assert np.load("press.npz")["index"].tolist() == list(range(frames))
+
+
+def test_a_run_that_waits_for_its_frames_is_limited_by_decoding(run, recording, monkeypatch):
+    def slowly(path, **_):
+        time.sleep(0.5)
+        yield Frame(0, read_image(path))
+
+    monkeypatch.setattr("cmp_cl.media.cameras.read_frames", slowly)
+    assert ", limited by decoding;" in run("run", recording, *STEREO)[1]
 
 
 STOPS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
