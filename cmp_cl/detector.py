@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 import pyopencl as cl
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners, HarmonicMaps, Maps
 from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError, check_shape
 from cmp_cl.grid.grid import Grid
-from cmp_cl.image import GreyImage, check_dtype, check_image
+from cmp_cl.image import GreyImage, check_dtype, check_image, check_mask
 from cmp_cl.lattice.plan import LatticePlan
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
 from cmp_cl.opencl.launches import sum_times
@@ -61,7 +61,7 @@ class Detector(Closing):
         self.config = DetectorConfig() if config is None else config
         if not isinstance(self.config, DetectorConfig):
             raise ConfigError(f"config must be a DetectorConfig, not {config!r}")
-        mask = None if mask is None else _checked_mask(mask, self.shape)
+        mask = None if mask is None else check_mask(mask, self.shape)
         if queue is not None and not isinstance(queue, cl.CommandQueue):
             raise DeviceError(f"queue must be a pyopencl.CommandQueue, not {queue!r}")
         if queue is not None and device is not None:
@@ -357,15 +357,3 @@ def _iterated(name: str, frames: Iterable[GreyImage]) -> Iterator[GreyImage]:
         return iter(frames)
     except TypeError as error:
         raise ImageError(f"{name} must be several images, not {type(frames).__name__}") from error
-
-
-def _checked_mask(mask: ArrayLike, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    try:
-        array = np.asarray(mask)
-    except ValueError as error:
-        raise ImageError(f"mask must be {shape} of bool, not a ragged one") from error
-    if array.dtype != np.bool_ or array.shape != shape:
-        raise ImageError(
-            f"mask must be {shape} of bool, not {array.shape} of {array.dtype}; mask > 0 converts"
-        )
-    return array.copy()

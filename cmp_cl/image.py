@@ -35,6 +35,16 @@ def check_dtype(dtype: Any) -> np.dtype[Any]:
     return known
 
 
+def check_mask(mask: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return a copy of the mask of an image of that shape, if it is (H, W) bool; raises
+    ImageError."""
+    is_array = isinstance(mask, np.ndarray)
+    if not (is_array and mask.dtype == np.bool_ and mask.shape == shape):
+        came = f"{mask.shape} of {mask.dtype}" if is_array else type(mask).__name__
+        raise ImageError(f"mask must be {shape} of bool, not {came}; mask > 0 converts")
+    return np.array(mask)
+
+
 def _is_image(image: Any) -> bool:
     if not isinstance(image, np.ndarray) or image.ndim != 2 or image.dtype not in _PIXELS:
         return False

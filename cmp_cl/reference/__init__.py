@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from cmp_cl.config import BinaryRings, DetectorConfig, RapidCriteria
 from cmp_cl.corners import Corners, HarmonicMaps, Maps
-from cmp_cl.errors import ConfigError, ImageError, check_kind
-from cmp_cl.image import GreyImage, check_image
+from cmp_cl.errors import ConfigError, check_kind
+from cmp_cl.image import GreyImage, check_image, check_mask
 from cmp_cl.reference import harmonic, refine, scale
 from cmp_cl.reference.paper import binarize, criteria, gate, nms, ring, spectral
 
@@ -133,12 +133,7 @@ def maps(
 
 
 def _checked(mask: Mask, image: GreyImage) -> NDArray[np.bool_]:
-    if mask is None:
-        return np.ones(image.shape, np.bool_)
-    if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != image.shape:
-        came = f"{mask.dtype} {mask.shape}" if isinstance(mask, np.ndarray) else type(mask).__name__
-        raise ImageError(f"expected a mask of bool {image.shape}, got {came}")
-    return mask
+    return np.ones(image.shape, np.bool_) if mask is None else check_mask(mask, image.shape)
 
 
 def _at_scale(
