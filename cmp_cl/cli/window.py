@@ -82,7 +82,7 @@ def window_files(arguments: argparse.Namespace, cameras: Sequence[str]) -> list[
             raise ConfigError(f"{given[0]} needs --window LENGTH:INDEX,...: what the layers are")
         return []
     if len(given) < len(needed):
-        missing = ", ".join(needed.keys() - set(given))
+        missing = ", ".join(name for name in needed if name not in given)
         raise ConfigError(
             f"--window needs --rest IMAGE, --grid 40x40 and --pitch LENGTH: {missing}"
         )
