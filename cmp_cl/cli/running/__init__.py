@@ -1,1 +1,1 @@
-"""What `cmp-cl run` is made of: its sources, its pipeline, what it derives and what it shows."""
+"""What `cmp-cl run` is made of: its source, its pace, its results, and the signals that stop it."""
