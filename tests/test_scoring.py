@@ -37,6 +37,10 @@ def test_each_detection_finds_one_corner_or_is_false(detections, truth, ignored,
     assert one.success == (counts[1:] == (0, 0))
 
 
+def test_a_detection_finds_a_corner_within_the_distance_that_is_asked_for():
+    assert [score([(5, 0)], [(0, 0)], 40, within=most).found for most in (None, 4, 6)] == [0, 0, 1]
+
+
 def test_errors_are_distances_and_frames_add_up():
     truth = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1) * 10
     one = score(truth[::-1] + np.array([0.3, 0.4]), truth, 10)
