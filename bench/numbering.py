@@ -53,7 +53,6 @@ K = LatticeConstants()
 # Constants that leave one idea out.
 ABLATION: dict[str, dict[str, Any]] = {
     "all": {},
-    "links without evidence in the image": {"least_side": 1e-6},
     "faces need not agree": {"agree": 100.0, "cuts": 0, "torn_cuts": (0,) * 5},
     "contradicted parts are not cut": {"cuts": 0, "torn_cuts": (0,) * 5},
     "faces of torn corners agree as others": {"torn_cuts": (0,) * 5},

@@ -1,7 +1,7 @@
 #include "lattice.clh"
 
-/* Links between corners (13.1): of the neighbours along a boundary the cheapest whose side shows a
- * contrast, kept where both ends choose each other. */
+/* Links between corners (13.1): of the neighbours along a boundary the cheapest whose side has the
+ * colours that both claim, kept where both ends choose each other. */
 
 #define COSTS_PER_PX 64.0f
 #define UNSURE (-2)
@@ -90,19 +90,17 @@ __kernel void choose_near(__global const float *restrict corners, const uint cap
 
 /* Whether both sides of the chord between two half-edges have the colours that their boundaries
  * claim. */
-bool has_side(LEVELS_OF_IMAGE, __global const float2 *at, __global const int *contrast, const int h,
-              const int end, const float depth, const float depth_px, const float least_side) {
+bool has_side(LEVELS_OF_IMAGE, __global const float2 *at, const int h, const int end,
+              const float depth, const float depth_px) {
   const int low = SMALLER(h, end), p = low >> 2, q = LARGER(h, end) >> 2;
   const int step = difference(LEVELS, at[p], at[q], depth, depth_px);
-  const float side = (float)(low & 1 ? -step : step);
-  return side > 0 && side * side > least_side * ((float)contrast[p] * (float)contrast[q]);
+  return low & 1 ? step < 0 : step > 0;
 }
 
 /* choice[h]: the half-edge that h wants to be linked with; UNSURE unless both are the first of each
  * other. One work-item per half-edge. */
 __kernel void choose_mutual(__global const float *restrict corners, const uint capacity,
-                            __global const int *restrict contrast, LEVELS_OF_IMAGE,
-                            const float depth, const float depth_px, const float least_side,
+                            LEVELS_OF_IMAGE, const float depth, const float depth_px,
                             __global const int *restrict first, __global int *restrict choice) {
   const int h = get_global_id(0);
   if (h >= 4 * (int)COUNT(corners)) return;
@@ -110,8 +108,7 @@ __kernel void choose_mutual(__global const float *restrict corners, const uint c
   if (end == UNSURE || first[end] != h) {
     choice[h] = UNSURE;
   } else if (h < end) { /* the work-item of the other end leaves it to this one */
-    const bool seen =
-        has_side(LEVELS, POSITIONS(corners), contrast, h, end, depth, depth_px, least_side);
+    const bool seen = has_side(LEVELS, POSITIONS(corners), h, end, depth, depth_px);
     choice[h] = seen ? end : UNSURE;
     choice[end] = seen ? h : UNSURE;
   }
@@ -120,11 +117,9 @@ __kernel void choose_mutual(__global const float *restrict corners, const uint c
 /* The choices that are not sure: of the two cheapest chords along a boundary, in a window that
  * holds enough corners, the first that has a side. One work-item per corner. */
 __kernel void choose_far(__global const float *restrict corners, const uint capacity,
-                         __global const float4 *restrict lines, __global const int *restrict contrast,
-                         BINS, LEVELS_OF_IMAGE, const int neighbours, const int rings,
+                         __global const float4 *restrict lines, BINS, LEVELS_OF_IMAGE, const int neighbours, const int rings,
                          const float least_cosine, const float turn_price, const float depth,
-                         const float depth_px, const float least_side,
-                         __global int *restrict choice) {
+                         const float depth_px, __global int *restrict choice) {
   const int i = get_global_id(0);
   if (i >= (int)COUNT(corners)) return;
   bool open[4], any = false;
@@ -155,7 +150,7 @@ __kernel void choose_far(__global const float *restrict corners, const uint capa
     for (int k = 0; k < 2 && chosen == NONE; ++k) {
       const ulong chord = k ? second[s] : best[s];
       if (chord != NO_CHORD &&
-          has_side(LEVELS, at, contrast, 4 * i + s, END_OF(chord), depth, depth_px, least_side))
+          has_side(LEVELS, at, 4 * i + s, END_OF(chord), depth, depth_px))
         chosen = END_OF(chord);
     }
     choice[4 * i + s] = chosen;

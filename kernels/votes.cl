@@ -22,10 +22,10 @@ __kernel void mean_steps(__global const float *restrict corners, const uint capa
   step[i] = total * (root * root);
 }
 
-/* For each number m of steps: the least cosine, 1 / m, the factor of a sum of differences, the
- * least share of contrast, 1 / sqrt(m). */
+/* For each number m of steps: the least cosine, 1 / m, the factor of a sum of differences, and
+ * 1 / sqrt(m). */
 typedef struct {
-  float cosine, part, factor, share, weight;
+  float cosine, part, factor, weight;
 } Way;
 
 /* List the votes, in any order: both places in the list of rim nodes, both boundaries, the number
@@ -74,7 +74,7 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
         }
       if (near.side & 1) sum = -sum;
       const float seen = ((float)sum * way.factor) * inverse_root(product);
-      if (!(seen > way.share)) continue;
+      if (sum <= 0) continue;
       const int vote = atomic_inc(rims_and_votes + 1);
       if (vote >= room) continue;
       const float weight = SMALLER(seen, 1.0f) * way.weight;

@@ -32,7 +32,6 @@ class LatticeConstants:
         in the cells are met.
     side_depth_px: px, the same, at least: the smoothed image is three pixels wide. With 0, torn
         gels lose 2 387 of 168 497 nodes.
-    least_side: share, of the contrast of both corners that a side must show.
     agree: shares of a step, greatest difference between faces that share a link. With .4, 262 335
         torn corners lose 798 nodes, and a fisheye's rim whole blocks of cells.
     agree_cut: factor, by which that tolerance falls for a part that contradicts itself.
@@ -107,7 +106,6 @@ class LatticeConstants:
     side_points: tuple[float, ...] = (0.25, 0.375, 0.5, 0.625, 0.75)
     side_depth_cells: float = 0.12
     side_depth_px: float = 1.25
-    least_side: float = 0.4
     # Faces and parts
     agree: float = 0.5
     agree_cut: float = 1.3

@@ -35,7 +35,6 @@ def launches(plan: "LatticePlan") -> list[Launch]:
     k, b = plan.constants, plan.buffers
     rows, columns = plan.size["rows"], plan.size["columns"]
     corners, bins = plan.corners, {name: b[name] for name in ("layout", "starts", "binned")}
-    directed = {"lines": b["lines"], "contrast": b["contrast"]}
     price = {
         "least_cosine": np.float32(k.least_cosine),
         "turn_price": np.float32(k.turn_price),
@@ -43,8 +42,6 @@ def launches(plan: "LatticePlan") -> list[Launch]:
     side = {
         "depth": np.float32(k.side_depth_cells),
         "depth_px": np.float32(k.side_depth_px),
-        # The square of a sum of differences, against that of twice the contrast.
-        "least_side": np.float32((len(k.side_points) * k.least_side / 2) ** 2),
     }
     return [
         plan.stage(
@@ -63,7 +60,8 @@ def launches(plan: "LatticePlan") -> list[Launch]:
             **plan.levels,
             circle=plan.constant(circle()),
             radius=np.float32(k.contrast_radius_px),
-            **directed,
+            lines=b["lines"],
+            contrast=b["contrast"],
         ),
         plan.one_group("fill_bins", **corners, rows=rows, columns=columns, **bins),
         plan.of_corners(
@@ -80,7 +78,6 @@ def launches(plan: "LatticePlan") -> list[Launch]:
         plan.of_half_edges(
             "choose_mutual",
             **corners,
-            contrast=b["contrast"],
             **plan.levels,
             **side,
             first=b["first"],
@@ -89,7 +86,7 @@ def launches(plan: "LatticePlan") -> list[Launch]:
         plan.of_corners(
             "choose_far",
             **corners,
-            **directed,
+            lines=b["lines"],
             **bins,
             **plan.levels,
             neighbours=np.int32(k.link_neighbours),

@@ -46,14 +46,13 @@ def launches(plan: "LatticePlan", room: int) -> list[Launch]:
 
 
 def ways(plan: "LatticePlan") -> NDArray[np.float32]:
-    """Return what a way of so many steps must have, (span, 5), see kernels/votes.cl."""
+    """Return what a way of so many steps must have, (span, 4), see kernels/votes.cl."""
     k = plan.constants
     rows = [
         [
             k.least_cosine,
             1 / m,
             2 / (len(k.side_points) * m),
-            k.least_side,
             1 / np.sqrt(m),
         ]
         for m in range(1, k.span + 1)

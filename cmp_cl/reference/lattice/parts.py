@@ -252,12 +252,8 @@ def has_side(
     p, q = low >> 2, high >> 2
     start = corners.x[p], corners.y[p]
     step = corners.x[q] - start[0], corners.y[q] - start[1]
-    total = side_sum(plane, start, step, constants) * (1 - 2 * (low & 1))
-    seen = total.astype(np.float32)
-    contrast = corners.contrast[p].astype(np.float32) * corners.contrast[q].astype(np.float32)
-    least = F(0.25 * (len(constants.side_points) * constants.least_side) ** 2)
-    result: Mask = (total > 0) & (seen * seen > least * contrast)
-    return result
+    seen: Mask = side_sum(plane, start, step, constants) * (1 - 2 * (low & 1)) > 0
+    return seen
 
 
 # --- faces and parts ----------------------------------------------------------------------

@@ -85,7 +85,7 @@ def votes(
             np.float32
         )
         share = (total.astype(np.float32) * F(2 / (len(k.side_points) * m))) * inverse_root(product)
-        seen = share > F(k.least_side)
+        seen = total > 0
         n, share = n[seen], share[seen]
         weight = (np.minimum(share, F(1)) * F(1 / np.sqrt(m))).astype(np.float64)
         found.append((first[n], second[n], s[n], t[n], np.full(len(n), m), weight))
