@@ -148,8 +148,8 @@ def _neighbours(units: Units, votes: Votes) -> dict[int, set[int]]:
         ones.append(part[apart:][same])
         others.append(part[:-apart][same])
     found = defaultdict[int, set[int]](set)
-    pairs = np.stack([np.concatenate(ones), np.concatenate(others)], axis=1)
-    for one, other in np.unique(pairs, axis=0).tolist():
+    for pair in np.unique(np.concatenate(ones) * FAR + np.concatenate(others)).tolist():
+        one, other = divmod(pair, FAR)
         found[one].add(other)
         found[other].add(one)
     return found
