@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import cv2
@@ -312,6 +313,26 @@ def test_a_camera_runs_until_ctrl_c(run, recording, press, monkeypatch, camera, 
     assert (np.diff(series["time_ms"]) >= 0).all()
     assert max(off_by(series, press, (0, 1, 2, 0, 1)[:count])) < CLOSE
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_frame_of_a_camera_is_written_before_the_next_one_comes(
+    run, recording, press, monkeypatch
+):
+    append, written = SeriesWriter.append, threading.Event()
+
+    def tell(series, **frame):
+        append(series, **frame)
+        written.set()
+
+    def images():
+        yield press[0].frame
+        written.wait(30)  # longer than a run waits for a camera
+        yield press[1].frame
+
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of(images(), []))
+    monkeypatch.setattr(SeriesWriter, "append", tell)
+    assert run("run", "7", *STEREO)[0] == 0
+    assert np.load("press.npz")["index"].tolist() == [0, 1]
 
 
 @pytest.mark.parametrize(
