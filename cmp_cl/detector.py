@@ -143,19 +143,28 @@ class Detector(Closing):
         """
         waiting: Plan | None = None
         try:
-            for frame in _iterated("frames", frames):
-                plan = self.begin([frame])
-                ready, waiting = waiting, plan
+            for begun in self._each_begun(frames):
+                ready, waiting = waiting, begun if isinstance(begun, Plan) else None
                 done = [] if ready is None else self.finish(ready)[0].corners
-                if plan.uploads:
-                    cl.wait_for_events(plan.uploads)
+                if waiting is not None and waiting.uploads:
+                    cl.wait_for_events(waiting.uploads)
                 yield from done
+                if isinstance(begun, Exception):
+                    raise begun
             if waiting is not None:
                 ready, waiting = waiting, None
                 yield from self.finish(ready)[0].corners
         finally:
             if waiting is not None:
                 self._plans.take_back(waiting)
+
+    def _each_begun(self, frames: Iterable[GreyImage]) -> Iterator[Plan | Exception]:
+        """Begin each frame; an error is the last."""
+        try:
+            for frame in _iterated("frames", frames):
+                yield self.begin([frame])
+        except Exception as error:
+            yield error
 
     @property
     def queue(self) -> cl.CommandQueue:

@@ -213,6 +213,14 @@ def test_a_stream_reads_one_frame_ahead(detector):
     assert_same_bytes(detector(BOARD), expected)
 
 
+def test_a_wrong_frame_ends_a_stream_after_the_corners_of_those_before(detector):
+    found = []
+    with pytest.raises(ImageError, match="make a Detector"):
+        found.extend(detector.stream([BOARD, FRAMES[0], BOARD[1:], BOARD]))
+    for one, frame in zip(found, (BOARD, FRAMES[0]), strict=True):
+        assert_same_bytes(one, detector(frame))
+
+
 def test_streams_and_calls_may_alternate(detector):
     alone = [detector(frame) for frame in FRAMES]
     for k, (one, other) in enumerate(
