@@ -4,11 +4,10 @@ Each file is read by a process of its own: a library in C might end it.
 """
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from children import python
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
 SCRIPT = Path(__file__).with_name("fuzz_files.py")
@@ -31,7 +30,7 @@ for said, read in reads.items():
 
 
 def run(*arguments):
-    done = subprocess.run([sys.executable, *map(str, arguments)], capture_output=True, text=True)
+    done = python(*arguments, timeout=None)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 

@@ -10,13 +10,14 @@ import images
 import numpy as np
 import pyopencl as cl
 import pytest
+from children import ENVIRONMENT, python
 from comparison import assert_same_bytes
 from workers import corners_of_board
 
 from cmp_cl import BinaryRings, Detector, DetectorConfig
 from cmp_cl.errors import CapacityError, DeviceError
-from cmp_cl.opencl import caches, program
 from cmp_cl.opencl import device as device_module
+from cmp_cl.opencl import program
 
 BOARD = images.eight_bits()["board"]
 
@@ -79,11 +80,10 @@ def test_a_capacity_that_cannot_grow_leaves_a_detector_that_works(device, monkey
 @pytest.fixture
 def cache(own_programs, tmp_path, monkeypatch):
     """Return an empty folder for compiled programs, used on every device."""
-    folder = tmp_path / "cache"
     monkeypatch.delenv("PYOPENCL_NO_CACHE", raising=False)
-    monkeypatch.setattr(caches.platformdirs, "user_cache_path", lambda *_, **__: folder)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(program, "_keeps_by_itself", lambda _: False)
-    return folder
+    return tmp_path / "cmp_cl"
 
 
 def build(device, pad=16):
@@ -116,21 +116,13 @@ with cmp_cl.Detector(shape=(64, 64)) as detector:
 
 def test_functions_that_call_kernels_are_never_loaded_from_a_file(tmp_path):
     """pyopencl stores them as pickles; a damaged file led to an error of SQLite."""
-    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    environment = {**ENVIRONMENT, "XDG_CACHE_HOME": str(tmp_path)}
     folder = tmp_path / "pytools"
     folder.mkdir()
-    subprocess.run(
-        [sys.executable, "-c", "import pyopencl.invoker"], env=environment, check=True, timeout=60
-    )
+    python("-c", "import pyopencl.invoker", env=environment, check=True)
     (kept,) = folder.glob("*.sqlite")
     kept.write_bytes(b"damaged")
-    done = subprocess.run(
-        [sys.executable, "-c", DETECT],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+    done = python("-c", DETECT, env=environment)
     assert (done.stdout, done.returncode) == ("0\n", 0), done.stderr
     assert kept.read_bytes() == b"damaged"
 
@@ -189,13 +181,7 @@ def detected(device, **environment):
     """Detect in a process of its own; return its status and what it says."""
     image = "np.zeros((40, 40), np.uint8)"
     code = f"import cmp_cl, numpy as np; cmp_cl.detect({image}, device={device.index!r})"
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), **environment},
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+    done = python("-c", code, env=ENVIRONMENT | environment)
     return done.returncode, done.stderr
 
 
@@ -239,21 +225,19 @@ def test_without_a_linker_pocl_does_not_end_the_process(device, tmp_path):
 
 
 SHARED = """
-import pathlib, sys
-sys.path[:0] = {path!r}
-from cmp_cl.opencl import caches
-caches.platformdirs.user_cache_path = lambda *_, **__: pathlib.Path({folder!r})
+import sys
 import cmp_cl
 import test_faults
 from cmp_cl.opencl import program
 program._keeps_by_itself = lambda _: False
-test_faults.build(cmp_cl.select_device({device!r}))
+test_faults.build(cmp_cl.select_device(sys.argv[1]))
 """
 
 
 def test_processes_share_the_folder(device, cache):
-    code = SHARED.format(path=sys.path, folder=str(cache), device=device.index)
-    children = [subprocess.Popen([sys.executable, "-c", code]) for _ in range(2)]
+    command = [sys.executable, "-c", SHARED, device.index]
+    environment = {**ENVIRONMENT, "XDG_CACHE_HOME": str(cache.parent)}
+    children = [subprocess.Popen(command, env=environment) for _ in range(2)]
     assert [child.wait(timeout=300) for child in children] == [0] * 2
     assert len(list(cache.iterdir())) == 1
 
@@ -335,8 +319,5 @@ print(said)
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
 def test_a_forked_child_of_a_process_that_used_opencl_gets_an_error_and_does_not_hang(device):
-    code = FORKED.format(device=device.index)
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
-    )
+    done = python("-c", FORKED.format(device=device.index), check=True)
     assert done.stdout == "['done']\n", done.stderr

@@ -186,11 +186,7 @@ def test_a_csv_has_a_row_for_each_node_and_metadata_beside_it(tmp_path):
 
 
 def test_json_lines_go_through_a_pipe():
-    code = (
-        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        "from test_series import write; write('-')"
-    )
-    done = python("-c", code, check=True)
+    done = python("-c", "from test_series import write; write('-')", check=True)
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(lines) == 4
     assert lines[0]["units"]["displacement"] == "mm"
@@ -303,9 +299,8 @@ def test_memory_does_not_grow_with_the_recording(tmp_path):
 
 # kills and full disks
 
-WRITING = f"""
+WRITING = """
 import sys
-sys.path.insert(0, {str(Path(__file__).parent)!r})
 from test_series import ABOUT, SeriesWriter, frame, rest
 try:
     with SeriesWriter(sys.argv[1], **ABOUT, rest=rest(), unit="mm") as series:
