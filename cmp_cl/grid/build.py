@@ -77,7 +77,7 @@ def grid_of(
     strict: bool,
 ) -> Grid:
     """Return the grid of the board that is meant."""
-    chosen, others = chosen_of(found_in(found, asked), asked, len(corners))
+    chosen, others = chosen_of(found_in(found, asked, corners), asked, len(corners))
     if chosen is None:
         grid = empty_grid(len(corners), asked.shape, asked.like)
     else:
@@ -102,7 +102,7 @@ def build_grids(
     Raises the errors of `build_grid` for its arguments.
     """
     asked = asked_of(shape, None, None)
-    found = found_in(_boards_of(corners, image, device), asked)
+    found = found_in(_boards_of(corners, image, device), asked, corners)
     if shape is not None:
         found = [each for each in found if 2 * each.size >= shape[0] * shape[1]]
     return [placed(each, corners, asked, 0) for each in found]

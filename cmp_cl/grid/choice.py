@@ -6,8 +6,10 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
+from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
 from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Mask
@@ -22,6 +24,10 @@ from cmp_cl.lattice.numbers import (
 from cmp_cl.lattice.printing import prints_of
 
 K = LatticeConstants()
+_FEW_BEYOND = 6  # corners beyond a board that may be loose ones
+_BESIDE_CELLS = 0.25  # greatest distance from a place, along each axis: a quarter of all corners
+_SHARE_BEYOND = 0.75  # of the corners near a board that must lie so
+_NODES_OF_PLANE = 100
 
 
 class Asked(NamedTuple):
@@ -34,10 +40,12 @@ class Asked(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Found:
-    """A board in a view, upright; the number of its first node and how sure it is."""
+    """A board in a view, upright; the number of its first node and how sure it is; the corners that
+    are none of its own and go on its lattice."""
 
     board: Board
     decision: Decision
+    beyond: int
 
     @functools.cached_property
     def size(self) -> int:
@@ -89,9 +97,20 @@ class Found:
         return self.decision.best.nats > -K.end_nats
 
 
-def found_in(boards: Iterable[Board], asked: Asked) -> list[Found]:
-    """Return the boards of a view with their numbers, those of more corners first."""
-    found = [Found(board, _decided(board, asked)) for board in boards if (board.owner >= 0).any()]
+def found_in(boards: Iterable[Board], asked: Asked, corners: Corners) -> list[Found]:
+    """Return the boards of a view with their numbers, those of more corners first.
+
+    Where corners go on a board's lattice, lines may follow that are not seen; without a known size
+    that is told.
+    """
+    found = []
+    for board in boards:
+        if not (board.owner >= 0).any():
+            continue
+        beyond = _corners_beyond(board, corners)
+        if beyond:
+            board.border = board.border._replace(room=np.zeros(4, np.bool_))
+        found.append(Found(board, _decided(board, asked), beyond))
     return sorted(found, key=lambda each: -each.size)
 
 
@@ -100,6 +119,35 @@ def _between(there: Mask) -> Mask:
     after = np.logical_or.accumulate(there[:, ::-1], axis=1)[:, ::-1]
     between: Mask = np.logical_or.accumulate(there, axis=1) & after
     return between
+
+
+def _corners_beyond(board: Board, corners: Corners) -> int:
+    """Return how many corners are none of a board's and lie on its lattice, up to a way beside it.
+
+    A hand, or noise, parts a board. The lattice is continued as if it were flat. 0 if they are few,
+    or if others are near it that lie anywhere.
+    """
+    mine = board.owner >= 0
+    nodes, number = board.owner[mine], np.argwhere(mine)[:, ::-1].astype(np.float64)
+    beside = (K.span + 0.5) * max(map(abs, board.steps))
+    xy, at = corners.xy.astype(np.float64), corners.xy[nodes]
+    is_free = ((xy > at.min(axis=0) - beside) & (xy < at.max(axis=0) + beside)).all(axis=1)
+    is_free[nodes] = False
+    free = np.flatnonzero(is_free)
+    if len(free) < _FEW_BEYOND or len(nodes) < K.least_board:
+        return 0
+    some = slice(None, None, max(len(nodes) // _NODES_OF_PLANE, 1))
+    plane, _ = cv2.findHomography(xy[nodes[some]], number[some])
+    if plane is None:
+        return 0
+    wide = np.pad(~mine, K.span, constant_values=True)  # places without a node
+    at = cv2.perspectiveTransform(xy[None, free], plane)[0] + K.span
+    place = np.rint(np.clip(at, 0, np.array(wide.shape[::-1]) - 1)).astype(np.int64)
+    apart = np.abs(at - place).max(axis=1)
+    empty = wide[place[:, 1], place[:, 0]] & (apart <= 0.5)
+    count = np.count_nonzero(empty & (apart < _BESIDE_CELLS))
+    least = max(_FEW_BEYOND, K.gap * len(nodes), _SHARE_BEYOND * np.count_nonzero(empty))
+    return int(count) if count >= least else 0
 
 
 def _decided(board: Board, asked: Asked) -> Decision:
@@ -153,10 +201,12 @@ def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | Non
             f"the largest board has {chosen.size} of {count} corners, expected at least "
             f"{math.ceil(least)}; give the shape, or a cut-out of the image"
         )
-    complete = asked.shape is not None and chosen.size == math.prod(asked.shape)
-    return chosen, others or chosen.gap or (
-        0 if complete else int(chosen.board.border.further.sum())
-    )
+    missing = int(chosen.board.border.further.sum())
+    if asked.shape is None:
+        missing = max(missing, chosen.beyond)
+    elif chosen.size == math.prod(asked.shape):
+        missing = 0
+    return chosen, others or chosen.gap or missing
 
 
 def _alike(found: list[Found]) -> tuple[Found, int]:

@@ -277,8 +277,22 @@ def test_a_part_of_a_board_beside_a_bar_is_not_taken_for_the_whole_in_silence(mi
     u, _ = camera(*samples(SIZE))
     view = drawn(camera, SIZE, BOARD, front=np.where(abs(u - middle) < width / 2, 120.0, np.nan))
     grid = grid_of(view)
-    assert grid.others == 6
+    assert grid.others == 12  # behind the bar
     assert scored(grid, view).wrong == 0
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_a_part_of_a_board_beside_an_arm_is_told_without_a_size(number):
+    draw, front = np.random.default_rng(number), np.full(SIZE, np.nan)
+    slope, width = draw.uniform(-0.6, 0.6), draw.uniform(30, 60)
+    y, x = np.indices(SIZE)
+    front[abs(x - 150 - slope * (y - 150)) < width / 2] = draw.uniform(60, 180)
+    view = drawn(plane(cell=26, middle=(200, 150), about=(4, 2.5)), SIZE, BOARD, front=front)
+    grid = grid_of(view)
+    assert grid.shape != BOARD
+    assert grid.doubts
+    sized = grid_of(view, shape=BOARD)
+    assert_right_or_told(sized, view, "board")
 
 
 def test_the_last_squares_of_a_tilted_board_reach_as_far_as_the_next_line_would():
