@@ -89,7 +89,7 @@ def cache(own_programs, tmp_path, monkeypatch):
 def build(device, pad=16):
     """Build a program of one file: the border of an image is repeated."""
     context = cl.Context([device.handle])
-    names = program.build(context, ["border"], {"PIXEL": "uchar", "PAD": pad}).names
+    names = program.Programs(context).kernels(["border"], {"PIXEL": "uchar", "PAD": pad}).names
     assert names == {"repeat_border"}
 
 

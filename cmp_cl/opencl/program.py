@@ -169,16 +169,6 @@ def _shared(device: cl.Device) -> Programs:
     return Programs(cl.Context([device]))
 
 
-def build(
-    context: cl.Context,
-    stages: Sequence[str],
-    defines: Mapping[str, str | int],
-    macros: Mapping[str, str] | None = None,
-) -> Kernels:
-    """Compile the stages for a single use, see `Programs.kernels`."""
-    return Programs(context).kernels(stages, defines, macros)
-
-
 def _compiled(context: cl.Context, stage: str, text: str, options: list[str]) -> cl.Program:
     kept = _place(context, text, options)
     program = None if kept is None else _loaded(context, kept, options)
