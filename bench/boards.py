@@ -53,10 +53,13 @@ def board(
         u, v = (x - SHAPE[1] / 2) * depth, (y - SHAPE[0] / 2) * depth
         return cos * u + sin * v + start[0], cos * v - sin * u + start[1]
 
-    i, j = camera(*samples(SHAPE, SAMPLES))
-    white = (np.floor(i) + np.floor(j)) % 2 == 1
-    edge = np.minimum(np.abs(i - np.rint(i)), np.abs(j - np.rint(j))) * cell  # px to an edge
-    grey = np.where(edge < abs(ink), float(ink < 0), white)
+    at = np.stack(camera(*samples(SHAPE, SAMPLES)))
+    edge = np.abs(at - np.rint(at)) * cell * SAMPLES  # samples to an edge, along both axes
+    side = np.where(np.floor(at) % 2, 1, -1) * np.minimum(2 * edge, 1)  # an edge is a sample wide
+    grey = (1 - side[0] * side[1]) / 2
+    if ink:
+        inked = np.clip(abs(ink) * SAMPLES - edge.min(axis=0) + 0.5, 0, 1)
+        grey += inked * (float(ink < 0) - grey)
     grey = cv2.GaussianBlur(grey, (0, 0), max(blur, 0.4) * SAMPLES, borderType=cv2.BORDER_REPLICATE)
     grey = grey.reshape(SHAPE[0], SAMPLES, SHAPE[1], SAMPLES).mean(axis=(1, 3))
     return grey, corners_in(camera, SHAPE)[:, :2]

@@ -22,6 +22,8 @@ RADIUS = 3  # px, of suppression
 KINDS = ("all", "spread ink", "noise, wide", "noise", "clutter", "cells under 20 px")
 VARIED: dict[str, tuple[float, ...]] = {  # of the oracle; `relative` is the rule's
     "relative": (0.125, 0.16, 0.22, 0.25),
+    "FRAME_WIDE": (1, 3, 10**6),
+    "OCTAVE_WIDE": (1, 2, 8, 10**6),
     "OCTAVE_SHARE": (16, 24, 32, 40, 56, 72, 80),
     "OCTAVE_APART": (2, 3, 4, 6, 8),
     "STRONG": (1, 1.3, 2.7, 4),
@@ -29,15 +31,15 @@ VARIED: dict[str, tuple[float, ...]] = {  # of the oracle; `relative` is the rul
     "NEIGHBOURS": (16, 20, 32),
     "ALIGNED": (4, 5, 6, 8),
     "OPPOSED": (0, 1, 3),
-    "SEEN": (0, 2, 3),
+    "SEEN": (0.5, 2.5),
 }
 
 
-def places(image: GreyImage, octaves: list[harmonic.Octave], name: str, value: float) -> np.ndarray:
+def places(image: GreyImage, layers: list[harmonic.Layer], name: str, value: float) -> np.ndarray:
     """Return the corners (N, 2), px, that the oracle finds before refinement, with that value."""
     rule = RingHarmonic(relative=value) if name == "relative" else RingHarmonic()
     constants = {} if name == "relative" else {name: value}
-    with mock.patch.multiple(harmonic, octaves_of=lambda *_: iter(octaves), **constants):
+    with mock.patch.multiple(harmonic, layers_of=lambda *_: iter(layers), **constants):
         found = harmonic.corners(image, rule, RADIUS, 255, np.ones(image.shape, np.bool_))
     return (np.stack([found.x, found.y], axis=1) + 0.5) * 2.0 ** found.halvings[:, None] - 0.5
 
@@ -50,9 +52,9 @@ def main() -> None:
     for seed in range(FIRST_SEED, FIRST_SEED + count):
         board, kinds = drawn(seed)
         mask = np.ones(board.image.shape, np.bool_)
-        octaves = list(harmonic.octaves_of(board.image, RingHarmonic(), RADIUS, 255, mask))
+        layers = list(harmonic.layers_of(board.image, RingHarmonic(), RADIUS, 255, mask))
         for row, (name, value) in enumerate(rows):
-            score = board.score(places(board.image, octaves, name, value))
+            score = board.score(places(board.image, layers, name, value))
             if score.expected:
                 share = score.missed / score.expected, min(score.false / score.expected, 1)
                 for kind in ("all", *kinds):

@@ -109,7 +109,7 @@ def _of_octaves(found: _Found, config: DetectorConfig) -> tuple[Corners, NDArray
             whole[here] = part
     margin = values.pop("margin")
     corners = Corners(
-        pixel=harmonic.to_frame(found.pixel, found.halvings[:, None]).astype(np.int32),
+        pixel=harmonic.in_frame(found.pixel, found.halvings[:, None]).astype(np.int32),
         octave=found.halvings.astype(np.uint8),
         response=found.response.astype(np.float32),
         edge_radius=refine.edge_radius(config.refinement, 1.0),

@@ -7,8 +7,8 @@ samples (the odd harmonics), and the difference of the centre from the mean of i
 
 import dataclasses
 import math
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ ALIGNMENT, FINE_ALIGNMENT = 8, 4
 SUPPORT = 32
 WIDE: Ring = (8, 6)
 LEAST_SIDE = 48  # px, of a halved frame
+FRAME_WIDE, OCTAVE_WIDE = 2, 4  # the ring of 8 px responds at least one in so many
 OCTAVE_SHARE = 48  # least response of a corner of a halved frame, 1/128 of the reference
 OCTAVE_APART = 5  # px of the halved frame: nearer to a corner found before it is that corner
 STRONG = 2  # a response of half the reference needs nothing beside it
@@ -38,7 +39,7 @@ CLEAR = 8  # a fine one needs 3/4 of it, or so many times its noise bound
 NEIGHBOURS = 24  # px in x and y: the corners of narrower cells have neighbours in there
 ALIGNED = 7  # of them that are opposed or alike suffice
 OPPOSED = 2  # of them, or no aligned one, beside one that the frame halved once has too
-SEEN = 1  # px of the frame halved once
+SEEN = 1.5  # px of the frame halved once
 UNIT = 15  # of a direction, about
 
 
@@ -58,35 +59,45 @@ class Harmonics:
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Octave:
-    """A frame that was halved `halvings` times, and its maxima of the 5 px ring that pass the
-    checks.
+class Maxima:
+    """The maxima of one ring in a frame that was halved `halvings` times, in raster order, that
+    pass the checks.
 
-    image: (H, W). once, thrice: S1 and S3. response: R5, (H, W). bound: its least by noise.
-    x, y: (N,) pixels of the maxima in raster order.
+    fine: whether the ring is that of 3 px. bound: the least response by noise. x, y: (N,) pixels of
+    the halved frame. response, length: (N,), of the ring. wide: (N,), the response of the ring of 8
+    px; 0 if `fine`. direction: (N, 2), of the second harmonic, about UNIT long.
     """
 
     halvings: int
+    fine: bool
+    bound: int
+    x: Whole
+    y: Whole
+    response: Whole
+    length: Whole
+    wide: Whole
+    direction: Whole
+
+    def of(self, some: NDArray[np.bool_]) -> "Maxima":
+        """Return some of them."""
+        lists: dict[str, Any] = {
+            name: values[some]
+            for name, values in vars(self).items()
+            if isinstance(values, np.ndarray)
+        }
+        return dataclasses.replace(self, **lists)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Layer:
+    """The frame or a halved one as one ring sees it: image, S1, S3, responses, (H, W) each, and the
+    maxima."""
+
     image: GreyImage
     once: Whole
     thrice: Whole
     response: Whole
-    bound: int
-    x: Whole
-    y: Whole
-
-    def levels(self) -> Whole:
-        """Return the responses of the maxima."""
-        return self.response[self.y, self.x]
-
-
-class Candidates(NamedTuple):
-    """Maxima of the frame that are strong enough, of one ring: (N,) each, direction (N, 2)."""
-
-    x: Whole
-    y: Whole
-    response: Whole
-    direction: Whole
+    maxima: Maxima
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -124,88 +135,54 @@ def corners(
 
     mask: (H, W), where maxima may be kept. Maxima elsewhere still suppress their neighbours.
     """
-    octaves = list(octaves_of(image, rule, nms_radius, full_scale, mask))
-    frame = octaves[0]
-    level = greatest = max(reference(each.levels()) for each in octaves)
-    bounds = noise_bounds(image, rule, full_scale)
-    rings = [(candidates(frame, rule, level), frame.response)]
-    fine_response = None
-    if rule.fine:
-        rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
-        fine_response = fine_measure(harmonics(frame.once, rows, columns, FINE))
-        y, x = np.nonzero(maxima(fine_response, bounds[1], nms_radius) & mask)
-        passed = looks_alike_when_squeezed(frame.once, y, x)
-        y, x = y[passed], x[passed]
-        level = level or reference(fine_response[y, x])
-        strong = 128 * fine_response[y, x] >= rule.fine_share * level
-        y, x = y[strong], x[strong]
-        direction = direction_of(harmonics(frame.once, y, x, FINE))
-        rings.append((Candidates(x, y, fine_response[y, x], direction), fine_response))
-    every = Candidates(*map(np.concatenate, zip(*(found for found, _ in rings), strict=True)))
-
-    kept = np.zeros(image.shape, np.bool_)
-    found = []
-    for is_fine, (each, response) in enumerate(rings):
-        free = nms.largest_within(kept.astype(np.int64), nms_radius)[each.y, each.x] == 0
-        if len(octaves) > 1:
-            weak = STRONG * each.response < level
-            if is_fine:
-                close = each.response < CLEAR * bounds[1]
-                weak |= close & (4 * each.response < 3 * level)
-            weak &= free
-            asked = Candidates(*(of[weak] for of in each))
-            opposed, aligned, askew = around(asked, every, nms_radius)
-            seen = is_seen(asked, octaves[1], rule, level)
-            seen &= (aligned == 0) | (opposed >= OPPOSED)
-            free[weak] = (opposed >= 2 * askew) & (seen | (aligned >= ALIGNED))
-        x, y = each.x[free], each.y[free]
-        kept[y, x] = True
-        found.append((x, y, frame, response, bool(is_fine)))
-    for octave in octaves[1:]:
-        strong = of_octave(octave, level) & far_from(kept, octave)
-        x, y = octave.x[strong], octave.y[strong]
-        kept[to_frame(y, octave.halvings), to_frame(x, octave.halvings)] = True
-        found.append((x, y, octave, octave.response, False))
-
+    layers = list(layers_of(image, rule, nms_radius, full_scale, mask))
+    coarse = [each for each in layers if not each.maxima.fine]
+    level, kept = decided([each.maxima for each in layers], rule, nms_radius)
+    maximum = np.zeros(image.shape, np.bool_)
     parts = []
-    for x, y, octave, response, is_fine in found:
-        centroid, rounded = nms.centroids(np.maximum(response, 0), x, y)
-        alike = np.full(len(x), is_fine), np.full(len(x), octave.halvings)
-        parts.append((x, y, *alike, response[y, x], centroid, rounded))
-    x, y, fine, halvings, levels, centroid, rounded = map(np.concatenate, zip(*parts, strict=True))
-    order = np.lexsort((to_frame(x, halvings), to_frame(y, halvings)))
+    for layer, found in zip(layers, kept, strict=True):
+        centroid, rounded = nms.centroids(np.maximum(layer.response, 0), found.x, found.y)
+        alike = (np.full(len(found.x), of) for of in (found.fine, found.halvings))
+        parts.append((found.x, found.y, *alike, found.response, centroid, rounded))
+        maximum[in_frame(found.y, found.halvings), in_frame(found.x, found.halvings)] = True
+    x, y, fine, halvings, response, centroid, rounded = map(
+        np.concatenate, zip(*parts, strict=True)
+    )
+    order = np.lexsort((in_frame(x, halvings), in_frame(y, halvings)))
+    fine_response = layers[1].response.astype(np.int32) if rule.fine else None
     return Corners(
         x=x[order],
         y=y[order],
         halvings=halvings[order],
         fine=fine[order],
-        response=levels[order],
+        response=response[order],
         centroid=centroid[order],
         rounded=rounded[order],
-        images=[each.image for each in octaves],
-        bounds=bounds,
-        reference=greatest,
+        images=[each.image for each in coarse],
+        bounds=noise_bounds(image, rule, full_scale),
+        reference=level,
         maps=HarmonicMaps(
-            fine=frame.once.astype(np.uint16),
-            coarse=frame.thrice.astype(np.uint16),
-            coarse_response=frame.response.astype(np.int32),
-            fine_response=None if fine_response is None else fine_response.astype(np.int32),
-            maximum=kept,
+            fine=layers[0].once.astype(np.uint16),
+            coarse=layers[0].thrice.astype(np.uint16),
+            coarse_response=layers[0].response.astype(np.int32),
+            fine_response=fine_response,
+            maximum=maximum,
         ),
     )
 
 
-# --- octaves -----------------------------------------------------------------------------
+# --- the maxima of every octave ------------------------------------------------------------
 
 
-def octaves_of(
+def layers_of(
     image: GreyImage,
     rule: RingHarmonic,
     nms_radius: int,
     full_scale: int,
     mask: NDArray[np.bool_],
-) -> Iterator[Octave]:
-    """Yield the frame, and then halved frames while the shorter side has LEAST_SIDE px."""
+) -> Iterator[Layer]:
+    """Yield the frame as the ring of 5 px sees it, as that of 3 px sees it, and then halved frames
+    while the shorter side has LEAST_SIDE px."""
     for halvings in range(rule.octaves + 1):
         if halvings:
             image = halved(image)
@@ -213,21 +190,34 @@ def octaves_of(
                 return
         once, thrice = smoothed(image, full_scale)
         rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
-        response = coarse_measure(harmonics(thrice, rows, columns, COARSE))
-        bound = noise_bounds(image, rule, full_scale)[0]
-        allowed = mask[to_frame(rows, halvings), to_frame(columns, halvings)]
-        y, x = np.nonzero(maxima(response, bound, nms_radius) & allowed)
-        passed = looks_alike(once, thrice, y, x, response[y, x])
-        yield Octave(
-            halvings=halvings,
-            image=image,
-            once=once,
-            thrice=thrice,
-            response=response,
-            bound=bound,
-            x=x[passed],
-            y=y[passed],
-        )
+        allowed = mask[in_frame(rows, halvings), in_frame(columns, halvings)]
+        bounds = noise_bounds(image, rule, full_scale)
+        for fine in (False, True) if rule.fine and not halvings else (False,):
+            plane, ring, measure = (
+                (once, FINE, fine_measure) if fine else (thrice, COARSE, coarse_measure)
+            )
+            response = measure(harmonics(plane, rows, columns, ring))
+            y, x = np.nonzero(maxima(response, bounds[fine], nms_radius) & allowed)
+            passed = (
+                looks_alike_when_squeezed(once, y, x)
+                if fine
+                else looks_alike(once, thrice, y, x, response[y, x])
+            )
+            y, x = y[passed], x[passed]
+            seen = harmonics(plane, y, x, ring)
+            wide = coarse_measure(harmonics(thrice, y, x, WIDE))
+            found = Maxima(
+                halvings=halvings,
+                fine=fine,
+                bound=bounds[fine],
+                x=x,
+                y=y,
+                response=response[y, x],
+                length=seen.length,
+                wide=np.where(fine, 0, wide),
+                direction=direction_of(seen),
+            )
+            yield Layer(image=image, once=once, thrice=thrice, response=response, maxima=found)
 
 
 def halved(image: GreyImage) -> GreyImage:
@@ -240,47 +230,12 @@ def halved(image: GreyImage) -> GreyImage:
     return half.astype(np.uint8) if image.dtype == np.uint8 else half.astype(np.uint16)
 
 
-def to_frame(pixel: Whole, halvings: int | Whole) -> Whole:
+def in_frame(pixel: Whole, halvings: int | Whole) -> Whole:
     """Return the pixel of the frame nearest to a pixel of a halved frame, along one axis.
 
     That pixel lies at (p + .5) 2^n - .5; of two as near, the later one.
     """
     return (pixel << halvings) + (1 << np.asarray(halvings) >> 1)
-
-
-def candidates(frame: Octave, rule: RingHarmonic, level: int) -> Candidates:
-    """Return the maxima of the frame that are strong enough against the reference.
-
-    Clean ones may be half as strong; with octaves only if the ring of 8 px responds half as much:
-    noise that looks like a corner on one ring is independent of it on the next.
-    """
-    response, seen = frame.levels(), harmonics(frame.thrice, frame.y, frame.x, COARSE)
-    clean = is_clean(response, seen)
-    if rule.octaves:
-        clean &= 2 * wide_response(frame) >= response
-    strong = np.where(clean, 256, 128) * response >= rule.coarse_share * level
-    return Candidates(*(of[strong] for of in (frame.x, frame.y, response, direction_of(seen))))
-
-
-def of_octave(octave: Octave, level: int) -> NDArray[np.bool_]:
-    """Return (N,): the maxima of a halved frame that are at least a share of the reference, and to
-    which the ring of 8 px responds at least a quarter as much."""
-    response = octave.levels()
-    strong: NDArray[np.bool_] = 128 * response >= OCTAVE_SHARE * level
-    return strong & (4 * wide_response(octave) >= response)
-
-
-def is_seen(asked: Candidates, half: Octave, rule: RingHarmonic, level: int) -> NDArray[np.bool_]:
-    """Return (N,): whether the halved frame has a maximum within SEEN of the pixel that a candidate
-    lies in, in both axes.
-
-    There, noise is weaker, and independent of that of the frame; the corners of wide cells stay.
-    """
-    there = 128 * half.levels() >= rule.coarse_share * level
-    apart_x = np.abs((asked.x[:, None] >> 1) - half.x[there])
-    apart_y = np.abs((asked.y[:, None] >> 1) - half.y[there])
-    seen: NDArray[np.bool_] = (np.maximum(apart_x, apart_y) <= SEEN).any(axis=1)
-    return seen
 
 
 def direction_of(seen: Harmonics) -> Whole:
@@ -290,42 +245,108 @@ def direction_of(seen: Harmonics) -> Whole:
     return direction
 
 
-def around(asked: Candidates, every: Candidates, nms_radius: int) -> Whole:
-    """Return (3, N): how many of the candidates around one are opposed to it, how many are opposed
-    or alike, and how many askew.
+# --- which of them are corners -------------------------------------------------------------
+
+
+def decided(
+    layers: Sequence[Maxima], rule: RingHarmonic, nms_radius: int
+) -> tuple[int, list[Maxima]]:
+    """Return the reference W, and which maxima of each layer are corners.
+
+    One of the ring of 3 px must be far from those of 5 px, and one of a halved frame from all
+    before it. W is the greatest reference of the frame and of its halves: noise fades with halving,
+    corners do not.
+    """
+    octaves = [each for each in layers if not each.fine]
+    level = greatest = max(reference(each.response) for each in octaves)
+    if not greatest and rule.fine:
+        level = reference(layers[1].response)
+    strong = [strong_enough(each, rule, level) for each in layers]
+    every = [each for each in strong if not each.halvings]
+    halves = [each.of(128 * each.response >= rule.coarse_share * level) for each in octaves[1:2]]
+    kept: list[Maxima] = []
+    for each in strong:
+        reach = OCTAVE_APART if each.halvings else nms_radius
+        corner = ~is_near(each, kept, reach)
+        if halves and not each.halvings:
+            asked = corner & is_weak(each, level)
+            corner[asked] = is_confirmed(each.of(asked), every, halves[0], nms_radius)
+        kept.append(each.of(corner))
+    return greatest, kept
+
+
+def strong_enough(found: Maxima, rule: RingHarmonic, level: int) -> Maxima:
+    """Return the maxima that are strong enough against the reference.
+
+    Clean ones of the frame may be half as strong; with octaves only if the ring of 8 px responds
+    half as much: noise that looks like a corner on one ring is independent of it on the next. In a
+    halved frame the ring of 8 px must respond a quarter as much.
+    """
+    if found.fine:
+        return found.of(128 * found.response >= rule.fine_share * level)
+    if found.halvings:
+        strong = 128 * found.response >= OCTAVE_SHARE * level
+        return found.of(strong & (OCTAVE_WIDE * found.wide >= found.response))
+    clean = 4 * found.response >= 3 * found.length  # weak at most in contrast; dirt loses more
+    if rule.octaves:
+        clean &= FRAME_WIDE * found.wide >= found.response
+    return found.of(np.where(clean, 256, 128) * found.response >= rule.coarse_share * level)
+
+
+def is_weak(found: Maxima, level: int) -> NDArray[np.bool_]:
+    """Return which maxima of the frame need more than their response."""
+    weak: NDArray[np.bool_] = STRONG * found.response < level
+    if found.fine:
+        weak |= (found.response < CLEAR * found.bound) & (4 * found.response < 3 * level)
+    return weak
+
+
+def is_confirmed(
+    asked: Maxima, every: Sequence[Maxima], half: Maxima, nms_radius: int
+) -> NDArray[np.bool_]:
+    """Return which maxima of the frame their neighbours confirm, or the frame halved once.
+
+    every: those of the frame that are strong enough. half: those of the frame halved once. Noise is
+        weaker there, and independent of that of the frame; the corners of wide cells stay.
+    """
+    opposed, aligned, askew = around(asked, every, nms_radius)
+    seen = is_near(asked, [half], SEEN) & ((aligned == 0) | (opposed >= OPPOSED))
+    confirmed: NDArray[np.bool_] = (opposed >= 2 * askew) & (seen | (aligned >= ALIGNED))
+    return confirmed
+
+
+def is_near(found: Maxima, others: Sequence[Maxima], reach: float) -> NDArray[np.bool_]:
+    """Return (N,): whether one of the others is within reach in x and in y, px of the smaller of
+    the two frames."""
+    near = np.zeros(len(found.x), np.bool_)
+    for other in others:
+        size, others_size = 2**found.halvings, 2**other.halvings
+        x, y = ((2 * at + 1) * others_size for at in (other.x, other.y))  # twice the place, and 1
+        furthest = 2 * reach * max(size, others_size)
+        for n in range(len(near)):
+            apart_x = np.abs(x - (2 * found.x[n] + 1) * size)
+            apart_y = np.abs(y - (2 * found.y[n] + 1) * size)
+            near[n] |= (np.maximum(apart_x, apart_y) <= furthest).any()
+    return near
+
+
+def around(asked: Maxima, every: Sequence[Maxima], nms_radius: int) -> Whole:
+    """Return (3, N): how many maxima around each are opposed to it, how many are opposed or alike,
+    and how many askew.
 
     Those of a checkerboard are opposed or alike; those of noise have any direction.
     """
+    x, y, direction = (
+        np.concatenate([getattr(each, name) for each in every]) for name in ("x", "y", "direction")
+    )
     found = np.zeros((3, len(asked.x)), np.int64)
-    for n, (x, y, _, direction) in enumerate(zip(*asked, strict=True)):
-        apart = np.maximum(np.abs(every.x - x), np.abs(every.y - y))
-        near = every.direction[(apart > nms_radius) & (apart <= NEIGHBOURS)]
-        along = near @ direction
-        askew = 3 * along**2 < 2 * (direction @ direction) * (near**2).sum(axis=1)
+    for n, own in enumerate(asked.direction):
+        apart = np.maximum(np.abs(x - asked.x[n]), np.abs(y - asked.y[n]))
+        near = direction[(apart > nms_radius) & (apart <= NEIGHBOURS)]
+        along = near @ own
+        askew = 3 * along**2 < 2 * (own @ own) * (near**2).sum(axis=1)
         found[:, n] = (~askew & (along < 0)).sum(), (~askew).sum(), askew.sum()
     return found
-
-
-def wide_response(octave: Octave) -> Whole:
-    """Return (N,), the response of the ring of 8 px at the maxima."""
-    return coarse_measure(harmonics(octave.thrice, octave.y, octave.x, WIDE))
-
-
-def far_from(kept: NDArray[np.bool_], octave: Octave) -> NDArray[np.bool_]:
-    """Return (N,): the maxima of a halved frame without a corner within OCTAVE_APART of its px in
-    both axes.
-
-    kept: (H, W), the corners of the frame and of the octaves before. A corner of an octave is at
-        its place in that octave, half a px of the frame before its pixel here, which decides alike.
-    """
-    size = 2**octave.halvings
-    corner_y, corner_x = (2 * at + 1 for at in np.nonzero(kept))  # twice the place, and one more
-    x, y = ((2 * at + 1) * size for at in (octave.x, octave.y))
-    near = np.zeros(len(x), np.bool_)
-    for n in range(len(x)):
-        beside = np.maximum(abs(corner_x - x[n]), abs(corner_y - y[n]))
-        near[n] = (beside <= 2 * OCTAVE_APART * size).any()
-    return ~near
 
 
 # --- smoothing ---------------------------------------------------------------------------
@@ -445,15 +466,6 @@ def looks_alike(
     middle = coarse_measure(harmonics(thrice, y, x, MIDDLE))
     passed &= (SUPPORT * middle >= response) & (middle <= 2 * response)
     return passed
-
-
-def is_clean(response: Whole, seen: Harmonics) -> NDArray[np.bool_]:
-    """Return True where the response is at least 3/4 of the length of the second harmonic.
-
-    Such a corner is weak at most in contrast: torn corners, dirt and texture lose more.
-    """
-    clean: NDArray[np.bool_] = 4 * response >= 3 * seen.length
-    return clean
 
 
 def looks_alike_when_squeezed(once: Whole, y: Whole, x: Whole) -> NDArray[np.bool_]:
