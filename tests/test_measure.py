@@ -83,10 +83,10 @@ def enlarged(image):
     return image.repeat(3, axis=0).repeat(3, axis=1)
 
 
-def grainy(image):
+def grainy(image, deviation=6):
     """Return the image with noise that neighbours share."""
     noise = cv2.GaussianBlur(np.random.default_rng(1).normal(size=image.shape), (0, 0), 2)
-    return np.clip(np.rint(image + 6 * noise / noise.std()), 0, 255).astype(np.uint8)
+    return np.clip(np.rint(image + deviation * noise / noise.std()), 0, 255).astype(np.uint8)
 
 
 @pytest.mark.parametrize(("changed", "least"), [(enlarged, 0.2), (grainy, 0.05)])
@@ -261,6 +261,14 @@ def test_a_board_has_the_nodes_that_a_calibration_may_use_at_their_filtered_posi
     assert board.valid[:, 2:].all()
     assert not board.valid[:, :2].any()
     assert np.nanmedian(board.sigma) < np.nanmedian(seen.sigma[board.valid])
+
+
+def test_a_board_without_a_sure_corner_is_refused():
+    camera = boards.plane(cell=24, middle=(150, 120), about=(4, 2.5))
+    image = boards.drawn(camera, (240, 300), (6, 9)).image
+    assert measure.find_board(grainy(image, 10), (6, 9)).valid.sum() > 40
+    with pytest.raises(GridError, match=r"no corner has a sigma of at most 0.2 px"):
+        measure.find_board(grainy(image, 30), (6, 9))
 
 
 # a moving pattern without a border in view

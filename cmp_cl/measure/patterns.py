@@ -73,7 +73,8 @@ def find_board(
     grid has the nodes that a calibration may use, at their filtered positions: those that were
     detected, with a sigma of at most 0.2 px.
 
-    Raises GridError if the view does not show corners of all four sides of the board.
+    Raises GridError if the view does not show corners of all four sides of the board, or none that
+    is sure enough.
     """
     check_shape(shape, GridError)
     _, grid = find_pattern(view, shape=shape, full_scale=full_scale, device=device)
@@ -83,6 +84,10 @@ def find_board(
             f"it shows {seen.sum()} of {seen.size} corners, and not those of every side"
         )
     good = seen & (grid.image_sigma <= _MAX_SIGMA)
+    if not good.any():
+        raise GridError(
+            f"no corner has a sigma of at most {_MAX_SIGMA} px: the image is noisy or blurred"
+        )
     kept = dataclasses.replace(
         grid,
         xy=np.where(good[..., None], grid.xy, np.float32(np.nan)),
