@@ -128,14 +128,17 @@ def _corners_beyond(board: Board, corners: Corners) -> int:
     or if others are near it that lie anywhere.
     """
     mine = board.owner >= 0
-    nodes, number = board.owner[mine], np.argwhere(mine)[:, ::-1].astype(np.float64)
+    nodes = board.owner[mine]
+    if len(corners) - len(nodes) < _FEW_BEYOND or len(nodes) < K.least_board:
+        return 0
     beside = (K.span + 0.5) * max(map(abs, board.steps))
     xy, at = corners.xy.astype(np.float64), corners.xy[nodes]
     is_free = ((xy > at.min(axis=0) - beside) & (xy < at.max(axis=0) + beside)).all(axis=1)
     is_free[nodes] = False
     free = np.flatnonzero(is_free)
-    if len(free) < _FEW_BEYOND or len(nodes) < K.least_board:
+    if len(free) < _FEW_BEYOND:
         return 0
+    number = np.argwhere(mine)[:, ::-1].astype(np.float64)
     some = slice(None, None, max(len(nodes) // _NODES_OF_PLANE, 1))
     plane, _ = cv2.findHomography(xy[nodes[some]], number[some])
     if plane is None:
