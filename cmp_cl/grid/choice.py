@@ -24,10 +24,6 @@ from cmp_cl.lattice.numbers import (
 from cmp_cl.lattice.printing import prints_of
 
 K = LatticeConstants()
-_FEW_BEYOND = 6  # corners beyond a board that may be loose ones
-_BESIDE_CELLS = 0.25  # greatest distance from a place, along each axis: a quarter of all corners
-_SHARE_BEYOND = 0.75  # of the corners near a board that must lie so
-_NODES_OF_PLANE = 100
 
 
 class Asked(NamedTuple):
@@ -124,22 +120,22 @@ def _between(there: Mask) -> Mask:
 def _corners_beyond(board: Board, corners: Corners) -> int:
     """Return how many corners are none of a board's and lie on its lattice, up to a way beside it.
 
-    A hand, or noise, parts a board. The lattice is continued as if it were flat. 0 if they are few,
-    or if others are near it that lie anywhere.
+    A hand, or noise, parts a board. The lattice is continued as if it were flat. 0 if they are
+    fewer than the votes that join parts, or if others are near it that lie anywhere.
     """
     mine = board.owner >= 0
     nodes = board.owner[mine]
-    if len(corners) - len(nodes) < _FEW_BEYOND or len(nodes) < K.least_board:
+    if len(corners) - len(nodes) < K.join_votes or len(nodes) < K.least_board:
         return 0
     beside = (K.span + 0.5) * max(map(abs, board.steps))
     xy, at = corners.xy.astype(np.float64), corners.xy[nodes]
     is_free = ((xy > at.min(axis=0) - beside) & (xy < at.max(axis=0) + beside)).all(axis=1)
     is_free[nodes] = False
     free = np.flatnonzero(is_free)
-    if len(free) < _FEW_BEYOND:
+    if len(free) < K.join_votes:
         return 0
     number = np.argwhere(mine)[:, ::-1].astype(np.float64)
-    some = slice(None, None, max(len(nodes) // _NODES_OF_PLANE, 1))
+    some = np.random.default_rng(0).permutation(len(nodes))[: K.tear_most]  # not all of one line
     plane, _ = cv2.findHomography(xy[nodes[some]], number[some])
     if plane is None:
         return 0
@@ -148,8 +144,8 @@ def _corners_beyond(board: Board, corners: Corners) -> int:
     place = np.rint(np.clip(at, 0, np.array(wide.shape[::-1]) - 1)).astype(np.int64)
     apart = np.abs(at - place).max(axis=1)
     empty = wide[place[:, 1], place[:, 0]] & (apart <= 0.5)
-    count = np.count_nonzero(empty & (apart < _BESIDE_CELLS))
-    least = max(_FEW_BEYOND, K.gap * len(nodes), _SHARE_BEYOND * np.count_nonzero(empty))
+    count = np.count_nonzero(empty & (apart < K.reach_cells))
+    least = max(K.join_votes, K.gap * len(nodes), K.least_line * np.count_nonzero(empty))
     return int(count) if count >= least else 0
 
 

@@ -41,17 +41,19 @@ class LatticeConstants:
         88 others had 773 more right nodes of 168 497.
     least_part: faces, of a part; smaller ones are loose corners.
     least_board: nodes, of a board.
-    least_line: share, of its places in view that an outer line must hold, and a whole board. With
-        .7 a line of noise beside one of 75 boards was taken for theirs; .8 loses nothing on 50 005
-        corners of gels, and .9 refuses two of 110 boards in clutter.
+    least_line: share, of its places in view that an outer line must hold, and a whole board; and of
+        the corners beside a board that must lie on its lattice. With .7 a line of noise beside one
+        of 75 boards was taken for theirs; .8 loses nothing on 50 005 corners of gels, and .9
+        refuses two of 110 boards in clutter.
     span: steps, of the longest way across a tear, and cells beside it whose nodes show the surface.
-    join_votes: votes, that a placement needs. With 4, waves that stretch cells 2.5 times had wrong
-        joins; right ones in torn gels have 8 to 80.
+    join_votes: votes, that a placement needs; and corners beside a board, that are told. With 4,
+        waves that stretch cells 2.5 times had wrong joins; right ones in torn gels have 8 to 80.
     join_bend: factor, by which the second placement must bend the surface more. None of 140 parts
         was misplaced with 1 to 1.1; 1.1 leaves two of 24 in torn gels apart.
     tear_rough: cells^2, noise of positions in the bending energy; 1 does the same.
-    tear_most: nodes, of each side of a tear; the cost of a placement grows with its cube. With 32
-        torn gels lost 262 of 47 893 nodes; 48 does as well as 64.
+    tear_most: nodes, of each side of a tear, and of a board that is continued; the cost of a
+        placement grows with its cube. With 32 torn gels lost 262 of 47 893 nodes; 48 does as well
+        as 64.
     prediction_weights: shares, in the prediction of a node, of a cubic through four neighbours, of
         the middle of two, of the fourth corner of a cell, of an extrapolation.
     cell_depth: steps, from a node along both axes, at which its four cells are read. With .12, 48
@@ -63,7 +65,7 @@ class LatticeConstants:
         of 6 to 30 tried there.
     near_cells: cells, a node farther from its prediction is rough, and a corner nearer to a
         missing place is at that place itself. .08 to .2 do the same.
-    reach_cells: cells, a corner so far from a prediction is another; .4 does the same.
+    reach_cells: cells, a corner so far from a prediction or a place is another; .4 does the same.
     side_nats: nats, for each whole side (this and the three below: regression).
     cells_nats: nats, for the whole contrast of the four cells.
     firm_sd_cells: cells, standard deviation from a prediction between neighbours; that from an
