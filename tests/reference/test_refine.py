@@ -10,7 +10,7 @@ from corner_images import board, corner, noise
 from cmp_cl import reference
 from cmp_cl.config import DetectorConfig, EdgeLines, EdgeStep, Fit, Midlines, RingHarmonic
 from cmp_cl.corners import Corners, Method, Refusal
-from cmp_cl.reference import refine
+from cmp_cl.reference import edge_step, edges, refine
 
 RNG = np.random.default_rng(11)
 PLACES = [
@@ -159,3 +159,99 @@ def test_no_position_is_nan(image, refinement):
     assert np.linalg.norm(result.xy - np.array(image.shape[::-1]) // 2) < 2.5
     if result.method[0] == Method.KEPT:
         assert (result.xy == np.array(image.shape[::-1]) // 2 + 0.25).all()
+
+
+def rays(angles: list[float]) -> edges.EdgePoints:
+    """Return edge points where four rays from the start meet circles of 3, 4 and 5 px."""
+    unit = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    point = np.array([3.0, 4.0, 5.0])[:, None, None] * unit
+    return edges.EdgePoints(
+        point=point[None],
+        valid=np.ones((1, 3), np.bool_),
+        direction=3 * unit[None],
+        margin=np.full(1, np.inf),
+    )
+
+
+def model(x: float, y: float, angles: tuple[float, float]) -> np.ndarray:
+    """Return (41, 41) uint16: the corner model itself, black between the two directions."""
+    row, column = np.mgrid[0:41, 0:41].astype(np.float64)
+    sides = []
+    for angle in angles:
+        a = ((row - y) * math.cos(angle) - (column - x) * math.sin(angle)) / 1.2
+        sides.append(a / np.sqrt(1 + a * a))
+    return np.rint(30000 + 28000 * sides[0] * sides[1]).astype(np.uint16)
+
+
+def columns_of_step(
+    ux: np.ndarray, uy: np.ndarray, angles: tuple[float, float], radius: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return weight (N,), P (N,) and its slopes along x and y (N, 2) at offsets (N,)."""
+    normals = np.array([(-math.sin(angle), math.cos(angle)) for angle in angles])
+    a, b = normals @ np.stack([ux, uy]) / 1.2
+    f, g = a / np.hypot(1, a), b / np.hypot(1, b)
+    weight = np.clip(4 * (1 - (ux**2 + uy**2) / radius**2), 0, 1)
+    slopes = np.stack([g / np.hypot(1, a) ** 3, f / np.hypot(1, b) ** 3], axis=1) / 1.2
+    return weight, f * g, slopes @ normals
+
+
+def step_by_least_squares(
+    image: np.ndarray, start: int, x: np.ndarray, angles: tuple[float, float], radius: float
+) -> tuple[np.ndarray, float]:
+    """Return the step and the trace of its covariance with a general solver.
+
+    Terms without the image are summed over 16 x 16 points per pixel, for an integral.
+    """
+    offset = np.arange(-12, 13)
+    dx, dy = (each.ravel() for each in np.meshgrid(offset, offset))
+    weight, p, slopes = columns_of_step(dx - x[0], dy - x[1], angles, radius)
+    grey = image[start + dy, start + dx].astype(np.float64)
+    root = np.sqrt(weight)
+    m, c = np.linalg.lstsq(root[:, None] * np.stack([p * 0 + 1, p], axis=1), root * grey)[0]
+    residual = grey - m - c * p
+    ratio = c / max(m, abs(c))
+
+    def system(ux, uy, p, slopes):
+        light = np.stack([ux, uy], axis=1) * (1 + ratio * p)[:, None]
+        return np.concatenate([-c * slopes, light], axis=1)
+
+    right = system(dx - x[0], dy - x[1], p, slopes).T @ (weight * residual)
+    fine = (np.arange(-12 * 16, 12 * 16) + 0.5) / 16
+    ux, uy = (each.ravel() for each in np.meshgrid(fine, fine))
+    fine_weight, fine_p, fine_slopes = columns_of_step(ux, uy, angles, radius)
+    whole = system(ux, uy, fine_p, fine_slopes)
+    matrix = whole.T @ (fine_weight[:, None] * whole) / 16**2
+
+    # A free fit first: how much the gradient of the light improves it, and the noise that is left.
+    free, edges = np.linalg.solve(matrix, right), np.linalg.solve(matrix[:2, :2], right[:2])
+    gained = right @ free - right[:2] @ edges
+    noise = ((weight * residual**2).sum() - right @ free) / weight.sum()
+    surely = max(0, 1 - 9 * noise / gained)
+    expected = (1e-3 * max(m, abs(c))) ** 2 + surely * (free[2:] ** 2).sum() / 2
+    held = matrix + np.diag([0, 0, noise / expected, noise / expected])
+    fitted = np.linalg.solve(held, right)
+
+    square = (len(offset), len(offset))
+    r, w = residual.reshape(square), weight.reshape(square)
+    pair = np.where((w[:, :-1] > 0) & (w[:, 1:] > 0), w[:, :-1], 0)
+    alike = (pair * r[:, :-1] * r[:, 1:]).sum()
+    rho2 = ((weight * residual**2).sum() - alike) / weight.sum()
+    variance = np.trace(np.linalg.inv(held)[:2, :2]) * rho2
+    return fitted[:2], variance
+
+
+@pytest.mark.parametrize("cell", [6, 9, 12])
+@pytest.mark.parametrize("light", [0.0, 0.02])
+def test_a_step_is_weighted_least_squares(cell, light):
+    angles = (0.2, 1.5)
+    across = 1 + light * (np.arange(41) - 20)
+    rough = (model(20.1, 19.9, angles) // 64 * across).astype(np.uint16)
+    image = (rough + noise(rough.shape, seed=cell) // 4).astype(np.uint16)
+    start, shift = np.array([[20, 20]]), np.array([[0.04, -0.05]])
+    radius = min(max(0.75 * cell, 4.5), 9)
+    step, variance = step_by_least_squares(image, 20, shift[0], angles, radius)
+    points = rays([*angles, angles[0] + math.pi, angles[1] + math.pi])
+    found = edge_step.edge_step(image, start, shift, points, EdgeStep(cell=cell), 1.0)
+    np.testing.assert_allclose(found.position, shift + step, rtol=1e-3)
+    expected = edge_step.STEP_ERROR**2 + variance / 2
+    np.testing.assert_allclose(found.variance, expected, rtol=1e-3)
