@@ -119,6 +119,19 @@ def test_a_mask_limits_the_kept_maxima_and_those_of_the_reference():
 # --- extremes ------------------------------------------------------------------------------
 
 
+def test_the_largest_responses_stay_within_their_bounds():
+    rng = np.random.default_rng(6)
+    image = (rng.integers(0, 2, (200, 200)) * 255).astype(np.uint8)
+    blocks = np.kron(rng.integers(0, 2, (40, 40)), np.ones((6, 6))).astype(np.uint8) * 255
+    for each in (image, blocks):
+        maps = corners_of(each).maps
+        for response in (maps.coarse_response, maps.fine_response):
+            assert response.min() >= -24480
+            assert response.max() <= 11220
+        assert maps.fine.max() <= 4080
+    assert corners_of(blocks).maps.coarse_response.max() > 5000
+
+
 @pytest.mark.parametrize("blur", [0, 0.7, 1.2, 2.0])
 @pytest.mark.parametrize("width", range(3, 12))
 def test_stripes_at_any_angle_have_no_corner(width, blur):

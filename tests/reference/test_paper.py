@@ -1,12 +1,13 @@
 """The paper's rule of the oracle: stored vectors, definitions, values worked out by hand."""
 
+import itertools
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 from configs import rings
-from corner_images import board, corner
+from corner_images import board, corner, noise
 
 from cmp_cl import reference
 from cmp_cl.config import (
@@ -17,7 +18,8 @@ from cmp_cl.config import (
     SectorContrast,
     SpectralCriteria,
 )
-from cmp_cl.reference.paper import criteria, nms, ring, spectral
+from cmp_cl.reference.paper import criteria, gate, nms, ring, spectral
+from cmp_cl.reference.paper.binarize import binarize
 
 FOLDER = Path(__file__).resolve().parents[1] / "data"
 FILES = [path for path in sorted(FOLDER.glob("*.npz")) if not path.stem.startswith("harmonic-")]
@@ -71,6 +73,53 @@ def test_there_are_twelve_vectors():
 RINGS = {"inner": (ring.INNER, 3), "outer 5": (ring.OUTER_5, 5), "outer 4": (ring.OUTER_4, 4)}
 
 
+def run_lengths(mask: int) -> list[int]:
+    """Return the lengths of the circular runs of a ring, by walking around it."""
+    samples = [mask >> i & 1 for i in range(16)]
+    start = next((i for i in range(16) if samples[i] != samples[i - 1]), 0)
+    rotated = samples[start:] + samples[:start]
+    return [len(list(group)) for _, group in itertools.groupby(rotated)]
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[list[int]]:
+    return [run_lengths(mask) for mask in range(1 << 16)]
+
+
+@pytest.mark.parametrize("name", RINGS)
+def test_rings_go_clockwise_from_twelve_and_have_the_symmetries_of_a_square(name):
+    offsets, radius = RINGS[name]
+    assert offsets[0] == (0, -radius)
+    angles = [math.atan2(dx, -dy) % math.tau for dx, dy in offsets]
+    assert angles == sorted(angles)
+    assert len(set(offsets)) == 16
+    assert all(abs(math.hypot(*offset) - radius) < 0.7 for offset in offsets)
+    for k, (dx, dy) in enumerate(offsets):
+        assert offsets[(k + 4) % 16] == (-dy, dx)
+        assert offsets[-k % 16] == (-dx, dy)
+
+
+def test_eq_19_counts_the_runs(runs):
+    expected = [len(run) if len(run) > 1 else 0 for run in runs]
+    np.testing.assert_array_equal(criteria.inner_transitions(ring.all_rings()), expected)
+
+
+def test_eq_20_counts_the_runs_of_two_samples_or_more(runs):
+    expected = [sum(n >= 2 for n in run) if len(run) > 1 else 0 for run in runs]
+    np.testing.assert_array_equal(criteria.outer_transitions(ring.all_rings()), expected)
+
+
+def test_eq_21_compares_opposite_runs(runs):
+    expected = [
+        max(abs(run[0] - run[2]), abs(run[1] - run[3])) if len(run) == 4 else 255 for run in runs
+    ]
+    np.testing.assert_array_equal(criteria.sector_differences(), expected)
+
+
+def test_1560_inner_rings_pass_the_sector_difference():
+    assert (criteria.sector_differences() < 5).sum() == 1560
+
+
 def test_272_rings_tie_exactly_in_the_spectrum_and_none_has_four_runs():
     minus_1, minus_3 = spectral.spectrum_differences()
     tie = (minus_1 == 0) | (minus_3 == 0)
@@ -110,6 +159,33 @@ def phase(values: list[int]) -> float:
     return min(map(abs, centres))
 
 
+def test_correlation_and_phase_follow_their_definitions():
+    largest, best = spectral.cross_correlation(MASKS, OTHERS)
+    shift = spectral.smallest_shifts()[best] / 2
+    for k, (inner, outer) in enumerate(zip(MASKS, OTHERS, strict=True)):
+        values = correlations(inner, outer)
+        assert largest[k] == max(values)
+        assert samples(best[k]) == [int(value == max(values)) for value in values]
+        assert shift[k] == phase(values)
+
+
+def around(mask: int, rule: SpectralCriteria, outer: int | None = None) -> dict:
+    inner = np.array([[mask]], np.uint16)
+    other = inner if outer is None else np.array([[outer]], np.uint16)
+    return spectral.spectral(np.zeros((1, 1), np.bool_), inner, other, rule)
+
+
+def test_a_perfect_corner_passes_and_its_response_is_the_formula():
+    found = around(0x0F0F, SpectralCriteria(corrosion_threshold=None))
+    f1, f2, f3 = spectral.magnitudes()[0x0F0F]
+    assert found["candidate"][0, 0]
+    assert found["response"][0, 0] == math.floor(64 * f2 * (f2 - max(f1, f3)) + 0.5)
+    assert found["correlation"][0, 0] == 1
+    assert found["phase"][0, 0] == 0
+    assert found["spectrum_12"][0, 0] == np.float32(f2 - f1)
+    assert found["corrosion"] is None
+
+
 def test_candidates_follow_the_definition():
     rule = SpectralCriteria(corrosion_threshold=None)
     four = ring.all_rings()[
@@ -139,12 +215,37 @@ def test_candidates_follow_the_definition():
 # the gate, suppression, centroids, and the largest sums
 
 
+def test_the_percentile_of_the_gate_takes_rank_9n_plus_9_div_10():
+    contrast = SectorContrast(minimum=0, relative=1)
+    for n, rank in [(1, 1), (2, 2), (9, 9), (10, 9), (11, 10), (20, 18), (100, 90)]:
+        values = np.random.default_rng(n).permutation(np.arange(1, n + 1))
+        assert gate.contrast_bound(values, contrast, 255) == rank
+
+
+def test_the_noise_amplitude_is_that_of_the_definition():
+    image = np.zeros((5, 6), np.uint8)
+    image[2, 2] = 9
+    # The filter weighs a pixel by 4, its four neighbours by 2 and the diagonal ones by 1.
+    assert gate.noise_amplitude(image) == (9 * 16, 3 * 4)
+    ramp = (np.arange(6)[None] * 3 + np.arange(5)[:, None] * 7).astype(np.uint8)
+    assert gate.noise_amplitude(ramp) == (0, 12)
+    assert gate.noise_amplitude(image[:2]) == (0, 0)
+
+
 def test_the_centroid_is_rounded_halves_up():
     response = np.zeros((20, 20), np.int32)
     response[9, 9], response[9, 10], response[11, 10], response[9, 12] = 5, 3, 2, 5
     centroid, rounded = nms.centroids(response, np.array([9]), np.array([9]))
     np.testing.assert_allclose(centroid, [[9 + 5 / 10, 9 + 4 / 10]])  # (9, 12) is outside
     np.testing.assert_array_equal(rounded, [[10, 9]])  # halves go up
+
+
+def test_the_largest_sums_fit():
+    image = np.where(noise((5, 6)) < 128, 0, 65535).astype(np.uint16)
+    wide = np.pad(image.astype(object), 127, mode="edge")
+    sums = np.lib.stride_tricks.sliding_window_view(wide, (255, 255)).sum(axis=(2, 3))
+    black = image.astype(object) * 255**2 < sums
+    np.testing.assert_array_equal(binarize(image, AdaptiveMean(window=255)), black.astype(bool))
 
 
 @pytest.mark.parametrize("width", range(1, 9))
@@ -198,6 +299,19 @@ def test_corners_near_the_border_are_found(inside):
     cut = image[20 - inside :, :]
     corners = reference.detect(cut, rings())
     assert np.linalg.norm(corners.xy - [20, inside], axis=1).min() < 1.5
+
+
+def test_a_mask_limits_centres_and_not_samples():
+    mask = np.zeros(IMAGE.shape, np.bool_)
+    mask[40:70, 30:80] = True
+    everything = reference.maps(IMAGE, rings())
+    part = reference.maps(IMAGE, rings(), mask)
+    np.testing.assert_array_equal(part.candidate, everything.candidate & mask)
+    np.testing.assert_array_equal(part.inner, everything.inner)
+    corners = reference.detect(IMAGE, rings(), mask)
+    assert 0 < len(corners) < len(reference.detect(IMAGE))
+    assert mask[corners.pixel[:, 1], corners.pixel[:, 0]].all()
+    assert len(reference.detect(IMAGE, rings(), np.zeros_like(mask))) == 0
 
 
 def test_maxima_outside_the_mask_do_not_raise_the_bound():
