@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import sys
-from collections import deque
 from collections.abc import Generator, Iterator
 from typing import Any
 
@@ -189,8 +188,8 @@ def run(arguments: argparse.Namespace) -> int:
             failed.append(error)
         if stop.name and not found.frames:  # an older series stays
             raise KeyboardInterrupt
-        found.complete()
-        pace.lap("writing")
+        with pace.spent("writing"):
+            found.complete()
         lengths = "" if rig or arguments.cell else " in the image: --stereo or --cell give lengths"
         if rig and rig.window is None:
             lengths = ", depth as in air: calibrate --window is for acrylic or gel"
@@ -285,22 +284,23 @@ def _flow(
     pace: Pace,
     stop: Stop,
 ) -> None:
-    """Measure each frame, while the next ones are decoded, and write it.
+    """Measure each frame while the next ones are decoded and the one before is written.
 
     Whatever ends it, all that was measured is written.
     """
     with (
         contextlib.closing(ahead(frames)) as decoded,
+        contextlib.closing(ahead(_measured(decoded, rest, measure, pace, stop))) as results,
         Progress(source.total, "frames") as progress,
     ):
         try:
-            for frame, measured in _measured(decoded, rest, measure, pace, stop, live=source.live):
+            for frame, measured in results:
                 progress.step(pace.limit)
                 if measured is not None:
                     # The others have the numbers of the frame at rest.
                     ambiguous = measured.ambiguous and frame.index != rest_frame
-                    found.write(frame, measured, ambiguous=ambiguous)
-                    pace.lap("writing")
+                    with pace.spent("writing"):
+                        found.write(frame, measured, ambiguous=ambiguous)
                     continue
                 found.left_out += 1
                 if found.left_out <= _LINES_OF_BROKEN:
@@ -315,31 +315,19 @@ def _measured(
     measure: OneView | TwoViews,
     pace: Pace,
     stop: Stop,
-    *,
-    live: bool,
-) -> Iterator[tuple[Frame, Measured | None]]:
+) -> Generator[tuple[Frame, Measured | None], None, None]:
     """Yield each frame with what is measured in it, None if it is not like the frame at rest."""
-    begun: deque[Frame] = deque()
-
-    def images() -> Iterator[GreyImage | None]:
-        while not stop.name:
-            pace.lap("measuring")
+    while not stop.name:
+        with pace.spent(pace.source):
             frame = next(decoded, None)
-            pace.lap(pace.source)
-            if frame is None:
-                return
-            begun.append(frame)
-            image = frame.image
-            alike = image is not None and (image.shape, image.dtype) == (rest.shape, rest.dtype)
-            yield image if alike else None
-
-    def alone(image: GreyImage | None) -> Measured | None:
-        return measure.skip() if image is None else measure(image)
-
-    # A stream gives a frame when the next one is there, for which a camera would let it wait.
-    for measured in map(alone, images()) if live else measure.stream(images()):
-        pace.lap("measuring")
-        yield begun.popleft(), measured
+        if frame is None:
+            return
+        image = frame.image
+        if image is None or (image.shape, image.dtype) != (rest.shape, rest.dtype):
+            measure.skip()
+            yield frame, None
+        else:
+            yield frame, measure(image)
 
 
 def _about_ambiguous(count: int, *, track: bool) -> str:

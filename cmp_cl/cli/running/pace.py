@@ -3,12 +3,13 @@
 import collections
 import contextlib
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 _AHEAD = 4  # the most items that wait
 _WAITED = 0.1  # share of the time, waiting for the source, from which on it is what limits
+_ALL = 0.9  # the same of writing
 _END: Any = object()
 
 T = TypeVar("T")
@@ -19,26 +20,29 @@ class Pace:
 
     def __init__(self, source: str) -> None:
         self.source = source
-        self._spent_s = dict.fromkeys((source, "measuring", "writing"), 0.0)
-        self._start = self._last = time.perf_counter()
+        self._spent_s = {source: 0.0, "writing": 0.0}
+        self._start = time.perf_counter()
 
-    def lap(self, what: str) -> None:
-        """Count the time since the last lap as spent in waiting for the source, measuring or
-        writing."""
-        last, self._last = self._last, time.perf_counter()
-        self._spent_s[what] += self._last - last
+    @contextlib.contextmanager
+    def spent(self, what: str) -> Iterator[None]:
+        """Count the time of a block as spent in waiting for the source, or in writing."""
+        start = time.perf_counter()
+        yield
+        self._spent_s[what] += time.perf_counter() - start
 
     @property
     def limit(self) -> str:
-        """Return what limits the run, as text: the source if frames are waited for, else what takes
-        most time."""
-        waited = self._spent_s[self.source] > _WAITED * (self._last - self._start)
-        most = self.source if waited else max(self._spent_s, key=self._spent_s.__getitem__)
+        """Return what limits the run, as text: the source if frames are waited for, writing if it
+        takes nearly all the time, else measuring."""
+        waited, writing = (
+            self._spent_s[each] / (time.perf_counter() - self._start) for each in self._spent_s
+        )
+        most = self.source if waited > _WAITED else "writing" if writing > _ALL else "measuring"
         return f"limited by {most}"
 
     def line(self, frames: int) -> str:
         """Return how many frames a second there were, as text, and what limited them."""
-        return f"{frames / (self._last - self._start):.3g} frames a second, {self.limit}"
+        return f"{frames / (time.perf_counter() - self._start):.3g} frames a second, {self.limit}"
 
 
 def ahead(items: Generator[T, None, None]) -> Generator[T, None, None]:
