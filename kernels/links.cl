@@ -117,9 +117,10 @@ __kernel void choose_mutual(__global const float *restrict corners, const uint c
 /* The choices that are not sure: of the two cheapest chords along a boundary, in a window that
  * holds enough corners, the first that has a side. One work-item per corner. */
 __kernel void choose_far(__global const float *restrict corners, const uint capacity,
-                         __global const float4 *restrict lines, BINS, LEVELS_OF_IMAGE, const int neighbours, const int rings,
-                         const float least_cosine, const float turn_price, const float depth,
-                         const float depth_px, __global int *restrict choice) {
+                         __global const float4 *restrict lines, BINS, LEVELS_OF_IMAGE,
+                         const int neighbours, const int rings, const float least_cosine,
+                         const float turn_price, const float depth, const float depth_px,
+                         __global int *restrict choice) {
   const int i = get_global_id(0);
   if (i >= (int)COUNT(corners)) return;
   bool open[4], any = false;

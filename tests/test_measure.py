@@ -161,7 +161,9 @@ def test_a_tracked_frame_says_what_its_kernels_took(film):
     with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES, profile=True) as following:
         following(film[0])
         assert following(film[1]).tracked
+        assert 10 < following.launches < 60
         assert {"match", "enter", "space", "blend"} < set(following.times)
+        assert len(following.times) <= following.launches
         assert all(ms >= 0 for ms in following.times.values())
         for _ in following.stream(film):  # while the next one runs
             assert all(ms >= 0 for ms in following.times.values())

@@ -172,6 +172,12 @@ class Measurement(Closing):
         with self._lock:
             return sum_times(self._events, self._detector.times)
 
+    @property
+    def launches(self) -> int:
+        """Return the number of launches that a tracked frame takes."""
+        count = len(self._detector.layout.launches) + len(self._plan.launches)
+        return count + (0 if self._tracker is None else len(self._tracker.launches) + 1)
+
     def __call__(self, frame: GreyImage) -> Measured:
         """Measure one frame, of the size and the type of the frame at rest.
 
