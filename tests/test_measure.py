@@ -104,11 +104,18 @@ def test_sigma_of_a_frame_is_the_same_tracked_or_numbered(changed, least):
     np.testing.assert_array_equal(one.image_sigma, other.image_sigma)
 
 
-def test_a_torn_node_is_the_same_tracked_or_numbered():
+@pytest.mark.parametrize(
+    ("node", "half", "by", "status"),
+    [((5, 6), 4, 2, NodeStatus.ATTACHED), ((7, 7), 2, 3, NodeStatus.SECOND_LOOK)],
+)
+def test_a_torn_node_is_the_same_tracked_or_numbered(node, half, by, status):
     rest, now = pressed(0.0).left, pressed(0.1).left
-    x, y = np.rint(now.truth[5, 6]).astype(int)
+    x, y = np.rint(now.truth[node]).astype(int)
+    top, left, side = y - half, x - half, 2 * half + 1
     torn = now.image.copy()
-    torn[y - 4 : y + 5, x - 4 : x + 5] = now.image[y - 6 : y + 3, x - 6 : x + 3]
+    torn[top : top + side, left : left + side] = now.image[
+        top - by : top - by + side, left - by : left - by + side
+    ]
     with measure.OneView(rest.image, shape=NODES) as following:
         following(rest.image)
         tracked = following(torn)
@@ -117,7 +124,7 @@ def test_a_torn_node_is_the_same_tracked_or_numbered():
     assert tracked.tracked
     assert not anew.tracked
     (one,), (other,) = tracked.grids, anew.grids
-    assert one.status[5, 6] == NodeStatus.ATTACHED
+    assert one.status[node] == status
     np.testing.assert_array_equal(one.status, other.status)
     np.testing.assert_array_equal(one.xy, other.xy)
     for name, values in tracked.arrays.items():

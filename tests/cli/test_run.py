@@ -254,6 +254,24 @@ def test_a_stopped_run_keeps_what_it_has(run, recording, monkeypatch, name, time
     assert [signal.getsignal(getattr(signal, stop)) for stop in STOPS] == before
 
 
+def test_a_stopped_run_measures_few_more_frames(run, recording, press, monkeypatch):
+    append = SeriesWriter.append
+
+    def stopped(series, **frame):
+        signal.raise_signal(signal.SIGINT) if not len(series) else None
+        append(series, **frame)
+
+    def images():
+        for number in range(40):
+            time.sleep(0.02)
+            yield press[number % 2].frame
+
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of(images(), []))
+    monkeypatch.setattr(SeriesWriter, "append", stopped)
+    assert run("run", "7", *STEREO)[0] == 0
+    assert 0 < len(np.load("press.npz")["index"]) < 30
+
+
 # Cameras and pairs
 
 

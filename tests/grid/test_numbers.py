@@ -281,6 +281,18 @@ def test_a_part_of_a_board_beside_a_bar_is_not_taken_for_the_whole_in_silence(mi
     assert scored(grid, view).wrong == 0
 
 
+def test_corners_that_lie_anywhere_beside_a_board_are_not_told_as_its():
+    view = drawn(plane(cell=20, middle=(200, 150)), SIZE, BOARD)
+    image, rng = view.image.copy(), np.random.default_rng(4)
+    for x, y in rng.integers(20, (SIZE[1] - 20, SIZE[0] - 20), (150, 2)):
+        if np.linalg.norm(view.corners[:, :2] - (x, y), axis=1).min() > 30:
+            image[y - 6 : y + 6, x - 6 : x + 6] = 30
+            image[y - 6 : y, x - 6 : x] = image[y : y + 6, x : x + 6] = 220
+    grid = grid_of(view._replace(image=image))
+    assert np.count_nonzero(grid.index[:, 0] < 0) > 12
+    assert not grid.doubts
+
+
 @pytest.mark.parametrize("number", range(6))
 def test_a_part_of_a_board_beside_an_arm_is_told_without_a_size(number):
     draw, front = np.random.default_rng(number), np.full(SIZE, np.nan)
