@@ -44,6 +44,7 @@ from cmp_cl.errors import GridError
 from cmp_cl.lattice.boards import boards
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.plan import LatticePlan
+from cmp_cl.synthetic.scoring import agreeing
 
 SEED = 8_100_000  # of the report; constants were chosen on other frames
 FEWER = 10  # --quick takes one frame in so many
@@ -215,7 +216,8 @@ def scored(view: View, answer: Answer, *, alone: bool) -> dict[str, int]:
     nearest, distance = away.argmin(axis=1), away.min(axis=1)
     hit = distance < HIT
     truth = view.truth[nearest[hit], 2:].astype(int)
-    right, of_board = agreeing(number[hit], truth, view.whole)
+    right = int(np.count_nonzero(agreeing(number[hit], truth)))
+    of_board = hit.any() and view.whole and agreeing(number[hit], truth, view.whole).all()
     row |= {"right": right, "wrong": int(np.count_nonzero(hit)) - right}
     row["false"] = int(
         np.count_nonzero((distance >= max(HIT, SHARE * view.cell)) & view.counted(xy))
@@ -228,24 +230,6 @@ def verdict(*, good: bool, told: bool) -> int:
     """Return the index among `VERDICTS`."""
     word = ("right" if good else "wrong") + ", told" if told else "right" if good else "silent"
     return VERDICTS.index(word)
-
-
-def agreeing(
-    number: np.ndarray, truth: np.ndarray, whole: tuple[int, int] | None
-) -> tuple[int, bool]:
-    """Return how many numbers differ from the true ones by one motion; and whether all differ by
-    one that maps the whole board onto itself."""
-    here, there = number @ [1j, 1], truth @ [1j, 1]
-    best, of_board = 0, False
-    ends = np.array([0, 0]) if whole is None else np.array([0, whole[1] - 1 + 1j * (whole[0] - 1)])
-    for flip in (False, True):
-        for quarters in range(4):
-            moved, rim = ((each.conj() if flip else each) * 1j**quarters for each in (there, ends))
-            values, counts = np.unique(np.rint(here - moved), return_counts=True)
-            best = max(best, int(counts.max(initial=0)))
-            first = -np.rint(rim.real.min() + 1j * rim.imag.min())
-            of_board |= whole is not None and len(values) == 1 and values[0] == first
-    return best, of_board
 
 
 def singles(

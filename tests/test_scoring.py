@@ -1,9 +1,10 @@
-"""A score tells which corners are found, missed or false, and how far off they are."""
+"""A score tells which corners are found, missed or false, how far off they are, and which numbers
+are right."""
 
 import numpy as np
 import pytest
 
-from cmp_cl.synthetic.scoring import match, score, total
+from cmp_cl.synthetic.scoring import agreeing, match, score, total
 
 NOWHERE = (np.nan, np.nan)
 
@@ -48,3 +49,24 @@ def test_errors_are_distances_and_frames_add_up():
     both = total([one, score([], [(5, 5)], 10)])
     assert (both.frames, both.success, both.expected, both.found, both.missed) == (2, 1, 13, 12, 1)
     assert len(both.errors) == 12
+
+
+TRUE = np.argwhere(np.ones((4, 5)))  # numbers of a board, row by row
+ASIDE = TRUE + np.array([0, 1])
+
+
+@pytest.mark.parametrize(
+    ("numbers", "right", "on_the_board"),
+    [
+        (TRUE, 20, 20),
+        (np.array([3, 4]) - TRUE, 20, 20),  # turned by 180 degrees
+        (TRUE[:, ::-1], 20, 20),  # mirrored
+        (ASIDE, 20, 1),
+        (np.where(TRUE[:, :1] < 2, TRUE, ASIDE), 10, 10),
+        (np.where(TRUE[:, :1] < 1, TRUE, ASIDE), 15, 5),
+    ],
+)
+def test_numbers_are_right_up_to_one_motion_of_the_lattice(numbers, right, on_the_board):
+    assert agreeing(numbers, TRUE).sum() == right
+    assert agreeing(numbers, TRUE, (4, 5)).sum() == on_the_board
+    assert len(agreeing(TRUE[:0], TRUE[:0])) == 0

@@ -113,6 +113,30 @@ def total(scores: Iterable[Score]) -> Score:
     )
 
 
+def agreeing(
+    numbers: NDArray[np.integer], truth: NDArray[np.integer], whole: tuple[int, int] | None = None
+) -> NDArray[np.bool_]:
+    """Return which numbers of nodes are right, up to one motion of the lattice.
+
+    numbers, truth: (N, 2), row and column. whole: rows and columns of a board that the motion must
+    map onto itself; None: any motion, a turn by quarters, perhaps mirrored, and a shift.
+    Returns (N,) bool, by the motion for which most agree.
+    """
+    here, there = numbers @ [1j, 1], truth @ [1j, 1]
+    ends = np.zeros(2) if whole is None else np.array([0, whole[1] - 1 + 1j * (whole[0] - 1)])
+    best = np.zeros(len(here), np.bool_)
+    for mirrored in (False, True):
+        for quarters in range(4):
+            moved, rim = ((z.conj() if mirrored else z) * 1j**quarters for z in (there, ends))
+            shift = np.rint(here - moved)
+            values, counts = np.unique(shift, return_counts=True)
+            wanted = -(rim.real.min() + 1j * rim.imag.min())
+            if whole is None and len(values):
+                wanted = values[counts.argmax()]
+            best = max(best, shift == wanted, key=np.count_nonzero)
+    return best
+
+
 def _points(name: str, points: ArrayLike) -> Points:
     given = as_numbers(name, points, FieldError)
     if given.size and given.shape[-1:] != (2,):

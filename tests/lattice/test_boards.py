@@ -7,6 +7,7 @@ from lattice_plans import plan_for
 from cmp_cl import Detector, DetectorConfig, detect
 from cmp_cl.lattice.boards import boards
 from cmp_cl.synthetic import Indenter, random_scene, render
+from cmp_cl.synthetic.scoring import agreeing
 
 
 def found(device, image):
@@ -25,12 +26,8 @@ def right(corners, board, truth):
     xy = corners.xy[board.owner[row, column]]
     away = np.linalg.norm(xy[:, None] - truth.reshape(1, -1, 2), axis=2)
     true_row, true_column = np.divmod(away.argmin(axis=1), truth.shape[1])
-    here, there = column + 1j * row, true_column + 1j * true_row
-    agreed = 0
-    for quarter in range(4):
-        shift = np.rint(here * 1j**quarter - there)
-        agreed = max(agreed, int(np.unique(shift, return_counts=True)[1].max()))
-    return len(row), agreed
+    numbers, true = np.stack([row, column], 1), np.stack([true_row, true_column], 1)
+    return len(row), np.count_nonzero(agreeing(numbers, true))
 
 
 @pytest.mark.parametrize("seed", [3, 8])

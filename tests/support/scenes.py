@@ -13,14 +13,9 @@ from numpy.typing import NDArray
 from cmp_cl import Corners, DetectorConfig, Grid, detect
 from cmp_cl.grid.grid import MEASURED
 from cmp_cl.synthetic import Indenter, random_scene
-from cmp_cl.synthetic.boards import (
-    Camera,
-    View,
-    drawn,
-    inside,
-    plane,
-)
+from cmp_cl.synthetic.boards import Camera, View, drawn, inside, plane
 from cmp_cl.synthetic.boards import gel as rendered
+from cmp_cl.synthetic.scoring import agreeing
 
 Array = NDArray[np.float64]
 EDGE = 6.0  # px: nearer to the image's edge a corner need not be found
@@ -169,35 +164,17 @@ def scored(grid: Grid, view: View, *, known: str = "") -> Score:
     away = np.linalg.norm(xy[:, None] - view.corners[None, :, :2], axis=2)
     nearest, hit = away.argmin(axis=1), away.min(axis=1) < max(3.0, view.cell / 4)
     truth = view.corners[nearest, 2:].astype(int)
-    right = hit & _agreeing(number, truth, hit, view.shape, known)
+    right = hit.copy()
+    if known == "truth":
+        right &= (number == truth).all(axis=1)
+    else:
+        right[hit] = agreeing(number[hit], truth[hit], view.shape if known else None)
     wrong, false = np.count_nonzero(hit & ~right), np.count_nonzero(~hit)
     found = len(np.unique(nearest[right & needed[nearest]]))
     return Score(int(np.count_nonzero(right)), int(wrong), int(false), found / needed.sum())
 
 
-def _agreeing(
-    number: Array, truth: Array, hit: NDArray[np.bool_], shape: tuple[int, int], known: str
-) -> NDArray[np.bool_]:
-    """Return which numbers fit the true ones."""
-    here, there = number @ [1j, 1], truth @ [1j, 1]
-    if known == "truth":
-        return here == there
-    ends = np.array([0, shape[1] - 1, 1j * (shape[0] - 1), shape[1] - 1 + 1j * (shape[0] - 1)])
-    best = np.zeros(len(number), np.bool_)
-    for flip in (False, True):
-        for quarters in range(4):
-            moved, rim = ((each.conj() if flip else each) * 1j**quarters for each in (there, ends))
-            shift = np.rint(here - moved)
-            values, counts = np.unique(shift[hit], return_counts=True)
-            first = -(rim.real.min() + 1j * rim.imag.min())
-            wanted = first if known == "board" or not len(values) else values[counts.argmax()]
-            same = shift == wanted
-            best = same if np.count_nonzero(same & hit) > np.count_nonzero(best & hit) else best
-    return best
-
-
 # the table
-
 
 SIZE = (300, 400)
 BOARD = (6, 9)
