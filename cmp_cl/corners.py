@@ -5,7 +5,7 @@ import enum
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from cmp_cl.image import GreyImage
 
@@ -13,6 +13,8 @@ BLOCK = 4  # px, over which edges are looked for
 EDGE = 1 / 5  # of the brightest block: a strong edge
 EDGES = 0.01  # share of the blocks that such edges cross
 ASKED = 300  # corners, at most, whose neighbour is looked for
+FEW_LEVELS = 1 / 80  # of full scale, under which a print has no corners
+FEW_BITS = 2**14  # a grey level that an image of 16 bits reaches, unless it is very dark
 ALTERNATE = -0.6  # mean cosine of twice the turn to the neighbour; noise has -.24 to -.6
 
 
@@ -83,13 +85,17 @@ class Corners:
         """Return the positions as OpenCV's functions take them: (N, 1, 2) float32, px."""
         return self.xy.reshape(-1, 1, 2).copy()
 
-    def advice(self, image: GreyImage) -> str:
+    def advice(self, image: GreyImage, full_scale: int | None = None) -> str:
         """Return in one line why these seem not to be the corners of a pattern, and what to try.
 
-        The line is empty if nothing speaks against them. It says that there is no corner although
-        there are strong edges, or that neighbouring corners do not alternate as those of a
-        checkerboard do: most are then noise or texture. image: (H, W), which they are of.
+        The line is empty if nothing speaks against them. It says that grey levels do not fit the
+        full scale, that there is no corner although there are strong edges, or that neighbouring
+        corners do not alternate as those of a checkerboard do: most are then noise or texture.
+
+        image: (H, W), which they are of. full_scale: its largest grey level, if that was given.
         """
+        if levels := _misfit(int(image.min()), int(image.max()), image.dtype, full_scale):
+            return levels
         if not len(self) and _has_edges(image):
             return (
                 "no corner, although there are strong edges: enlarge an image whose cells are "
@@ -119,6 +125,27 @@ class Corners:
         apart = ((xy[asked, None] - xy) ** 2).sum(axis=2)
         apart[np.arange(len(asked)), asked] = np.inf
         return float(np.cos(2 * (angle[asked] - angle[apart.argmin(axis=1)])).mean())
+
+
+def _misfit(darkest: int, brightest: int, dtype: DTypeLike, full_scale: int | None) -> str:
+    """Return what to do about grey levels above the full scale, and about pixels of 16 bits that
+    seem to come from a camera of fewer, or that use few levels; "" if they are none of these."""
+    if full_scale is not None:
+        above = f"the brightest pixel is {brightest}, above the full scale of {full_scale}: such "
+        return f"{above}pixels all look alike" if brightest > full_scale else ""
+    if dtype != np.uint16:
+        return ""
+    cameras = [bits for bits in (10, 12, 14, 16) if brightest < 2**bits]
+    if 0 < brightest - darkest < FEW_LEVELS * 2 ** cameras[0]:
+        return (
+            f"the 16-bit pixels lie between {darkest} and {brightest}, which is too little "
+            f"contrast; subtract {darkest} and multiply by {65535 // (brightest - darkest)}"
+        )
+    if not 0 < brightest < FEW_BITS:
+        return ""
+    *levels, last = [f"{2**bits - 1} for {bits} bits" for bits in cameras[:-1]]
+    scales = f"{', '.join(levels)} or {last}" if levels else last
+    return f"the brightest of the 16-bit pixels is {brightest}; give a full scale of {scales}"
 
 
 def _has_edges(image: GreyImage) -> bool:

@@ -24,12 +24,7 @@ def one_line(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror is not None:
         name = "" if error.filename is None else f"{shown(error.filename)}: "
         return shortened(f"{name}{error.strerror}")
-    return in_shell(shortened(" ".join(str(error).splitlines())))
-
-
-def in_shell(line: str) -> str:
-    """Return a message whose cure is an argument of Python with that of the command line."""
-    return re.sub(r"\b(full_scale)=", lambda name: f"--{name[1].replace('_', '-')} ", line)
+    return shortened(" ".join(str(error).splitlines()))
 
 
 def by_options(line: str, arguments: argparse.Namespace) -> str:
@@ -78,12 +73,6 @@ class Progress(Closing):
         if self._bar is not None:
             self._bar.set_postfix_str(note, refresh=False)
             self._bar.update()
-
-    def say(self, line: str) -> None:
-        """Print a line above the bar."""
-        if self._bar is not None:
-            self._bar.clear()
-        print(line, flush=True)
 
     def tell(self, line: str) -> None:
         """Print a line of this program on stderr, above the bar."""

@@ -3,7 +3,7 @@
 import dataclasses
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from cmp_cl.config import DetectorConfig
 from cmp_cl.detector import Detector
@@ -17,8 +17,6 @@ from cmp_cl.points import sides
 
 _MAX_SIGMA = 0.2  # px; less certain corners of a board are not used
 _MOST_ROTATED = np.pi / 3  # rad between the rows of one pattern in two views
-_FEW_LEVELS = 1 / 80  # of full scale, under which a print has no corners
-_FEW_BITS = 2**14  # a grey level that an image of 16 bits reaches, unless it is very dark
 
 
 def find_pattern(
@@ -47,12 +45,10 @@ def find_pattern(
             cell = float(np.median(lengths)) if len(lengths) else np.nan
         except GridError as error:
             why, cell = str(error), np.nan
-        advice = "" if cell >= 4 else detector(view).advice(view)
+        advice = "" if cell >= 4 else detector(view).advice(view, full_scale)
     if not cell >= 4:
         size = "" if shape is None else f" of {' x '.join(map(str, shape))} corners"
-        levels = (int(view.min()), int(view.max())) if full_scale is None and view.size else (0, 0)
-        hint = of_few_bits(view.dtype, *levels) or advice
-        raise GridError(f"no pattern{size} is found: {why}{hint and '; '}{hint}")
+        raise GridError(f"no pattern{size} is found: {why}{advice and '; '}{advice}")
     check_size(grid)
     return cell, grid
 
@@ -95,24 +91,6 @@ def find_board(
         image_sigma=np.where(good, grid.image_sigma, np.float32(np.nan)),
     )
     return filter_positions(kept, device=device)
-
-
-def of_few_bits(dtype: DTypeLike, darkest: int, brightest: int) -> str:
-    """Return, as text, what to do about 16-bit pixels that seem to come from a camera of fewer
-    bits, or that use few levels; "" if they do not. darkest, brightest: grey levels."""
-    if dtype != np.uint16:
-        return ""
-    cameras = [bits for bits in (10, 12, 14, 16) if brightest < 2**bits]
-    if 0 < brightest - darkest < _FEW_LEVELS * 2 ** cameras[0]:
-        return (
-            f"the 16-bit pixels lie between {darkest} and {brightest}, which is too little "
-            f"contrast; subtract {darkest} and multiply by {65535 // (brightest - darkest)}"
-        )
-    if not 0 < brightest < _FEW_BITS:
-        return ""
-    *levels, last = [f"full_scale={2**bits - 1} for {bits} bits" for bits in cameras[:-1]]
-    asked = f"{', '.join(levels)} or {last}" if levels else last
-    return f"the brightest of the 16-bit pixels is {brightest}; give {asked}"
 
 
 def check_size(grid: Grid) -> None:

@@ -94,9 +94,9 @@ PATTERN = "pattern", "--grid", "4x4"
         (("detect", "float.tif"), ["float32", "expected 8 or 16 bits"]),
         (("detect", BOARD, "--out", "missing/c.csv"), ["there is no folder", "missing"]),
         (("detect", BOARD, "--out", "-"), ["--out - must end in .csv"]),
-        (("detect", BOARD, BOARD, "--overlay", "o.png"), ["one picture of several: name a folder"]),
+        (("detect", BOARD, BOARD, "--overlay", "o.png"), ["--overlay is the picture of one image"]),
         (("detect", BOARD, "--overlay", BOARD), ["would be overwritten"]),
-        (("detect", BOARD, "--overlay", "o.gif"), ["no picture that can be written"]),
+        (("detect", BOARD, "--overlay", "o.gif"), ["must end in .png or .jpg"]),
         (("detect", BOARD, "--config", "bad.toml"), ["bad.toml", "unknown key 'windoww'"]),
         (
             ("detect", BOARD, "--full-scale", "0"),

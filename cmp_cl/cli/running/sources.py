@@ -4,7 +4,7 @@ import argparse
 import contextlib
 from collections.abc import Generator
 
-from cmp_cl.cli.messages import counted, in_shell, shown
+from cmp_cl.cli.messages import counted, shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.image import GreyImage
 from cmp_cl.media import Frame
@@ -64,7 +64,7 @@ def why_left_out(frame: Frame, rest: GreyImage, *, live: bool) -> str:
 
 def _because(frame: Frame) -> str:
     """Return why a frame has no image, as the end of a message; "" if it is not known."""
-    return f": {in_shell(frame.why)}" if frame.why else ""
+    return f": {frame.why}" if frame.why else ""
 
 
 def _chained(first: Frame, others: Generator[Frame, None, None]) -> Generator[Frame, None, None]:
