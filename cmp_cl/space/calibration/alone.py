@@ -36,15 +36,13 @@ class Alone:
     error: float
 
 
-def calibrate_alone(
-    lens: Lens, looks: Sequence[Look], board: Array, size: tuple[int, int]
-) -> Alone:
+def calibrate_alone(lens: Lens, looks: Sequence[Look], size: tuple[int, int]) -> Alone:
     """Calibrate one camera.
 
-    looks: of that camera. board: (B, 3). size: (width, height), px. Raises CalibrationError if
-    OpenCV finds no camera, or the views do not determine the focal length.
+    looks: of that camera. size: (width, height), px. Raises CalibrationError if OpenCV finds no
+    camera, or the views do not determine the focal length.
     """
-    nodes = [np.ascontiguousarray(board[look.nodes][:, None], np.float32) for look in looks]
+    nodes = [np.ascontiguousarray(look.nodes[:, None], np.float32) for look in looks]
     points = [np.ascontiguousarray(look.xy[:, None], np.float32) for look in looks]
     try:
         with _one_thread():
@@ -66,8 +64,7 @@ def calibrate_alone(
     numbered = [
         dataclasses.replace(look, camera=0, moment=moment) for moment, look in enumerate(looks)
     ]
-    state = State(camera[None], np.array(poses), board)
-    spread = covariance(numbered, state)
+    spread = covariance(numbered, State(camera[None], np.array(poses)))
     sigma = math.inf if spread is None else math.sqrt(float(np.diag(spread)[:2].max()))
     if not sigma < _MAX_FOCAL_SIGMA * camera[0]:
         raise CalibrationError(

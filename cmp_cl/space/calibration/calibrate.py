@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError, as_size, check_kind, check_positive, listed
 from cmp_cl.grid.grid import Grid
-from cmp_cl.points import sides
 from cmp_cl.space.calibration.adjustment import (
     Look,
     State,
@@ -33,7 +32,6 @@ from cmp_cl.space.rig import StereoRig, spread
 
 MIN_VIEWS = 3
 MIN_NODES = 8  # fewest nodes of a board in a view
-_FREE_VIEWS = 4  # fewest moments at which a free board is seen
 # The nodes of two views that are alike lie apart by less than this, px and share of the board.
 _ALIKE_PX, _ALIKE_SHARE = 1.0, 0.01
 _MAX_MISFIT = 1.0  # px: the joint reprojection error may reach this, or
@@ -94,8 +92,6 @@ class Calibration:
         moments that are not used.
     alike: groups of moments that show the same; of each only the first is used.
     focal_sigma: by camera, the larger standard deviation of the two focal lengths, px.
-    board: (R, C, 3), the nodes of a free board, in `unit`, z towards the back of the board, NaN
-        where no view shows the node; None if the board was taken to be flat.
     covariance: see `StereoRig`; None but for two pinholes.
     """
 
@@ -105,7 +101,6 @@ class Calibration:
     normals: Array
     alike: Sequence[Sequence[int]]
     focal_sigma: Mapping[str, float]
-    board: Array | None = None
     covariance: Array | None = None
 
     @property
@@ -147,22 +142,17 @@ def calibrate(
     sizes: Mapping[str, tuple[int, int]],
     lens: Lens = Lens.PINHOLE,
     unit: str = "mm",
-    free_board: bool = False,
 ) -> Calibration:
     """Calibrate cameras on views of one board.
 
     views: by camera, the grid at every moment, None if the camera does not see the board.
     spacing: side of a square, in `unit`. sizes: by camera, (width, height) of its images, px.
     lens: the lens model of all cameras.
-    free_board: whether the board may be bent or inexact. Its nodes are then found too; their mean
-        spacing is the given one. This needs at least four moments and grids of one shape, in
-        which equal indices are the same node. If its rows and columns add up to an odd number, the
-        colours of the cells show how to turn each grid for that.
 
     A view may show part of the board, and may be numbered from any corner of it. Views that show
     the same, as frames of a board that stands still do, count as one: copies bring nothing new.
-    OpenCV calibrates each camera alone. Several cameras, and free boards, are then adjusted by
-    least squares, with one pose of the board a moment.
+    OpenCV calibrates each camera alone; all are then adjusted by least squares, with one pose of
+    the board a moment.
 
     Raises CalibrationError if a camera has fewer than three different views of at least eight
     nodes, if they do not determine the focal length (the board faces the camera in all of them), if
@@ -173,30 +163,22 @@ def calibrate(
     check_kind("lens", lens, Lens, CalibrationError)
     check_kind("unit", unit, str, CalibrationError)
     seen, alike = _different(views)
-    if free_board:
-        seen = _numbered_alike(seen)
-    board, names = _board_of(seen), list(views)
-    alone = {name: _alone(name, seen, board, sizes[name], lens) for name in names}
+    names = list(views)
+    alone = {name: _alone(name, seen, sizes[name], lens) for name in names}
     places = place(alone, seen)
-    seen, board = places.grids, _board_of(places.grids)
+    seen = places.grids
     moments = {moment: number for number, moment in enumerate(sorted(places.boards))}
     every = [
-        _look(grid, board, names.index(name), moments[moment])
-        for (name, moment), grid in seen.items()
+        _look(grid, names.index(name), moments[moment]) for (name, moment), grid in seen.items()
     ]
     state = State(
         np.array([np.r_[alone[n].camera[:-POSE], vector_of(places.cameras[n])] for n in names]),
         np.array([vector_of(places.boards[moment]) for moment in moments]),
-        board.reshape(-1, 3),
     )
     state, cov = adjust(every, state)
     _check_fit(every, state, alone, places.odd)
-    scale = spacing
-    if free_board:
-        state, cov = adjust(every, state, free_board=True)
-        scale /= _mean_side(state, every, board.shape)
     factor = np.ones(state.cameras.shape)
-    factor[:, -3:] = scale  # the translations
+    factor[:, -3:] = spacing  # the translations
     cameras, unknown = state.cameras * factor, unknowns(state.cameras)
     deviation = np.full(unknown.shape, np.nan)
     if cov is not None:
@@ -227,7 +209,6 @@ def calibrate(
         focal_sigma={
             name: float(row[:2].max()) for name, row in zip(names, deviation, strict=True)
         },
-        board=state.board.reshape(board.shape) * scale if free_board else None,
         covariance=cov if lens is Lens.PINHOLE and len(names) == 2 else None,
     )
 
@@ -308,47 +289,19 @@ def _same(one: Grid, other: Grid) -> bool:
     return False
 
 
-def _numbered_alike(seen: Seen) -> Seen:
-    """Return the grids of a free board with equal indices for the same node.
-
-    If a half turn exchanges black and white, the colours show which way up the board is. Raises
-    CalibrationError if the grids have different rows or columns, or there are too few moments.
-    """
-    every, moments = list(seen.values()), len({moment for _, moment in seen})
-    if moments < _FREE_VIEWS:
-        raise CalibrationError(
-            f"{moments} views of a free board, at least {_FREE_VIEWS} are needed"
-        )
-    if len({grid.shape for grid in every}) > 1:
-        extents = ", ".join(sorted({grid.extent for grid in every}))
-        raise CalibrationError(f"the views of a free board must be numbered alike, not {extents}")
-    decided = sum(every[0].shape) % 2
-    return {
-        key: grid.turned(2 if decided and grid.parity != every[0].parity else 0)
-        for key, grid in seen.items()
-    }
-
-
-def _board_of(seen: Seen) -> Array:
-    """Return a flat board (R, C, 3) that holds all nodes of the grids; its squares have side 1.
-
-    OpenCV's calibrations stop too early where the numbers of a length are large.
-    """
-    row, column = np.indices(np.max([grid.shape for grid in seen.values()], axis=0))
-    return np.stack([column, row, np.zeros(row.shape)], axis=-1).astype(np.float64)
-
-
-def _look(grid: Grid, board: Array, camera: int, moment: int) -> Look:
-    """Return what a camera sees of a board (R, C, 3)."""
-    nodes = np.ravel_multi_index(np.nonzero(grid.valid), board.shape[:2])
+def _look(grid: Grid, camera: int, moment: int) -> Look:
+    """Return what a camera sees of a flat board, whose squares have side 1: OpenCV's calibrations
+    stop too early where the numbers of a length are large."""
+    row, column = np.nonzero(grid.valid)
+    nodes = np.column_stack([column, row, np.zeros(len(row))]).astype(np.float64)
     return Look(camera, moment, nodes, grid.xy[grid.valid].astype(np.float64))
 
 
-def _alone(name: str, seen: Seen, board: Array, size: tuple[int, int], lens: Lens) -> Alone:
+def _alone(name: str, seen: Seen, size: tuple[int, int], lens: Lens) -> Alone:
     """Calibrate one camera alone; errors name it."""
-    looks = [_look(grid, board, 0, key[1]) for key, grid in seen.items() if key[0] == name]
+    looks = [_look(grid, 0, key[1]) for key, grid in seen.items() if key[0] == name]
     try:
-        return calibrate_alone(lens, looks, board.reshape(-1, 3), size)
+        return calibrate_alone(lens, looks, size)
     except CalibrationError as error:
         raise CalibrationError(f"{name}: {error}") from error
 
@@ -367,13 +320,3 @@ def _check_fit(
             "the board, and that all cameras see it at the same moments",
             odd,
         )
-
-
-def _mean_side(state: State, looks: Sequence[Look], shape: tuple[int, ...]) -> float:
-    """Return the mean side of the squares of a free board, and make nodes that no view shows NaN.
-
-    The views do not show how large a board is.
-    """
-    shown = np.unique(np.concatenate([look.nodes for look in looks]))
-    state.board[np.setdiff1d(np.arange(len(state.board)), shown)] = np.nan
-    return float(sides(state.board.reshape(shape)).mean())
