@@ -9,8 +9,7 @@ import os
 from collections.abc import Iterator
 
 import pytest
-from detectors import MakeDetector, detectors_on
-from forms import in_form
+from detectors import MakeDetector, detectors_on, in_form
 
 from cmp_cl import Device, select_device
 from cmp_cl.opencl import program

@@ -17,6 +17,7 @@ import time
 import traceback
 from collections import Counter
 from pathlib import Path
+from types import NoneType
 from typing import Any
 from unittest import mock
 
@@ -26,29 +27,27 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent / "support"))
 import tolerances
 from comparison import assert_maps_equal, assert_same_bytes
+from configs import all_settings, settings_of
 from corner_images import board
 
 from cmp_cl import (
-    AdaptiveMean,
-    BinaryRings,
     CmpClError,
     Corners,
     Detector,
     DetectorConfig,
-    EdgeLines,
-    EdgeStep,
     Fit,
     ImageError,
-    Midlines,
-    RapidCriteria,
     RingHarmonic,
-    SectorContrast,
-    SpectralCriteria,
     reference,
 )
 
 BATCH = 25
 SHARING = 5  # configurations in a row that compile the same
+FREE = {  # settings that do not go into the text of the kernels
+    *("sector_threshold", "ring_threshold", "corrosion_threshold", "correlation"),
+    *("phase", "minimum", "relative", "noise", "max_shift", "cell", "octaves", "scale"),
+    "full_scale",
+}
 ROUNDING = 3e-7  # px: of an edge point some px from the corner, in float32
 Rng = np.random.Generator
 
@@ -57,72 +56,31 @@ def _one(rng: Rng, *choices: Any) -> Any:
     return choices[int(rng.integers(len(choices)))]
 
 
-def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
-    """Return a valid configuration: each setting its default, a bound or anything between.
+def random_part(part: type, compiled: Rng, rng: Rng) -> Any:
+    """Return a valid part of a configuration: each setting its default, a bound or any between.
 
     What goes into the text of the kernels is drawn from `compiled`, all else from `rng`.
     """
-    window = _one(compiled, 21, 9, 3, 255, 2 * int(compiled.integers(1, 40)) + 1)
-    outer_radius = _one(compiled, 4, 5)
-    nms_radius = _one(compiled, 3, 1, 15, int(compiled.integers(1, 16)))
-    has_offset, has_corrosion, has_gate, is_scaled = compiled.random(4) < (0.5, 0.67, 0.67, 0.33)
-    kind = _one(compiled, RapidCriteria, RapidCriteria, SpectralCriteria)
-    refined = _one(compiled, None, EdgeLines, EdgeStep, Midlines)
-    fit = _one(compiled, *Fit)
-    harmonic, fine = compiled.random(2) < (0.5, 0.67)
-
-    offset = _one(rng, 5, int(rng.integers(1, 65536))) if has_offset else 0
-    corrosion = _one(rng, 6, int(rng.integers(-4, 18))) if has_corrosion else None
-    criteria = {
-        RapidCriteria: RapidCriteria(
-            sector_threshold=_one(rng, 5, int(rng.integers(1, 17))),
-            ring_threshold=_one(rng, 5, int(rng.integers(1, 18))),
-            corrosion_threshold=corrosion,
-        ),
-        SpectralCriteria: SpectralCriteria(
-            correlation=_one(rng, 0.75, 0, 1, float(rng.random())),
-            phase=_one(rng, 0.35, 0, float(rng.uniform(0, np.pi))),
-            corrosion_threshold=corrosion,
-        ),
-    }
-    contrast = _one(
-        rng,
-        SectorContrast(),
-        SectorContrast(
-            minimum=_one(rng, 0, 255, float(rng.uniform(0, 60))),
-            relative=_one(rng, 0, 1, float(rng.random())),
-            noise=_one(rng, 0, 100, float(rng.uniform(0, 5))),
-        ),
-    )
-    refinement = {
-        None: None,
-        EdgeLines: EdgeLines(max_shift=_one(rng, 2.0, 0, 5, float(rng.uniform(0, 5)))),
-        EdgeStep: EdgeStep(cell=_one(rng, 12.0, 4, 1000, float(rng.uniform(4, 40)))),
-        Midlines: Midlines(fit=fit, max_shift=float(rng.uniform(0, 5))),
-    }
-    scale = float(rng.uniform(0.3, 2))
-    detection = {
-        True: RingHarmonic(
-            noise=_one(rng, 2.0, 0, 100, float(rng.uniform(0, 4))),
-            relative=_one(rng, 0.1875, 0, 1, float(rng.random())),
-            fine=bool(fine),
-            octaves=0 if is_scaled else int(rng.integers(0, 4)),
-        ),
-        False: BinaryRings(
-            threshold=AdaptiveMean(window=window, offset=offset),
-            outer_radius=outer_radius,
-            criteria=criteria[kind],
-            contrast=contrast if has_gate else None,
-        ),
-    }
-    return DetectorConfig(
-        detection=detection[bool(harmonic)],
-        nms_radius=nms_radius,
-        refinement=refinement[refined],
-        scale=scale if is_scaled else _one(rng, None, 1.0),
-        full_scale=_one(rng, None, None, int(rng.integers(1, 65536))),
-        max_corners=_one(rng, 65536, 1, int(rng.integers(1, 1000))),
-    )
+    values: dict[str, Any] = {}
+    for setting in settings_of(part):
+        kind, draw = _one(compiled, *setting.kinds), rng if setting.name in FREE else compiled
+        how = _one(draw, "default", "default", "any", "low", "high")
+        if dataclasses.is_dataclass(kind):
+            values[setting.name] = random_part(kind, compiled, rng)
+        elif kind is NoneType:
+            values[setting.name] = None
+        elif setting.limits is None:
+            values[setting.name] = _one(compiled, *(kind if kind is Fit else (False, True)))
+        elif how != "default":
+            low, high, odd = setting.limits
+            between = low + (high - low) * draw.random() ** 4  # small ones find more
+            value = kind({"low": low, "high": high, "any": between}[how])
+            values[setting.name] = value | 1 if odd else value
+    if part is DetectorConfig:
+        values["max_corners"] = _one(rng, 65536, 1, int(rng.integers(1, 1000)))
+        if isinstance(values["detection"], RingHarmonic) and values.get("scale"):
+            values["detection"] = dataclasses.replace(values["detection"], octaves=0)
+    return part(**values)
 
 
 def random_image(rng: Rng, shape: tuple[int, int], dtype: Any) -> np.ndarray:
@@ -202,7 +160,7 @@ def valid_case(
     compiled = np.random.default_rng([seed, number // SHARING, 2])
     rng = np.random.default_rng([seed, number])
     dtype = _one(compiled, np.uint8, np.uint8, np.uint16)
-    config = random_config(compiled, rng)
+    config = random_part(DetectorConfig, compiled, rng)
     shape = tuple(int(n) for n in rng.integers(1, 72, 2))
     mask = rng.random(shape) < 0.8 if rng.random() < 0.2 else None
     with Detector(shape=shape, dtype=dtype, config=config, device=device, mask=mask) as detector:
@@ -224,13 +182,6 @@ def valid_case(
             assert_same_bytes(one, other)
 
 
-PARTS = (
-    *(AdaptiveMean, RapidCriteria, SpectralCriteria, SectorContrast, BinaryRings, RingHarmonic),
-    *(EdgeLines, EdgeStep, Midlines, DetectorConfig),
-)
-FIELDS = [(part, field.name) for part in PARTS for field in dataclasses.fields(part)]
-
-
 def invalid_case(seed: int, number: int, device: str | None) -> bool:
     """Try a value for a field; if it is valid, try an image that no detector takes: with a detector
     of fixed shape and dtype, or with one made for that image. Return whether either was refused by
@@ -238,8 +189,8 @@ def invalid_case(seed: int, number: int, device: str | None) -> bool:
     rng = np.random.default_rng([seed, number, 1])
     values: list[Any] = [None, -1, 0, 2, 1e9, -1e9, float("nan"), float("inf"), "3", b"", [], {}]
     values += [True, object(), 2**70, (1.0,), np.float32(0.5), np.int64(7), 1.5, 256, ()]
-    part, field = FIELDS[int(rng.integers(len(FIELDS)))]
-    arguments = {field: values[int(rng.integers(len(values)))]}
+    part, field, *_ = _one(rng, *all_settings())
+    arguments = {field: _one(rng, *values)}
     try:
         part(**arguments)
     except CmpClError:

@@ -1,7 +1,6 @@
 """`import cmp_cl` is quick, changes nothing in the process, and gives every public name."""
 
-import subprocess
-import sys
+from children import python
 
 import cmp_cl
 
@@ -20,8 +19,7 @@ cmp_cl.reference.detect
 
 
 def test_importing_the_library_imports_no_command_no_oracle_and_leaves_signals_alone():
-    done = subprocess.run([sys.executable, "-c", IMPORT], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    python("-c", IMPORT, check=True)
 
 
 def test_a_name_that_is_not_there_is_an_attribute_error():

@@ -2,10 +2,9 @@
 
 import os
 import stat
-import subprocess
-import sys
 
 import pytest
+from children import python
 
 from cmp_cl.files import csv_bytes, read_toml, whole_file, write_bytes
 
@@ -44,8 +43,7 @@ def test_a_kill_in_the_middle_of_writing_leaves_what_was_there(tmp_path, before)
     target = tmp_path / "corners.csv"
     if before is not None:
         target.write_bytes(before)
-    done = subprocess.run([sys.executable, "-c", WRITING, target], check=False)
-    assert done.returncode == -9
+    assert python("-c", WRITING, target).returncode == -9
     assert (target.read_bytes() if target.exists() else None) == before
 
 

@@ -12,7 +12,7 @@ import pytest
 from cases import some
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
 from configs import CONFIGS, rings
-from forms import in_form
+from detectors import in_form
 
 from cmp_cl import (
     AdaptiveMean,

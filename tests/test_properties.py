@@ -1,18 +1,19 @@
 """What holds for any image: rotated, mirrored, inverted, cropped from a buffer, in a batch."""
 
+from collections import Counter
+
 import fuzz
 import hypothesis
 import numpy as np
 import pytest
-from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
+from cases import some
+from comparison import assert_same_bytes
 from configs import CONFIGS
 from corner_images import board
-from fuzz import invalid_case, random_image
+from fuzz import BATCH, SHARING, invalid_case, random_image, valid_case
 from hypothesis import strategies as st
 
-from cmp_cl import (
-    DetectorConfig,
-)
+from cmp_cl import DetectorConfig
 from cmp_cl.corners import Maps
 
 SIDE = 47
@@ -34,14 +35,9 @@ def turned(image, turn):
     return np.ascontiguousarray(image[..., ::-1] if mirrored else image)
 
 
-@pytest.mark.exhaustive
-@several
-@hypothesis.given(seed=seeds, dtype=dtypes, config=configs)
-def test_any_image_gives_what_the_oracle_gives(detector_for, seed, dtype, config):
-    image = any_image(seed, dtype)
-    detector = detector_for(image, config)
-    assert_maps_equal(detector, image)
-    assert_corners_equal(detector, image)
+@pytest.mark.parametrize("number", some(range(100), range(3)))
+def test_drawn_images_of_drawn_shapes_and_settings_give_what_the_oracle_gives(device, number):
+    valid_case(0, number * SHARING, BATCH, device.index, Counter())
 
 
 @several

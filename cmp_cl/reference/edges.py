@@ -229,7 +229,7 @@ def intersect(first: Lines, second: Lines) -> Meeting:
 def within(meeting: Meeting, max_shift: float) -> Meeting:
     """Return the intersection, accepted only within max_shift of the start."""
     shift = norm(meeting.position)
-    near = np.abs(shift - max_shift) / max(max_shift, 1e-12)
+    near = np.abs(shift - max_shift) / max(max_shift, 1e-6)
     return Meeting(
         position=meeting.position,
         accepted=meeting.accepted & (shift <= max_shift),

@@ -8,12 +8,13 @@ import time
 
 import images
 import numpy as np
+import pyopencl as cl
 import pytest
 from cases import some
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
 from configs import rings
 from corner_images import board, noise
-from forms import in_form
+from detectors import in_form
 
 from cmp_cl import (
     AdaptiveMean,
@@ -25,6 +26,7 @@ from cmp_cl import (
     SpectralCriteria,
     reference,
 )
+from cmp_cl.reference.paper import gate
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import PlanBase
 
@@ -189,12 +191,36 @@ def test_the_largest_harmonics_fit_with_the_largest_factors(detector_in_form):
     assert len(corners) > 20
 
 
-@pytest.mark.parametrize("pixel", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
-def test_the_largest_noise_does_not_overflow(detector_in_form, pixel):
-    """The bound is above every response, and the product that gives it is near 64 bits."""
-    most = np.iinfo(pixel).max
-    image = (np.indices((200, 220)).sum(0) % 2 * most).astype(pixel)
-    assert len(assert_corners_equal(detector_in_form(image, harmonic(noise=100)), image)) == 0
+# the noise
+
+
+def summed(detector, image):
+    """Return the noise of the last frame, summed over the bands."""
+    detector(image)
+    plan = detector._plans.lend()
+    sums = np.empty(plan.sizes["noise"] // 8, np.uint64)
+    cl.enqueue_copy(plan.queue, sums, plan.arrays["noise"])
+    return int(sums.sum())
+
+
+@pytest.mark.parametrize("config", [DetectorConfig(), rings()], ids=["harmonic", "rings"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
+@pytest.mark.parametrize("columns", some([1, 2, 3, 4, 5, 6, 7, 8, 9, 31, 33, 64], (2, 3, 31)))
+def test_the_noise_is_the_oracles_for_every_width(detector_in_form, dtype, columns, config):
+    image = np.random.default_rng(6).integers(0, np.iinfo(dtype).max + 1, (19, columns), dtype)
+    assert summed(detector_in_form(image, config), image) == gate.noise_amplitude(image)[0]
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
+def test_the_largest_noise_does_not_overflow(detector_in_form, dtype):
+    """Black and white pixels in turn: eight full scales at every inner pixel. The bound of the
+    responses is above all, and the product that gives it is near 64 bits."""
+    most = np.iinfo(dtype).max
+    image = (np.indices((200, 220)).sum(0) % 2 * most).astype(dtype)
+    for config in (harmonic(noise=100), PLAIN):
+        detector = detector_in_form(image, config)
+        assert summed(detector, image) == 8 * most * 198 * 218
+        assert len(assert_corners_equal(detector, image)) == 0
 
 
 # the gate

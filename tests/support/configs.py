@@ -1,6 +1,8 @@
-"""Configurations that tests share, and a table of them in which every kernel has a part."""
+"""Configurations that tests share: a table of them in which every kernel has a part, and all
+settings that there are."""
 
 import dataclasses
+import typing
 from typing import Any
 
 from cmp_cl import (
@@ -52,3 +54,31 @@ CONFIGS = {
     ),
     "rings, smaller": rings(scale=0.5),
 }
+
+
+class Setting(typing.NamedTuple):
+    """A field of a part of a configuration: the types of its values, and the range of a number,
+    (low, high, odd)."""
+
+    part: type
+    name: str
+    kinds: tuple[type, ...]
+    limits: tuple[float, float, bool] | None
+
+
+def settings_of(part: type) -> list[Setting]:
+    """Return the settings of a part of a configuration."""
+    found = []
+    for field in dataclasses.fields(part):
+        kind, limits = field.type, None
+        if typing.get_origin(kind) is typing.Annotated:
+            kind, limits = typing.get_args(kind)
+        found.append(Setting(part, field.name, typing.get_args(kind) or (kind,), limits))
+    return found
+
+
+def all_settings(part: type = DetectorConfig) -> list[Setting]:
+    """Return the settings of a part, and of all parts of it."""
+    own = settings_of(part)
+    parts = [kind for each in own for kind in each.kinds if dataclasses.is_dataclass(kind)]
+    return own + [inner for each in parts for inner in all_settings(each)]

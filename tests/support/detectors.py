@@ -1,14 +1,23 @@
-"""Detectors that tests share."""
+"""Detectors that tests share, and both forms of the kernels on the device under test."""
 
 import contextlib
+import dataclasses
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 from cmp_cl import Detector, DetectorConfig, Device
+from cmp_cl.opencl.device import DeviceKind
+from cmp_cl.stages.form import Form
 
 MakeDetector = Callable[..., Detector]
+KINDS = {Form.CPU: DeviceKind.CPU, Form.PORTABLE: DeviceKind.GPU}
+
+
+def in_form(device: Device, form: Form) -> Device:
+    """Return the device as if it were of the kind that has that form."""
+    return dataclasses.replace(device, kind=KINDS[form])
 
 
 @contextlib.contextmanager
