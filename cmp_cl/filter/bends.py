@@ -7,9 +7,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.filter.holes import filled
+from cmp_cl.filter.holes import completed
 from cmp_cl.filter.polynomials import LEAST_SUPPORT, polynomial
-from cmp_cl.filter.surface import bilinear_surface
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -64,11 +63,7 @@ def bend_shift(xy: Array, radius: float) -> Array:
     curvature, or if the lines enclose less than 10 degrees.
     """
     there = np.asarray(np.isfinite(xy).all(axis=2), np.bool_)
-    data = np.ascontiguousarray(xy.transpose(2, 0, 1))
-    if not there.all() and there.any():
-        plane = bilinear_surface(xy, there)
-        bent = np.where(there[..., None], xy - plane, 0).transpose(2, 0, 1)
-        data = plane.transpose(2, 0, 1) + filled(bent.astype(np.float32), there)
+    data = np.ascontiguousarray(completed(xy).transpose(2, 0, 1))
     shift, _ = _shift_of(data, there, radius, LEAST_SUPPORT)
     return np.ascontiguousarray(shift.transpose(1, 2, 0))
 

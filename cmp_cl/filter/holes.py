@@ -10,6 +10,30 @@ Bools = NDArray[np.bool_]
 _FILL_REACH = (3, 6)  # nodes around a hole that predict its value
 
 
+def completed(positions: Array) -> Array:
+    """Return positions (R, C, K), NaN where missing, with predictions there, if any is known."""
+    there = np.asarray(np.isfinite(positions).all(axis=2), np.bool_)
+    if there.all() or not there.any():
+        return positions
+    plane = bilinear_surface(positions, there)
+    bent = np.where(there[..., None], positions - plane, 0).transpose(2, 0, 1)
+    whole: Array = plane + filled(bent.astype(np.float32), there).transpose(1, 2, 0)
+    return whole
+
+
+def bilinear_surface(values: Array, votes: NDArray[np.bool_]) -> Array:
+    """Return the bilinear surface that fits the values best, (R, C, K).
+
+    values: (R, C, K). votes: (R, C) bool, the nodes to fit, at least one. The filters do not change
+    such surfaces; without the surface, float32 is exact enough for the residual.
+    """
+    r, c = np.meshgrid(*(np.linspace(-1, 1, n) for n in votes.shape), indexing="ij")
+    terms = np.stack([np.ones_like(r), r, c, r * c], axis=-1)
+    fit, *_ = np.linalg.lstsq(terms[votes], values[votes], rcond=None)
+    plane: Array = terms @ fit
+    return plane
+
+
 def filled(data: Single, votes: Bools) -> Single:
     """Return the data with predictions at nodes without a vote.
 

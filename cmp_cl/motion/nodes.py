@@ -8,20 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners
-from cmp_cl.filter.holes import filled
+from cmp_cl.filter import completed
 from cmp_cl.grid.grid import Grid, NodeStatus
 
 
 def put(arrays: dict[str, NDArray[Any]], view: int, grid: Grid, corners: Corners) -> None:
     """Write the nodes of a grid of these corners into the inputs of a plan, with predictions in its
     holes."""
-    there = grid.valid
-    xy = grid.xy
-    if not there.all() and there.any():
-        middle = xy[there].mean(axis=0)
-        moved = np.where(there[..., None], xy - middle, 0).transpose(2, 0, 1)
-        xy = filled(moved.astype(np.float32), there).transpose(1, 2, 0) + middle
-    arrays["nodes"][view] = np.nan_to_num(xy)
+    arrays["nodes"][view] = np.nan_to_num(completed(grid.xy.astype(np.float64)))
     arrays["seen_status"][view] = grid.status
     known = grid.index[:, 0] >= 0
     sigma = np.full(grid.shape, np.nan, np.float32)
