@@ -13,13 +13,6 @@ from numpy.typing import NDArray
 from cmp_cl.errors import ConfigError, check_range, check_shape, extra
 from cmp_cl.files import suffix_of, whole_file
 
-PAPERS = {  # mm, upright
-    "a5": (148.0, 210.0),
-    "a4": (210.0, 297.0),
-    "a3": (297.0, 420.0),
-    "letter": (215.9, 279.4),
-}
-
 _MM_PER_INCH = 25.4
 _POINTS_PER_MM = 72 / _MM_PER_INCH
 _STRIP = 8.0  # mm beside the cells for a scale bar with its label
@@ -31,7 +24,6 @@ _WIDTH = 0.5  # mean width of a letter, as a share of its size
 _LENGTHS = (200, 100, 50, 20, 10, 5, 2, 1)  # mm, possible lengths of a scale bar
 _MOST_PIXELS = 10**8
 _MOST_CELLS = 10**6
-_LONGEST_SIDE = 5000.0  # mm
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -43,14 +35,11 @@ class Checkerboard:
     cell: side of a cell, mm, 0.01 to 1000.
     bare: leave out the white border around the cells, one cell wide, and the scale bars along x and
         y, for a mask that covers a gel up to its rim.
-    paper: the sheet, one of PAPERS, on which the pattern is centred, upright or on its side as the
-        pattern is; None means a sheet that just holds it.
     """
 
     shape: tuple[int, int]
     cell: float
     bare: bool = False
-    paper: str | None = None
 
     def __post_init__(self) -> None:
         check_shape(self.shape, ConfigError)
@@ -60,36 +49,20 @@ class Checkerboard:
                 f"{rows} x {columns} corners are more than {_MOST_CELLS} cells; draw fewer"
             )
         check_range("cell", self.cell, 0.01, 1000)
-        if self.paper is not None and self.paper not in PAPERS:
-            raise ConfigError(f"paper must be one of {', '.join(PAPERS)}, not {self.paper!r}")
-        needed, sheet = self._needed(), self.size
-        if needed[0] > sheet[0] or needed[1] > sheet[1]:
-            raise ConfigError(
-                f"the pattern needs {needed[0]:.1f} x {needed[1]:.1f} mm and the paper has "
-                f"{sheet[0]:g} x {sheet[1]:g}; take smaller cells or other paper"
-            )
-        if max(sheet) > _LONGEST_SIDE:
-            raise ConfigError(
-                f"the sheet would be {sheet[0]:.0f} x {sheet[1]:.0f} mm; its sides are at most "
-                f"{_LONGEST_SIDE:.0f} mm"
-            )
 
     @property
     def size(self) -> tuple[float, float]:
-        """Return the width and height of the sheet, mm."""
-        width, height = self._needed()
-        if self.paper is None:
-            return width, height
-        short, long = PAPERS[self.paper]
-        return (long, short) if width > height else (short, long)
+        """Return the width and height of the sheet, mm: cells, border and scale bars."""
+        width, height = self._board()
+        around = 0.0 if self.bare else 2 * self.cell + _STRIP
+        return width + around, height + around
 
     @property
     def corners(self) -> NDArray[np.float64]:
         """Return the positions of the inner corners on the sheet, (R, C, 2), (x, y), mm."""
         rows, columns = self.shape
-        left, top = self._origin()
-        x = left + np.arange(1, columns + 1) * self.cell
-        y = top + np.arange(1, rows + 1) * self.cell
+        x = self._border + np.arange(1, columns + 1) * self.cell
+        y = self._border + np.arange(1, rows + 1) * self.cell
         return np.stack(np.meshgrid(x, y), axis=2)
 
     def save(self, path: str | PathLike[str], *, dpi: float = 600) -> None:
@@ -135,38 +108,31 @@ class Checkerboard:
 
     def _draw_bars(self, axes: Any) -> None:
         """Draw a scale bar below the cells and one beside them; their outer edges are measured."""
-        (rows, columns), (left, top), (width, height) = self.shape, self._origin(), self._board()
-        right, bottom = left + width + self.cell + _BESIDE, top + height + self.cell + _BESIDE
+        (rows, columns), start, (width, height) = self.shape, self._border, self._board()
+        right, bottom = (start + side + self.cell + _BESIDE for side in (width, height))
         along, down = (next((x for x in _LENGTHS if x <= side), 1) for side in (width, height))
         thick = _BAR * _POINTS_PER_MM
         style = {"color": "black", "linewidth": thick, "markersize": _TICK * _POINTS_PER_MM}
         style |= {"markeredgewidth": thick, "solid_capstyle": "butt"}
-        x = left + _BAR / 2, left + along - _BAR / 2
+        x = start + _BAR / 2, start + along - _BAR / 2
         axes.plot(x, (bottom, bottom), marker="|", **style)
-        y = top + _BAR / 2, top + down - _BAR / 2
+        y = start + _BAR / 2, start + down - _BAR / 2
         axes.plot((right, right), y, marker="_", **style)
         title = f"{along} mm   {rows} x {columns} corners   cell {self.cell:.4g} mm"
         if _WIDTH * _LETTER * len(title) > width + self.cell + _STRIP:
             title = f"{along} mm"
         letters = {"fontsize": _LETTER * _POINTS_PER_MM}
-        axes.text(left, bottom + _BESIDE + _LETTER, title, **letters)
-        axes.text(right + _BESIDE, top + _LETTER, f"{down}", **letters)
+        axes.text(start, bottom + _BESIDE + _LETTER, title, **letters)
+        axes.text(right + _BESIDE, start + _LETTER, f"{down}", **letters)
 
     def _board(self) -> tuple[float, float]:
         """Return the width and height of all cells together, mm."""
         return (self.shape[1] + 1) * self.cell, (self.shape[0] + 1) * self.cell
 
-    def _needed(self) -> tuple[float, float]:
-        """Return the width and height of the cells with borders and scale bars, mm."""
-        width, height = self._board()
-        around = 0.0 if self.bare else 2 * self.cell + _STRIP
-        return width + around, height + around
-
-    def _origin(self) -> tuple[float, float]:
-        """Return the top-left corner of the cells on the sheet, mm."""
-        (width, height), needed = self.size, self._needed()
-        border = 0.0 if self.bare else self.cell
-        return (width - needed[0]) / 2 + border, (height - needed[1]) / 2 + border
+    @property
+    def _border(self) -> float:
+        """Return the distance of the cells from the left and the upper edge of the sheet, mm."""
+        return 0.0 if self.bare else self.cell
 
     def _black(self) -> NDArray[np.float64]:
         """Return the corners of each black cell, (N, 4, 2), (x, y), mm."""
@@ -174,4 +140,4 @@ class Checkerboard:
         row, column = np.nonzero(np.add.outer(np.arange(rows + 1), np.arange(columns + 1)) % 2 == 0)
         around = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
         cells = np.stack([column, row], axis=1)[:, None] + around
-        return np.asarray(self._origin() + cells * self.cell)
+        return np.asarray(self._border + cells * self.cell)

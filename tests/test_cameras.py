@@ -11,8 +11,8 @@ from videos import write_video
 
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.media import Frame
+from cmp_cl.media.ahead import Ahead
 from cmp_cl.media.cameras import Pairs, Source, paired
-from cmp_cl.media.newest import Newest
 
 
 def pairs_of(left, right, tolerance=10.0):
@@ -157,21 +157,21 @@ def test_what_a_thread_has_made_comes_before_its_error_and_closing_ends_it():
         raise OSError("gone")
 
     go_on.set()
-    with Newest(items(3), 2) as newest:
-        while not newest.ended:
-            newest.wait(0.01)
-        assert [newest.wait(0) and newest.take() for _ in range(2)] == [1, 2]
+    with Ahead(items(3), 2, lossy=True) as made_ahead:
+        while not made_ahead.ended:
+            made_ahead.wait(0.01)
+        assert [made_ahead.wait(0) and made_ahead.take() for _ in range(2)] == [1, 2]
         with pytest.raises(OSError, match="gone"):
-            newest.wait(0)
+            made_ahead.wait(0)
     go_on.clear()
     made.clear()
-    with Newest(items(10**9), 2) as newest:
+    with Ahead(items(10**9), 2, lossy=True) as made_ahead:
         while len(made) < 2:
-            newest.wait(0.01)
+            made_ahead.wait(0.01)
         threading.Timer(0.1, go_on.set).start()
     count = len(made)
     assert count <= 3
-    assert newest.ended
+    assert made_ahead.ended
 
 
 def test_what_a_camera_does_not_do_is_reported(monkeypatch):

@@ -5,7 +5,7 @@ from typing import Any
 
 from cmp_cl.cli.arguments import grid_shape, positive_number
 from cmp_cl.cli.messages import shown
-from cmp_cl.pattern import PAPERS, Checkerboard
+from cmp_cl.pattern import Checkerboard
 
 
 def add_parser(commands: Any) -> None:
@@ -23,18 +23,11 @@ def add_parser(commands: Any) -> None:
         required=True,
         help="inner corners; there is one cell more along each side",
     )
-    size = parser.add_mutually_exclusive_group(required=True)
-    size.add_argument("--cell", metavar="MM", type=positive_number, help="side of a cell")
-    size.add_argument(
-        "--size", metavar="MM", type=positive_number, help="longer side of all cells together"
+    parser.add_argument(
+        "--cell", metavar="MM", type=positive_number, required=True, help="side of a cell"
     )
     parser.add_argument(
         "--out", metavar="FILE", required=True, help="what to write: .svg, or .png of 600 dpi"
-    )
-    parser.add_argument(
-        "--paper",
-        choices=list(PAPERS),
-        help="centre the pattern on such a sheet; default: a sheet that just holds it",
     )
     parser.add_argument(
         "--bare",
@@ -46,12 +39,7 @@ def add_parser(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the pattern that the arguments describe; return the exit status."""
-    cell = arguments.cell
-    if cell is None:
-        cell = arguments.size / (max(arguments.grid) + 1)
-    board = Checkerboard(
-        shape=arguments.grid, cell=cell, bare=arguments.bare, paper=arguments.paper
-    )
+    board = Checkerboard(shape=arguments.grid, cell=arguments.cell, bare=arguments.bare)
     board.save(arguments.out)
     rows, columns = board.shape
     width, height = board.size

@@ -18,21 +18,23 @@ from cmp_cl.cli.arguments import (
     split_of,
 )
 from cmp_cl.cli.messages import Progress, counted, one_line, shown, tell
-from cmp_cl.cli.running.pace import Pace, ahead
+from cmp_cl.cli.running.pace import Pace
 from cmp_cl.cli.running.results import Results
 from cmp_cl.cli.running.sources import at_rest, opened, why_left_out
 from cmp_cl.cli.running.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import CmpClError, ConfigError, GridError
 from cmp_cl.image import GreyImage
-from cmp_cl.measure import Measured, OneView, TwoViews
+from cmp_cl.measure import Measured, OneView, Settings, TwoViews
 from cmp_cl.media import Frame
+from cmp_cl.media.ahead import Ahead
 from cmp_cl.media.cameras import Pairs, Source
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.series import SERIES_SUFFIXES
 from cmp_cl.space import StereoRig
 from cmp_cl.viz.plots import new_figure
 
+_AHEAD = 4  # the most frames that wait to be measured, and to be written
 _LINES_OF_BROKEN = 8  # broken frames that are reported one by one; the others are only counted
 
 
@@ -249,7 +251,7 @@ def _measurement(
     full_scale, hint = arguments.full_scale, ""
     if full_scale is None and (config is None or config.full_scale is None):
         full_scale = source.full_scale
-    search: Any = {
+    search: Settings = {
         "shape": arguments.grid,
         "config": config,
         "full_scale": full_scale,
@@ -289,8 +291,8 @@ def _flow(
     Whatever ends it, all that was measured is written.
     """
     with (
-        contextlib.closing(ahead(frames)) as decoded,
-        contextlib.closing(ahead(_measured(decoded, rest, measure, pace, stop))) as results,
+        Ahead(frames, _AHEAD) as decoded,
+        Ahead(_measured(iter(decoded), rest, measure, pace, stop), _AHEAD) as results,
         Progress(source.total, "frames") as progress,
     ):
         try:

@@ -20,7 +20,7 @@ a loop in a thread, with the calls that PyTac3D's users know.
 """
 
 from cmp_cl.measure.measured import Measured, Tally
-from cmp_cl.measure.measurement import Measurement
+from cmp_cl.measure.measurement import Measurement, Settings
 from cmp_cl.measure.one_view import OneView
 from cmp_cl.measure.patterns import (
     align_views,
@@ -35,6 +35,7 @@ __all__ = [
     "Measurement",
     "OneView",
     "Sensor",
+    "Settings",
     "Tally",
     "TwoViews",
     "align_views",

@@ -5,7 +5,7 @@ import dataclasses
 import functools
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import pyopencl as cl
@@ -36,6 +36,32 @@ from cmp_cl.stages.refine import Found
 AUDITED = 256  # tracked frames, of which the last is numbered anew too
 
 
+class Settings(TypedDict, total=False):
+    """What `OneView` and `TwoViews` take by name.
+
+    shape: (rows, columns) of the pattern's corners; None takes the shape that is seen at rest.
+    config: configuration of the detector; None finds the pattern at rest with `DetectorConfig()`,
+        as every caller does, and then takes `DetectorConfig.for_cell` for its cells.
+    track: continue the numbers of the previous frame if the frame at rest leaves them ambiguous.
+        Frames then come in order, and the pattern as a whole moves by less than half a cell from
+        the frame at rest to the first and from each to the next. After two frames without a grid,
+        or one that is ambiguous, those that follow are ambiguous too, until a border or the
+        printing errors decide.
+    full_scale: the camera's largest grey level; None is that of the configuration or of the type.
+    device: a Device, a text for `select_device`, or None for the default device.
+    strain: give every field its strain, see `DisplacementField.with_strain`.
+    profile: record the times of the kernels of the last frame, see `Measurement.times`.
+    """
+
+    shape: tuple[int, int] | None
+    config: DetectorConfig | None
+    track: bool
+    full_scale: int | None
+    device: Device | str | None
+    strain: bool
+    profile: bool
+
+
 @dataclasses.dataclass(eq=False)
 class _Begun:
     """A frame whose kernels run. tracked: whether those that track its nodes do. settled: what has
@@ -50,8 +76,7 @@ class _Begun:
 class Measurement(Closing):
     """Measures frames against the frame at rest. Use it in a with statement.
 
-    at_rest: the views of the frame at rest, of one size. The other arguments are those of
-    `OneView`.
+    at_rest: the views of the frame at rest, of one size. The other arguments are `Settings`.
 
     constants: arrays that a series holds once: rest (R, C, 2) or (R, C, 3), raw_rest (rest before
     the lattice filter), unit, and the detected positions at rest, (R, C, 2), px: xy_rest, or
@@ -72,13 +97,13 @@ class Measurement(Closing):
         self,
         at_rest: Sequence[GreyImage],
         *,
-        shape: tuple[int, int] | None,
-        config: DetectorConfig | None,
-        full_scale: int | None,
-        device: Device | str | None,
-        track: bool,
-        strain: bool,
-        profile: bool,
+        shape: tuple[int, int] | None = None,
+        config: DetectorConfig | None = None,
+        track: bool = False,
+        full_scale: int | None = None,
+        device: Device | str | None = None,
+        strain: bool = False,
+        profile: bool = False,
     ) -> None:
         self.tally = Tally()
         self._profile = profile

@@ -28,7 +28,7 @@ def find_pattern(
 ) -> tuple[float, Grid]:
     """Find a pattern of unknown cell size; return the side of its cells, px, and its grid.
 
-    view, shape, full_scale, device: as in `OneView`. The corners are those of
+    view, shape, full_scale, device: as in `Settings`. The corners are those of
         `DetectorConfig()`, the settings of every caller that gives none.
 
     Raises GridError if there is no pattern or the pattern seems to have another number of corners,
@@ -63,7 +63,7 @@ def find_board(
     """Find a rigid board in a view; return its grid, which `cmp_cl.calibrate` takes.
 
     view: (H, W) uint8 or uint16. shape: (rows, columns) of the board's inner corners. full_scale,
-        device: as in `OneView`.
+        device: as in `Settings`.
 
     The corners are those of `DetectorConfig()`, the settings of every caller that gives none. The
     grid has the nodes that a calibration may use, at their filtered positions: those that were

@@ -17,8 +17,8 @@ from cmp_cl.field.field import frame_of_pytac3d
 from cmp_cl.image import GreyImage
 from cmp_cl.measure.measured import Measured
 from cmp_cl.measure.two_views import TwoViews
+from cmp_cl.media.ahead import Ahead
 from cmp_cl.media.cameras import Source
-from cmp_cl.media.newest import Newest
 from cmp_cl.series import SeriesWriter, read_series
 from cmp_cl.space import BinocularSplit, StereoRig
 
@@ -51,7 +51,7 @@ class Frames(Closing):
                     if recvCallback is not None:
                         recvCallback(frame, callbackParam)
 
-        self._newest = Newest(told(), maxQSize)
+        self._newest = Ahead(told(), maxQSize, lossy=True)
 
     def getFrame(self, SN: str = "") -> Frame | None:
         """Return the oldest frame that waits, None if none does; raise what ended the loop.

@@ -2,20 +2,19 @@
 
 import dataclasses
 import math
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import ConfigError, GridError, ImageError, check_kind
 from cmp_cl.grid import Grid
 from cmp_cl.grid.grid import NO_SIDES
 from cmp_cl.image import GreyImage
-from cmp_cl.measure.measurement import Measurement
+from cmp_cl.measure.measurement import Measurement, Settings
 from cmp_cl.measure.patterns import align_views
 from cmp_cl.motion.geometry import InSpace
 from cmp_cl.motion.moments import Moment
-from cmp_cl.opencl.device import Device
 from cmp_cl.space import Bias, BinocularSplit, Points3D, PointStatus, StereoRig
 
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
@@ -31,7 +30,7 @@ class TwoViews(Measurement):
 
     rest: the frame at rest, (H, W) uint8 or uint16. rig: the cameras, calibrated on views that were
         split in the same way.
-    split: the rectangles of the two views in a frame. The other arguments are those of `OneView`.
+    split: the rectangles of the two views in a frame. settings: see `cmp_cl.measure.Settings`.
 
     A device without double precision computes in float32: displacements 46 mm away then differ by
     at most .015 um, behind a window by .05 um (measured).
@@ -47,30 +46,14 @@ class TwoViews(Measurement):
         rest: GreyImage,
         rig: StereoRig,
         split: BinocularSplit,
-        *,
-        shape: tuple[int, int] | None = None,
-        config: DetectorConfig | None = None,
-        full_scale: int | None = None,
-        device: Device | str | None = None,
-        track: bool = False,
-        strain: bool = False,
-        profile: bool = False,
+        **settings: Unpack[Settings],
     ) -> None:
         check_kind("rig", rig, StereoRig, ConfigError)
         check_kind("split", split, BinocularSplit, ConfigError)
         views = split(rest)
         self._rig: StereoRig = rig
         self._split, self._size = split, rest.shape
-        super().__init__(
-            views,
-            shape=shape,
-            config=config,
-            full_scale=full_scale,
-            device=device,
-            track=track,
-            strain=strain,
-            profile=profile,
-        )
+        super().__init__(views, **settings)
         if rig.window is not None and rig.covariance is not None:
             self._bias = Bias(rig, self.rest.xyz)
         left, right = self.rest_grids

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, ImageError, check_kind
 from cmp_cl.image import GreyImage
+from cmp_cl.media.ahead import Ahead
 from cmp_cl.media.images import find_inputs
-from cmp_cl.media.newest import Newest
 from cmp_cl.media.videos import LONGEST_GAP, Frame, VideoInfo, read_frames, video_info
 
 _WAITING = 64  # the most frames of a camera that wait to be measured
@@ -100,7 +100,7 @@ class Source:
 
     def _live_frames(self) -> Generator[Frame, None, None]:
         index = 0
-        with Newest(_captured(self._capture()), _WAITING) as waiting:
+        with Ahead(_captured(self._capture()), _WAITING, lossy=True) as waiting:
             while waiting.wait(_LONGEST_WAIT):
                 frame = waiting.take()
                 for missed in range(index, frame.index):

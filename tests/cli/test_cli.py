@@ -109,7 +109,6 @@ PATTERN = "pattern", "--grid", "4x4"
         (("demo", "--out", "text.png"), ["--out text.png is a file", "a folder"]),
         ((*PATTERN, "--cell", "3", "--out", "a.jpg"), ["suffix"]),
         ((*PATTERN, "--cell", "1e6", "--out", "a.png"), ["cmp-cl: --cell must be a number in"]),
-        ((*PATTERN, "--cell", "90", "--paper", "a4", "--out", "a.svg"), ["the paper has"]),
     ],
     ids=lambda value: " ".join(map(str, value)).replace(str(BOARD), "board.png"),
 )

@@ -1,18 +1,11 @@
-"""Frames that are decoded ahead, and how fast a run goes."""
+"""How fast a run goes, and what limits it."""
 
-import collections
 import contextlib
 import time
-from collections.abc import Generator, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar
+from collections.abc import Iterator
 
-_AHEAD = 4  # the most items that wait
 _WAITED = 0.1  # share of the time, waiting for the source, from which on it is what limits
 _ALL = 0.9  # the same of writing
-_END: Any = object()
-
-T = TypeVar("T")
 
 
 class Pace:
@@ -43,19 +36,3 @@ class Pace:
     def line(self, frames: int) -> str:
         """Return how many frames a second there were, as text, and what limited them."""
         return f"{frames / (time.perf_counter() - self._start):.3g} frames a second, {self.limit}"
-
-
-def ahead(items: Generator[T, None, None]) -> Generator[T, None, None]:
-    """Yield items that a thread makes ahead, and close them at the end.
-
-    What making one raises is raised in its place.
-    """
-    with contextlib.closing(items), ThreadPoolExecutor(1) as thread:
-        made = collections.deque(thread.submit(next, items, _END) for _ in range(_AHEAD))
-        try:
-            while (item := made.popleft().result()) is not _END:
-                made.append(thread.submit(next, items, _END))
-                yield item
-        finally:
-            for each in made:
-                each.cancel()

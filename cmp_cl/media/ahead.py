@@ -1,9 +1,9 @@
-"""Items that a thread makes, of which the newest few wait to be taken."""
+"""Items that a thread makes ahead of those who take them."""
 
 import contextlib
 import threading
 from collections import deque
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from typing import Generic, TypeVar
 
 from cmp_cl.closing import Closing
@@ -13,14 +13,16 @@ T = TypeVar("T")
 _LONGEST_END = 10.0  # s, for which closing waits for the thread, which may wait for a camera
 
 
-class Newest(Closing, Generic[T]):
-    """Makes items in a thread and lets the newest of them wait; older ones are dropped.
+class Ahead(Closing, Generic[T]):
+    """Makes items in a thread, of which some wait to be taken.
 
-    items: makes them; the thread closes it at the end. most: how many wait at most.
+    items: makes them; the thread closes it at the end. most: how many wait at most. lossy: whether
+    a new item then takes the place of the oldest, as for a camera, or waits for a place.
     """
 
-    def __init__(self, items: Generator[T, None, None], most: int) -> None:
-        self._waiting: deque[T] = deque(maxlen=most)
+    def __init__(self, items: Generator[T, None, None], most: int, *, lossy: bool = False) -> None:
+        self._waiting: deque[T] = deque()
+        self._most, self._lossy = most, lossy
         self._changed = threading.Condition()
         self._closed = False
         self._error: BaseException | None = None
@@ -32,8 +34,11 @@ class Newest(Closing, Generic[T]):
             with contextlib.closing(items):
                 for item in items:
                     with self._changed:
+                        if len(self._waiting) == self._most and self._lossy:
+                            self._waiting.popleft()
                         self._waiting.append(item)
                         self._changed.notify_all()
+                        self._changed.wait_for(lambda: self._has_room or self._closed)
                     if self._closed:
                         return
         except BaseException as error:
@@ -43,7 +48,11 @@ class Newest(Closing, Generic[T]):
                 self._closed = True
                 self._changed.notify_all()
 
-    def wait(self, seconds: float) -> bool:
+    @property
+    def _has_room(self) -> bool:
+        return self._lossy or len(self._waiting) < self._most
+
+    def wait(self, seconds: float = threading.TIMEOUT_MAX) -> bool:
         """Return whether an item waits now, or within that time; False at once at the end.
 
         Raises what making an item raised, once those before it are taken.
@@ -57,7 +66,13 @@ class Newest(Closing, Generic[T]):
 
     def take(self) -> T:
         """Return the oldest item that waits; raises IndexError if none does."""
-        return self._waiting.popleft()
+        with self._changed:
+            self._changed.notify_all()
+            return self._waiting.popleft()
+
+    def __iter__(self) -> Iterator[T]:
+        while self.wait():
+            yield self.take()
 
     @property
     def ended(self) -> bool:
@@ -66,6 +81,8 @@ class Newest(Closing, Generic[T]):
 
     def close(self) -> None:
         """End the thread; the item that it is making is its last one."""
-        self._closed = True
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
         if self._thread is not threading.current_thread():
             self._thread.join(_LONGEST_END)
