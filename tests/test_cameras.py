@@ -191,6 +191,9 @@ def test_what_a_camera_does_not_do_is_reported(monkeypatch):
         list(Source("0").frames())
     monkeypatch.setattr(Capture, "read", lambda _: (False, None))
     assert list(Source("0").frames()) == []
+    monkeypatch.setattr(Capture, "isOpened", lambda _: False)
+    with pytest.raises(ImageError, match=r"no stream .*; check the address"):
+        next(Source("rtsp://a/b").frames())
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ import cv2
 
 import cmp_cl
 from cmp_cl.cli import calibrate, demo, detect, devices, pattern, plot, render, run
-from cmp_cl.cli.messages import by_options, one_line, shortened, tell
+from cmp_cl.cli.messages import one_line, shortened, tell
 from cmp_cl.cli.running.stopping import handled, interrupt
 from cmp_cl.errors import CmpClError, KernelBuildError
 
@@ -32,7 +32,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     set_log_level = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
     set_log_level(0)
     _open_streams()
-    arguments = argparse.Namespace()
     try:
         with handled(interrupt), warnings.catch_warnings():
             warnings.showwarning = _warn  # type: ignore[assignment]
@@ -47,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _silence(sys.stdout)
         return 0
     except (CmpClError, OSError) as error:
-        return _fail(by_options(one_line(error), arguments))
+        return _fail(one_line(error))
     except MemoryError:
         return _fail("there is not enough memory for this")
     except KeyboardInterrupt:

@@ -1,9 +1,7 @@
 """What commands print: names, errors and counts in one line, and a progress bar."""
 
-import argparse
 import contextlib
 import os
-import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -25,19 +23,6 @@ def one_line(error: Exception) -> str:
         name = "" if error.filename is None else f"{shown(error.filename)}: "
         return shortened(f"{name}{error.strerror}")
     return shortened(" ".join(str(error).splitlines()))
-
-
-def by_options(line: str, arguments: argparse.Namespace) -> str:
-    """Return a message about an argument of Python as one about the option that gave it.
-
-    "Scene.markers must be ..." becomes "--markers must be ...".
-    """
-
-    def option(match: re.Match[str]) -> str:
-        given = getattr(arguments, match[1], None) is not None
-        return f"--{match[1].replace('_', '-')} must be" if given else match[0]
-
-    return re.sub(r"^(?:\w+\.)?(\w+) must be", option, line)
 
 
 def shortened(line: str) -> str:

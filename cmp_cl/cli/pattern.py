@@ -13,8 +13,8 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "pattern",
         help="draw the checkerboard to print",
-        description="Draws a checkerboard to scale, with scale bars to check the print. Print it "
-        "at 100 % ('actual size', not 'fit to page').",
+        description="Draws a checkerboard to scale. Print it at 100 % ('actual size', not 'fit to "
+        "page'), and measure the print.",
     )
     parser.add_argument(
         "--grid",
@@ -29,22 +29,17 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--out", metavar="FILE", required=True, help="what to write: .svg, or .png of 600 dpi"
     )
-    parser.add_argument(
-        "--bare",
-        action="store_true",
-        help="leave out the white border and the scale bars, for a mask that covers a gel",
-    )
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the pattern that the arguments describe; return the exit status."""
-    board = Checkerboard(shape=arguments.grid, cell=arguments.cell, bare=arguments.bare)
+    board = Checkerboard(shape=arguments.grid, cell=arguments.cell)
     board.save(arguments.out)
     rows, columns = board.shape
     width, height = board.size
     print(
         f"wrote {shown(arguments.out)}: {rows} x {columns} corners, cells of {board.cell:.4g} mm, "
-        f"sheet of {width:.1f} x {height:.1f} mm; print it at 100 %"
+        f"{width:.1f} x {height:.1f} mm in all; print it at 100 %"
     )
     return 0

@@ -111,9 +111,9 @@ class Source:
     def _capture(self) -> Any:
         capture = cv2.VideoCapture(self._opened_as)
         if not capture.isOpened():
-            raise ImageError(
-                f"there is no camera {self.name} that OpenCV can open; {_cameras_here()}"
-            )
+            what = "stream" if "://" in self.name else "camera"
+            there = "check the address" if what == "stream" else _cameras_here()
+            raise ImageError(f"there is no {what} {self.name} that OpenCV can open; {there}")
         for what, (key, value) in self._settings.items():
             if not capture.set(key, value):
                 capture.release()

@@ -100,15 +100,15 @@ PATTERN = "pattern", "--grid", "4x4"
         (("detect", BOARD, "--config", "bad.toml"), ["bad.toml", "unknown key 'windoww'"]),
         (
             ("detect", BOARD, "--full-scale", "0"),
-            ["cmp-cl: --full-scale must be an integer in [1, 65535], not 0"],
+            ["full_scale must be an integer in [1, 65535], not 0"],
         ),
         (("detect", BOARD, "--grid", "9999x9999"), ["--grid", "'9999x9999'", "nodes"]),
         (("detect", BOARD, "--config", "long.toml"), ["max_corners", "111 ... 111"]),
-        (("render", "--out", "g.png", "--markers", "2"), ["--markers must", "[3, 100]", "2"]),
+        (("render", "--out", "g.png", "--markers", "2"), ["markers must", "[3, 100]", "2"]),
         (("render", "--out", "g.jpg", "--bits", "12"), ["uint16", "g.jpg", ".png"]),
         (("demo", "--out", "text.png"), ["--out text.png is a file", "a folder"]),
         ((*PATTERN, "--cell", "3", "--out", "a.jpg"), ["suffix"]),
-        ((*PATTERN, "--cell", "1e6", "--out", "a.png"), ["cmp-cl: --cell must be a number in"]),
+        ((*PATTERN, "--cell", "1e6", "--out", "a.png"), ["cmp-cl: cell must be a number in"]),
     ],
     ids=lambda value: " ".join(map(str, value)).replace(str(BOARD), "board.png"),
 )
