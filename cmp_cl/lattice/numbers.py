@@ -80,7 +80,8 @@ def _like(
     against = [min(angle**2 / (2 * k.turn_sd_degrees**2), k.turn_nats) for angle in angles]
     found: list[Numbering] = []
     for quarters in sorted(range(4), key=lambda q: angles[q]):
-        if found and -against[quarters] < max(found).nats - 2 * k.sure_nats:
+        # How well a turn agrees with the print must not keep another from being tried.
+        if found and -against[quarters] < min(max(found).nats, -min(against)) - 2 * k.sure_nats:
             break
         turned = now.turned(quarters)
         here = turned, prints.turned(quarters), rest, _unmoved(turned.at, reference)

@@ -22,13 +22,12 @@ class Prints(NamedTuple):
     """The printing errors of a board.
 
     error: (R, C) complex, cells, along rows plus 1j along columns, 0 where unknown. known: (R, C).
-    cell: mean side of a cell, px. power: mean square of the errors, cells^2.
+    cell: mean side of a cell, px.
     """
 
     error: Numbers
     known: Mask
     cell: float
-    power: float
 
     def turned(self, quarters: int) -> "Prints":
         """Return the same after quarter turns of the board, as np.rot90 turns arrays."""
@@ -42,20 +41,19 @@ def prints_of(at: Numbers, clip: float) -> Prints:
     """Return the printing errors of measured nodes; at: (R, C) complex, px, NaN where missing."""
     error, known = np.zeros(at.shape, np.complex128), np.zeros(at.shape, np.bool_)
     if min(at.shape) < 5:
-        return Prints(error, known, 1.0, 0.0)
+        return Prints(error, known, 1.0)
     pixels = np.ascontiguousarray(at).view(np.float64).reshape(*at.shape, 2)
     rough = np.ascontiguousarray(cv2.filter2D(pixels, -1, FROM_CUBICS)[2:-2, 2:-2])
     step = (at[2:-2, 3:-1] - at[2:-2, 1:-3]) / 2
     off = rough.view(np.complex128)[..., 0]
     inner = ~np.isnan(off) & (np.abs(step) > 1e-6)
     if not inner.any():
-        return Prints(error, known, 1.0, 0.0)
+        return Prints(error, known, 1.0)
     off = off[inner] / step[inner]
     size = np.abs(off)
     off *= np.minimum(1, clip * np.median(size) / np.maximum(size, 1e-12))
     error[2:-2, 2:-2][inner], known[2:-2, 2:-2] = off, inner
-    cell = float(np.abs(step[inner]).mean())
-    return Prints(error, known, cell, float(np.square(np.abs(off)).mean()))
+    return Prints(error, known, float(np.abs(step[inner]).mean()))
 
 
 def agreement(rest: Prints, now: Prints, row: Whole, column: Whole, k: LatticeConstants) -> Float:
@@ -63,7 +61,7 @@ def agreement(rest: Prints, now: Prints, row: Whole, column: Whole, k: LatticeCo
 
     row: (P,), column: (Q,), the number at rest of the board's first node.
 
-    The errors of two frames of n common nodes are pairs of Gaussian numbers. If their correlation
+    The errors of two frames at n common nodes are pairs of Gaussian numbers. If their correlation
     is r, the likelihood that they belong together exceeds that of chance by -n log(1 - r^2), over
     the gain of the cubics, because errors of neighbours depend on each other. Errors that a camera
     makes at the same pixels of every frame are subtracted.
@@ -71,12 +69,17 @@ def agreement(rest: Prints, now: Prints, row: Whole, column: Whole, k: LatticeCo
     rows, columns = (
         cv2.getOptimalDFTSize(int(n)) for n in np.add(rest.known.shape, now.known.shape)
     )
-    size = [rows, columns]
-    total = _correlation(now.error, rest.error, size)
-    count = np.rint(_correlation(now.known, rest.known, size))
-    power = np.sqrt(max(now.power * rest.power, 1e-30))
+    size = rows, columns
+    x, y, one, square = np.conj(_spectra(now, size))
+    rest_x, rest_y, rest_one, rest_square = _spectra(rest, size)
+    products = np.stack(
+        [x * rest_x + y * rest_y, one * rest_one, square * rest_one, one * rest_square]
+    )
+    total, count, power, rest_power = np.fft.irfft2(products, size)
+    count = np.rint(count)
     camera = 2 * GAIN * k.camera_px**2 / (now.cell * rest.cell)
-    share = np.clip((total / np.maximum(count, 1) - camera) / power, 0, 0.99)
+    power = np.sqrt(np.maximum(power, 1e-15) * np.maximum(rest_power, 1e-15))
+    share = np.clip((total - camera * count) / power, 0, 0.99)
     nats = -count / GAIN * np.log1p(-np.square(share))
     low, high = -np.array(now.known.shape), np.array(rest.known.shape)
     inside = ((row > low[0]) & (row < high[0]))[:, None] & ((column > low[1]) & (column < high[1]))
@@ -84,8 +87,10 @@ def agreement(rest: Prints, now: Prints, row: Whole, column: Whole, k: LatticeCo
     return found
 
 
-def _correlation(now: Numbers | Mask, rest: Numbers | Mask, size: list[int]) -> Float:
-    """Return the real part of the sum of conj(now[n]) rest[n + k] over n, by k; k < 0 is last."""
-    product = np.conj(np.fft.fft2(now, size)) * np.fft.fft2(rest, size)
-    real: Float = np.fft.ifft2(product).real
-    return real
+def _spectra(prints: Prints, size: tuple[int, int]) -> Numbers:
+    """Return the spectra of the errors, along rows and along columns, of where they are known, and
+    of their squares, (4, rows, columns // 2 + 1)."""
+    error = prints.error
+    planes = np.stack([error.real, error.imag, prints.known, np.square(np.abs(error))])
+    spectra: Numbers = np.fft.rfft2(planes, size)
+    return spectra
