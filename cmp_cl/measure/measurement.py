@@ -200,8 +200,9 @@ class Measurement(Closing):
     @property
     def launches(self) -> int:
         """Return the number of launches that a tracked frame takes."""
-        count = len(self._detector.layout.launches) + len(self._plan.launches)
-        return count + (0 if self._tracker is None else len(self._tracker.launches) + 1)
+        layout = self._detector.layout
+        tracking = [] if self._tracker is None else self._tracker.launches(layout)
+        return len(layout.launches) + len(tracking) + len(self._plan.launches)
 
     def __call__(self, frame: GreyImage) -> Measured:
         """Measure one frame, of the size and the type of the frame at rest.
@@ -301,9 +302,7 @@ class Measurement(Closing):
 
     def _track(self, tracker: Tracker, plan: Plan) -> None:
         """Enqueue the kernels that find the nodes of a plan's frame from those on the device."""
-        self._events = tracker.start(
-            plan.arrays["result"], plan.corner_capacity, tracker.looks(plan)
-        )
+        self._events = [each.start(self._detector.queue) for each in tracker.launches(plan)]
         self._events += self._plan.start()
 
     def _settled(self, begun: _Begun) -> Measured:

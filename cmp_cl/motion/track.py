@@ -32,7 +32,6 @@ KNOWN = 0.95  # least share of the nodes that the frame at rest must show
 COUNTED = 12  # numbers for each view, as in kernels/track.cl
 LEAST_ROOM = 4096  # corners of a view
 QUANTILE_GROUP = 256  # work-items that look for quantiles together
-_RESULT = (None, np.uint32(0), np.uint32(0))  # the corners, which are given with a frame
 STENCIL = 24  # nodes that predict a node, at most, as in kernels/track.cl
 _BIN = 1.0  # cells at rest: side of a bin
 _LEAST_BIN = 4.0  # px
@@ -105,7 +104,9 @@ class Tracker:
     ) -> None:
         self._queue, self._device = queue, device
         self._frame = frame
-        self._looks: WeakKeyDictionary[Plan, tuple[cl.Buffer, list[Launch]]] = WeakKeyDictionary()
+        self._bound_to: WeakKeyDictionary[Plan, tuple[cl.Buffer, list[Launch]]] = (
+            WeakKeyDictionary()
+        )
         self.shape = rows, columns = views[0][0].shape
         self._count, self._levels = len(views), octaves + 1
         self.capacity = multiple(max(LEAST_ROOM, 2 * rows * columns), GROUP)
@@ -162,7 +163,6 @@ class Tracker:
                 "VARIANCE_FIELD": VARIANCE,
             },
         )
-        self.launches = self._listed()
 
     @staticmethod
     def layout(views: int, shape: tuple[int, int]) -> Layout:
@@ -188,8 +188,26 @@ class Tracker:
         for memory in (self._work, self._constants):
             memory.release()
 
-    def _listed(self) -> list[Launch]:
+    def launches(self, plan: Plan) -> list[Launch]:
+        """Return the launches that track the nodes in the frames of a detector's plan."""
+        result = plan.arrays["result"]
+        known = self._bound_to.get(plan)
+        if known is None or known[0] is not result:  # its lists have grown
+            names = {"corners": "looks", "counts": "look_counts", "result": "look_result"}
+            parts = {name: self._parts[own] for name, own in names.items()}
+            looks = refine.looks(plan, room=self.room, **parts)
+            known = result, self.bind(result, plan.corner_capacity, looks)
+            self._bound_to[plan] = known
+        return known[1]
+
+    def bind(self, result: cl.Buffer, room: int, looks: Sequence[Launch]) -> list[Launch]:
+        """Return the launches that track the nodes among the corners of a result.
+
+        result: in the layout of kernels/result.clh, with room for so many corners in each view.
+        looks: those of the second look; if there are none, nodes get none.
+        """
         nodes = self.shape[0] * self.shape[1]
+        found = result, np.uint32(_stride(room)), np.uint32(room)
         rows_and_columns = np.int32(self._bins[0]), np.int32(self._bins[1])
         bins = np.float32(1 / self._bin), *rows_and_columns
         chains = *bins, "first_of_bin", "next"
@@ -200,12 +218,12 @@ class Tracker:
                 "quantiles",
                 (group, self._count * self._levels),
                 (group, 1),
-                *(*_RESULT, *rows_and_columns, "quantile", "first_of_bin"),
+                *(*found, *rows_and_columns, "quantile", "first_of_bin"),
             ),
             self._of_nodes(
                 "place",
                 max(nodes, self.capacity),
-                *(*_RESULT, "quantile", *bins, "nodes", "corners", "last", "predicted"),
+                *(*found, "quantile", *bins, "nodes", "corners", "last", "predicted"),
                 *("first_of_bin", "next", "claims", *look_counts, "tracked"),
             ),
             self._of_nodes(
@@ -227,6 +245,7 @@ class Tracker:
                 *("expected", "look", "looks", np.uint32(self._count * self.room)),
                 *(*look_counts, "tracked"),
             ),
+            *looks,
             self._of_nodes(
                 "enter",
                 nodes,
@@ -249,30 +268,6 @@ class Tracker:
         enough. Enqueues a copy: they do not move."""
         cl.enqueue_copy(self._queue, self._parts["last"], self._parts["nodes"])
         return all(not grid.ambiguous and grid.valid.mean() >= 1 - LOST for grid in grids)
-
-    def start(
-        self, result: cl.Buffer, room: int, looks: Sequence[Launch] = ()
-    ) -> list[tuple[str, cl.Event]]:
-        """Enqueue the tracking of a frame. result: its corners in the layout of
-        kernels/result.clh, with room for so many in each view. looks: as `looks` returns them; if
-        there are none, nodes get no second look."""
-        for launch in self.launches[:2]:
-            launch.kernel.set_arg(0, result)
-            launch.kernel.set_arg(1, np.uint32(_stride(room)))
-            launch.kernel.set_arg(2, np.uint32(room))
-        in_order = *self.launches[:-1], *looks, self.launches[-1]
-        return [each.start(self._queue) for each in in_order]
-
-    def looks(self, plan: Plan) -> list[Launch]:
-        """Return the launches of the second look at the frames of a detector's plan."""
-        known = self._looks.get(plan)
-        if known is not None and known[0] is plan.arrays["image"]:
-            return known[1]
-        names = {"corners": "looks", "counts": "look_counts", "result": "look_result"}
-        parts = {name: self._parts[own] for name, own in names.items()}
-        launches = refine.looks(plan, room=self.room, **parts)
-        self._looks[plan] = plan.arrays["image"], launches
-        return launches
 
     def holds(self, arrays: Mapping[str, NDArray[Any]], corners: Sequence[int]) -> bool:
         """Return whether the numbers of the frame before hold in all views.

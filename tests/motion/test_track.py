@@ -127,7 +127,9 @@ def tracker_of(device):
         def follow(*found):
             given = result_of(found, ROOM)
             flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-            tracker.start(cl.Buffer(queue.context, flags, hostbuf=given), ROOM)
+            result = cl.Buffer(queue.context, flags, hostbuf=given)
+            for launch in tracker.bind(result, ROOM, looks=[]):
+                launch.start(queue)
             frame.download()
             queue.finish()
             arrays = {name: values.copy() for name, values in frame.arrays.items()}
@@ -268,7 +270,8 @@ def test_nodes_without_a_corner_are_looked_at_again(device, shape, every):
         frame.upload()
         tracker.begin([grid])
         plan = hiding.begin([picture])
-        tracker.start(plan.arrays["result"], plan.corner_capacity, tracker.looks(plan))
+        for launch in tracker.launches(plan):
+            launch.start(hiding.queue)
         frame.download()
         (seen,) = hiding.finish(plan)[0].corners
         hiding.queue.finish()
