@@ -24,6 +24,8 @@
 #define VARIANCE_OF_RANGE 3000
 #define LEAST_RANGE 0.0025f
 #define VARIANCE_OF_GRAIN 2.2f
+#define QUANTILES 4
+#define OF_GRAIN 3 /* the last of them */
 #define FEW 8 /* corners that do not tell what the noise is */
 #define VARIANCE_OF_MODEL 1e-4f /* px^2 of the octave */
 
@@ -129,59 +131,52 @@ uint ordered(const float v) {
   return bits & 0x80000000u ? ~bits : bits | 0x80000000u;
 }
 
-/* The 5th, 40th and 50th percentile of the residual's autocorrelation of the corners that EDGE_STEP
- * accepted, for each view and octave, byte by byte from the first; infinite if there are none. Then
- * the median of their grains, and of FEW more that have none. The bins of the view are emptied too.
- * One work-group for each. */
+/* Of each view and octave, QUANTILES numbers: the 5th, 40th and 50th percentile of the residual's
+ * autocorrelation of the corners that EDGE_STEP accepted, infinite if there are none; then the median
+ * of their grains, and of FEW more that have none. Byte by byte from the first. The bins of the view
+ * are emptied too. One work-group for each number. */
 __kernel void quantiles(__global const float *result, const uint stride, const uint room,
-                        const int bin_rows, const int bin_columns, __global float4 *quantile,
+                        const int bin_rows, const int bin_columns, __global float *quantile,
                         __global int *first_of_bin) {
-  const int view = get_group_id(1) / LEVELS, octave = get_group_id(1) % LEVELS;
+  const int group = get_group_id(1), q = group % QUANTILES, octave = group / QUANTILES % LEVELS;
+  const int view = group / (QUANTILES * LEVELS);
   const int first = get_local_id(0), items = get_local_size(0);
-  for (int b = first; octave == 0 && b < bin_rows * bin_columns; b += items)
+  for (int b = first; octave == 0 && q == 0 && b < bin_rows * bin_columns; b += items)
     first_of_bin[BINS + b] = NONE;
   RESULT_OF_VIEW(result, stride, room)
-  __local uint bins[4][256], prefix[4], rank[4], all;
+  __global const float *values = q == OF_GRAIN ? grains : correlations;
+  __local uint bins[256], prefix, rank, all;
   for (int shift = 24; shift >= 0; shift -= 8) {
-    const int later = shift == 24 ? 2 : 0; /* the first byte is counted once for the first three */
-    for (int q = later; q < 4; ++q)
-      for (int b = first; b < 256; b += items) bins[q][b] = 0;
+    for (int b = first; b < 256; b += items) bins[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int n = first; n < count; n += items) {
       if (methods[n] != BY_EDGE_STEP || OCTAVE_OF(n) != octave) continue;
-      for (int q = later; q < 4; ++q) {
-        const uint key = ordered(q == 3 ? grains[n] : correlations[n]);
-        if (shift != 24 && key >> (shift + 8) != prefix[q]) continue;
-        if (items == 1) ++bins[q][key >> shift & 255];
-        else atomic_inc(bins[q] + (key >> shift & 255));
-      }
+      const uint key = ordered(values[n]);
+      if (shift != 24 && key >> (shift + 8) != prefix) continue;
+      if (items == 1) ++bins[key >> shift & 255];
+      else atomic_inc(bins + (key >> shift & 255));
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int q = first; q < 4; q += items) {
-      __local const uint *counted = bins[max(q, later)];
+    if (first == 0) {
       if (shift == 24) {
-        uint sum = 0;
-        for (int b = 0; b < 256; ++b) sum += counted[b];
-        const uint above = q == 0   ? 19 * sum / 20
-                           : q == 1 ? 3 * sum / 5
-                           : q == 2 ? sum / 2
-                                    : sum / 2 + FEW / 2;
-        rank[q] = sum > above ? sum - 1 - above : 0;
-        prefix[q] = 0;
-        if (q == 0) all = sum;
+        all = 0;
+        for (int b = 0; b < 256; ++b) all += bins[b];
+        const uint above = q == 0   ? 19 * all / 20
+                           : q == 1 ? 3 * all / 5
+                           : q == 2 ? all / 2
+                                    : all / 2 + FEW / 2;
+        rank = all > above ? all - 1 - above : 0;
+        prefix = 0;
       }
       uint b = 0;
-      for (; b < 255 && counted[b] <= rank[q]; ++b) rank[q] -= counted[b];
-      prefix[q] = prefix[q] << 8 | b;
+      for (; b < 255 && bins[b] <= rank; ++b) rank -= bins[b];
+      prefix = prefix << 8 | b;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
   }
-#define NUMBER_OF(key) as_float((key) & 0x80000000u ? (key) & 0x7fffffffu : ~(key))
-  if (first == 0)
-    quantile[get_group_id(1)] = all ? (float4)(NUMBER_OF(prefix[0]), NUMBER_OF(prefix[1]),
-                                               NUMBER_OF(prefix[2]),
-                                               all > FEW ? NUMBER_OF(prefix[3]) : 0.0f)
-                                    : (float4)(INFINITY, INFINITY, INFINITY, 0.0f);
+  if (first != 0) return;
+  const float found = as_float(prefix & 0x80000000u ? prefix & 0x7fffffffu : ~prefix);
+  quantile[group] = q == OF_GRAIN ? (all > FEW ? found : 0.0f) : all ? found : INFINITY;
 }
 
 /* Chain the corners of each bin, and predict the nodes: they move on as they moved last. The

@@ -37,6 +37,8 @@ STRAIN = (  # arguments of the strain's kernel
     *("rest_position", "displacement", "valid", "covariance", "slopes"),
     *("rest_covariance", "rest_slopes", "strain", "strain_covariance"),
 )
+_ENTRIES = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # the place of each entry among them
+_UNIT = np.eye(2)[..., None, None]
 _OPENED = 3.0  # largest ratio of the wear of a strained print to its wear at rest
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -474,20 +476,13 @@ def planes(values: Array) -> NDArray[np.float32]:
 
 def nodes(planes: NDArray[np.float32]) -> Array:
     """Return planes (K, R, C) as values of nodes, (R, C, K) float64."""
-    found = np.empty((*planes.shape[1:], len(planes)))
-    for number, plane in enumerate(planes):
-        found[..., number] = plane
+    found: Array = planes.astype(np.float64).transpose(1, 2, 0)
     return found
 
 
 def matrices(planes: NDArray[np.float32]) -> Array:
     """Return the symmetric matrices (R, C, K, K) float64 of xx xy xz yy yz zz, (6, R, C), or of the
     variance per axis of a plane, (1, R, C)."""
-    axes = 2 if len(planes) == 1 else 3
-    found = np.zeros((*planes.shape[1:], axes, axes))
-    if axes == 2:
-        found[..., 0, 0] = found[..., 1, 1] = planes[0]
-    else:
-        for (i, j), plane in zip(_PAIRS_OF_AXES, planes, strict=True):
-            found[..., i, j] = found[..., j, i] = plane
+    full = _UNIT * planes if len(planes) == 1 else planes[_ENTRIES].astype(np.float64)
+    found: Array = full.transpose(2, 3, 0, 1)
     return found

@@ -112,6 +112,26 @@ class AtRest:
         """Return them without the shift by bent edges, (R, C, D)."""
         return self.filtered.values - self.moment.bend
 
+    @functools.cached_property
+    def _places(self) -> tuple[Array, ...]:
+        found = self.filtered
+        return _read_only(
+            self.position, found.covariance, self.moment.at.copy(), found.raw_covariance
+        )
+
+    def places(self, missing: NDArray[np.bool_]) -> tuple[Array, ...]:
+        """Return `position` and its covariance, then both before the filter, NaN at missing nodes.
+
+        They are read-only: without missing nodes, all fields share them.
+        """
+        if not missing.any():
+            return self._places
+        row, column = np.nonzero(missing)
+        copies = [each.copy() for each in self._places]
+        for each in copies:
+            each[row, column] = np.nan
+        return _read_only(*copies)
+
     @property
     def most(self) -> Array:
         """Return the share of the positions at rest in the largest variance of the noise of a
@@ -164,6 +184,12 @@ class AtRest:
         )
 
 
+def _read_only(*arrays: Array) -> tuple[Array, ...]:
+    for each in arrays:
+        each.flags.writeable = False
+    return arrays
+
+
 def field_of(
     at_rest: AtRest,
     *,
@@ -178,38 +204,30 @@ def field_of(
     """Return the field with these displacements, and before the filter.
 
     moved, displacement: (R, C, D), before the filter and after it, without the shift by bent edges.
-    covariance, raw_covariance: their covariances, which become NaN where the field is. strain_of:
-    as in `DisplacementField`.
+    covariance, raw_covariance: their covariances. All are NaN where there is no displacement.
+    strain_of: as in `DisplacementField`.
     """
-    missing = status != PointStatus.VALID
-    covariance[missing] = raw_covariance[missing] = np.nan
-    rest, found = at_rest.moment, at_rest.filtered
+    places = at_rest.places(status != PointStatus.VALID.value)
+    position, position_covariance, raw_position, raw_position_covariance = places
     raw = DisplacementField(
-        position=_without(missing, rest.at),
+        position=raw_position,
         displacement=moved,
         covariance=raw_covariance,
-        position_covariance=_without(missing, found.raw_covariance),
+        position_covariance=raw_position_covariance,
         status=status,
         source=source,
-        unit=rest.unit,
+        unit=at_rest.moment.unit,
         strain_of=_no_strain,
     )
     return dataclasses.replace(
         raw,
-        position=_without(missing, at_rest.position),
+        position=position,
         displacement=displacement,
         covariance=covariance,
-        position_covariance=_without(missing, found.covariance),
+        position_covariance=position_covariance,
         raw=raw,
         strain_of=strain_of,
     )
-
-
-def _without(missing: NDArray[np.bool_], values: Array) -> Array:
-    """Return a copy of values of nodes, NaN where they are missing."""
-    found = values.copy()
-    found[missing] = np.nan
-    return found
 
 
 def _no_strain(_: DisplacementField) -> tuple[Array, Array]:

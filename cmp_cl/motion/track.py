@@ -31,7 +31,8 @@ GONE = 0.50  # largest share of a side's nodes that are lost
 KNOWN = 0.95  # least share of the nodes that the frame at rest must show
 COUNTED = 12  # numbers for each view, as in kernels/track.cl
 LEAST_ROOM = 4096  # corners of a view
-QUANTILE_GROUP = 256  # work-items that look for quantiles together
+QUANTILES = 4  # of the corners of an octave, as in kernels/track.cl
+QUANTILE_GROUP = 256  # work-items that look for one together
 STENCIL = 24  # nodes that predict a node, at most, as in kernels/track.cl
 _BIN = 1.0  # cells at rest: side of a bin
 _LEAST_BIN = 4.0  # px
@@ -121,7 +122,7 @@ class Tracker:
             queue,
             {
                 "corners": ((*corners, 4), np.float32),
-                "quantile": ((self._count, self._levels, 4), np.float32),
+                "quantile": ((self._count, self._levels, QUANTILES), np.float32),
                 "last": ((*nodes, 2), np.float32),
                 "predicted": ((*nodes, 2), np.float32),
                 "residual": ((*nodes, 2), np.float32),
@@ -216,7 +217,7 @@ class Tracker:
         return [
             self._bound(
                 "quantiles",
-                (group, self._count * self._levels),
+                (group, self._count * self._levels * QUANTILES),
                 (group, 1),
                 *(*found, *rows_and_columns, "quantile", "first_of_bin"),
             ),
