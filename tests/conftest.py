@@ -5,6 +5,7 @@
 fails every test that needs one.
 """
 
+import contextlib
 import os
 from collections.abc import Iterator
 
@@ -59,20 +60,26 @@ def own_programs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(program, "_shared", program._shared.__wrapped__)
 
 
-@pytest.fixture(scope="session", params=Form, ids=lambda form: form.value)
+@pytest.fixture(params=Form, ids=lambda form: form.value)
 def form(request: pytest.FixtureRequest) -> Form:
     """Return each form of the kernels in turn."""
     return request.param
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def device_in_form(device: Device, form: Form) -> Device:
     """Return the device under test, on which the kernels have that form."""
     return in_form(device, form)
 
 
 @pytest.fixture(scope="session")
-def detector_in_form(device_in_form: Device) -> Iterator[MakeDetector]:
-    """Yield detector_in_form(image, config, mask): as `detector_for`, in each form in turn."""
-    with detectors_on(device_in_form) as make:
-        yield make
+def detectors_by_form(device: Device) -> Iterator[dict[Form, MakeDetector]]:
+    """Yield what makes detectors, as `detector_for`, for each form."""
+    with contextlib.ExitStack() as stack:
+        yield {form: stack.enter_context(detectors_on(in_form(device, form))) for form in Form}
+
+
+@pytest.fixture
+def detector_in_form(detectors_by_form: dict[Form, MakeDetector], form: Form) -> MakeDetector:
+    """Return detector_in_form(image, config, mask): as `detector_for`, in each form in turn."""
+    return detectors_by_form[form]

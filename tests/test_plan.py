@@ -26,7 +26,7 @@ FULL = DetectorConfig(
 HARMONIC = DetectorConfig(refinement=EdgeStep())
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def detector_for(detector_in_form):
     return detector_in_form
 

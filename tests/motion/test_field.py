@@ -150,14 +150,14 @@ def expected(rig, rest, now):
     return Expected(status, moved, found, displaced)
 
 
-CASES = {
-    "whole": ((20, 22), [], []),
-    "holes and a tear": ((18, 16), [(5, 5), (0, 3), (9, 9), (9, 10), (10, 10)], []),
-    "a border line is missing": ((16, 17), [(0, c) for c in range(17)], []),
-    "two parts": ((12, 24), [(r, c) for r in range(12) for c in range(10, 14)], []),
-    "outliers": ((20, 20), [(3, 3)], [(8, 8), (15, 4)]),
+USUAL = 18, 16  # nodes; each other shape is compiled anew
+CASES = {  # shape, holes, wrong nodes
+    "whole": (USUAL, [], []),
+    "holes and a tear": (USUAL, [(5, 5), (0, 3), (9, 9), (9, 10), (10, 10)], []),
+    "a border line is missing": (USUAL, [(0, c) for c in range(16)], []),
+    "two parts": (USUAL, [(r, c) for r in range(18) for c in range(6, 10)], []),
+    "outliers": (USUAL, [(3, 3)], [(8, 8), (15, 4)]),
     "narrow": ((3, 9), [], []),
-    "holes": ((10, 11), [(4, 4), (0, 3)], []),
     "wide": ((7, 40), [(3, 20)], []),
 }
 
@@ -182,11 +182,11 @@ def seen_by(views, rig, *grids):
     ("case", "views", "lens", "window"),
     [
         *((case, views, "pinhole", "no window") for case in CASES for views in (1, 2)),
-        ("holes", 2, "rational", "no window"),
-        ("holes", 2, "thin prism", "no window"),
-        ("holes", 2, "pinhole", "acrylic and gel"),
-        ("holes", 2, "pinhole", "one medium"),
-        ("holes", 2, "rational", "an air gap"),
+        ("holes and a tear", 2, "rational", "no window"),
+        ("holes and a tear", 2, "thin prism", "no window"),
+        ("holes and a tear", 2, "pinhole", "acrylic and gel"),
+        ("holes and a tear", 2, "pinhole", "one medium"),
+        ("holes and a tear", 2, "rational", "an air gap"),
     ],
 )
 def test_the_field_is_the_oracles(run, case, views, lens, window):
@@ -214,7 +214,7 @@ def test_nodes_before_the_last_face_of_a_window_are_told_as_by_the_oracle(run):
     """As seen in air, the middle of the press lies within the acrylic."""
     near = dataclasses.replace(WINDOWS["acrylic and gel"], normal=(0, 0, 1), distance=40.0)
     rig, rng = dataclasses.replace(rig_with(), window=near), np.random.default_rng(3)
-    rest, now = (views_of(rig_with(), surface(10, 11, press), rng) for press in (0.0, 4.0))
+    rest, now = (views_of(rig_with(), surface(*USUAL, press), rng) for press in (0.0, 4.0))
     _, _, field = run(rig, rest, now)
     assert 4 < np.count_nonzero(field.status == PointStatus.BEHIND) < 60
     np.testing.assert_array_equal(field.status, expected(rig, rest, now).status)
@@ -264,22 +264,22 @@ def test_the_strain_is_the_oracles(run, device, case, views, at_once):
 @pytest.mark.parametrize("window", ["no window", "acrylic and gel"])
 def test_points_that_no_rig_can_see_say_why(run, window):
     rng, rig = np.random.default_rng(6), rig_with(window=window)
-    rest = views_of(rig, surface(9, 9), rng)
-    now = views_of(rig, surface(9, 9), rng)
+    rest = views_of(rig, surface(*USUAL), rng)
+    now = views_of(rig, surface(*USUAL), rng)
     now[1].xy[2, 2] += (0, 12)  # off its epipolar line
     now[1].xy[4, 4] = now[0].xy[4, 4] + 300  # behind the cameras
-    now[1].xy[4, 6] += (-250, 0)  # far in front of the pattern, and of a window
+    now[1].xy[8, 9] += (-250, 0)  # far in front of the pattern, and of a window
     now = tuple(with_holes(grid, (6, 6)) for grid in now)
     _, _, field = run(rig, rest, now)
     other = rig.triangulate(*now)
     np.testing.assert_array_equal(field.status, other.status)
     assert set(np.unique(field.status)) >= {PointStatus.MISSING, PointStatus.INCONSISTENT}
-    assert field.status[4, 6] == (PointStatus.VALID if rig.window is None else PointStatus.BEHIND)
+    assert field.status[8, 9] == (PointStatus.VALID if rig.window is None else PointStatus.BEHIND)
 
 
 def test_the_same_nodes_give_the_same_bytes(run):
     rng, rig = np.random.default_rng(7), rig_with()
-    rest, now = (views_of(rig, surface(11, 13, press), rng) for press in (0.0, 1.0))
+    rest, now = (views_of(rig, surface(*USUAL, press), rng) for press in (0.0, 1.0))
     first, again = (run(rig, rest, now)[1] for _ in range(2))
     for name, values in first.items():
         assert values.tobytes() == again[name].tobytes(), name
@@ -290,7 +290,7 @@ def test_a_device_without_double_precision_errs_by_hundredths_of_a_micrometre(
     run, monkeypatch, window
 ):
     rng, rig = np.random.default_rng(8), rig_with(window=window)
-    rest, now = (views_of(rig, surface(16, 16, press), rng) for press in (0.0, 1.0))
+    rest, now = (views_of(rig, surface(*USUAL, press), rng) for press in (0.0, 1.0))
     _, _, exact = run(rig, rest, now)
     monkeypatch.setattr(plans, "has_double", lambda device: False)
     _, _, single = run(rig, rest, now)
