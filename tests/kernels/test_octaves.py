@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from cases import some
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
+from corner_images import to_nearest
 
 from cmp_cl import DetectorConfig, EdgeLines, Midlines, RingHarmonic
+from cmp_cl.synthetic import boards
 
 SHAPE = (263, 305)  # odd, also when halved
 OCTAVES = DetectorConfig(detection=RingHarmonic(octaves=3))
@@ -51,11 +53,24 @@ def test_corners_of_all_octaves_equal_the_oracle(detector_in_form, seed, config)
     assert_corners_equal(detector_in_form(deep, config), deep)
 
 
+@pytest.mark.parametrize(("rows", "halved"), [(95, False), (96, True)])
+def test_the_shorter_side_of_a_halved_frame_has_48_px_or_more(detector_in_form, rows, halved):
+    image = ink(40, 0.08)[0][:rows]
+    found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
+    assert (found.octave > 0).any() == halved
+
+
 def test_strict_bounds_of_noise_and_of_the_wide_ring_are_the_oracles(detector_in_form):
     """The noise bound of a halved frame decides here, and so does the frame's wide ring."""
     image = drawn(7)
     config = DetectorConfig(detection=RingHarmonic(noise=20, relative=0.5), refinement=None)
     assert len(assert_corners_equal(detector_in_form(image, config), image)) > 0
+
+
+def assert_found_alone(found, truth, margin):
+    """Assert that the corners so far inside are found, within 6 px, and no others."""
+    for one, other in ((truth, found.xy), (found.xy, truth)):
+        assert to_nearest(one[boards.inside(one, SHAPE, margin)], other).max() < 6
 
 
 @pytest.mark.parametrize("smooth", [1, 2, 3])
@@ -65,10 +80,7 @@ def test_noise_between_wide_cells_is_no_corner(detector_in_form, smooth):
     dim = np.linspace(0.4, 1, SHAPE[1]) * image + 12 * noise / noise.std()
     image = dim.clip(0, 255).astype(np.uint8)
     found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
-    inside, near = (((xy > 15) & (xy < (289, 247))).all(axis=1) for xy in (truth, found.xy))
-    apart = np.linalg.norm(truth[:, None] - found.xy, axis=2)
-    assert apart[inside].min(axis=1).max() < 6
-    assert apart[:, near].min(axis=0).max() < 6
+    assert_found_alone(found, truth, 15)
     none = DetectorConfig(detection=RingHarmonic(octaves=0))
     assert len(assert_corners_equal(detector_in_form(image, none), image)) > len(found) + 2
 
@@ -81,10 +93,7 @@ def test_strong_noise_on_the_small_ring_is_no_corner(detector_in_form, seed, smo
     soft = cv2.GaussianBlur(image.astype(float), (0, 0), 1.3)
     image = (13 + 0.6 * soft + 12 * noise / noise.std()).clip(0, 255).astype(np.uint8)
     found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
-    inside, near = (((xy > 20) & (xy < (284, 242))).all(axis=1) for xy in (truth, found.xy))
-    apart = np.linalg.norm(truth[:, None] - found.xy, axis=2)
-    assert apart[inside].min(axis=1).max() < 6
-    assert apart[:, near].min(axis=0).max() < 6
+    assert_found_alone(found, truth, 20)
 
 
 @pytest.mark.parametrize("cell", [8, 12, 17])
@@ -94,20 +103,17 @@ def test_a_faint_pattern_of_small_cells_beside_wide_ones_is_found(detector_in_fo
     image[:, 150:] = 90 + 0.25 * (small[:, 150:] - 128.0)
     inside = ((truth > (165, 15)) & (truth < (290, 248))).all(axis=1)
     found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
-    apart = np.linalg.norm(truth[inside][:, None] - found.xy, axis=2)
-    assert apart.min(axis=1).max() < 1
+    assert to_nearest(truth[inside], found.xy).max() < 1
 
 
 @pytest.mark.parametrize("cell", [40, 50])
 def test_squares_that_ink_joins_have_their_corners_in_a_halved_frame(detector_in_form, cell):
     image, truth = ink(cell, 0.08)
-    inside = ((truth > cell / 2) & (truth < np.array(SHAPE[::-1]) - cell / 2)).all(axis=1)
     found = detector_in_form(image, OCTAVES)(image)
-    apart = np.linalg.norm(truth[inside][:, None] - found.xy, axis=2)
-    assert inside.sum() > 8
-    assert apart.min(axis=1).max() < 0.1 * cell
-    whole = ((found.xy > cell) & (found.xy < np.array(SHAPE[::-1]) - cell)).all(axis=1)
-    assert np.linalg.norm(found.xy[whole][:, None] - truth, axis=2).min(axis=1).max() < 0.1 * cell
+    seen = truth[boards.inside(truth, SHAPE, cell / 2)]
+    assert len(seen) > 8
+    assert to_nearest(seen, found.xy).max() < 0.1 * cell
+    assert to_nearest(found.xy[boards.inside(found.xy, SHAPE, cell)], truth).max() < 0.1 * cell
     assert (found.octave > 0).any()
     order = np.lexsort((found.pixel[:, 0], found.pixel[:, 1]))
     np.testing.assert_array_equal(order, np.arange(len(found)))

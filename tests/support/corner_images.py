@@ -57,6 +57,11 @@ def _pixels(
     return np.rint(grey).astype(np.uint8)
 
 
+def to_nearest(points: NDArray, others: NDArray) -> NDArray[np.float64]:
+    """Return how far each point, (N, 2), is from the nearest of others, (M, 2)."""
+    return np.linalg.norm(points[:, None] - others, axis=2).min(axis=1, initial=np.inf)
+
+
 def noise(shape: tuple[int, int], seed: int = 0) -> NDArray[np.uint8]:
     """Return uniform noise over all grey levels."""
     return np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)
