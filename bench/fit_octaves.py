@@ -22,15 +22,12 @@ RADIUS = 3  # px, of suppression
 KINDS = ("all", "spread ink", "noise, wide", "noise", "clutter", "cells under 20 px")
 VARIED: dict[str, tuple[float, ...]] = {  # of the oracle; `relative` is the rule's
     "relative": (0.125, 0.16, 0.22, 0.25),
-    "FRAME_WIDE": (1, 3, 10**6),
     "OCTAVE_WIDE": (1, 2, 8, 10**6),
     "OCTAVE_SHARE": (16, 24, 32, 40, 56, 72, 80),
     "OCTAVE_APART": (2, 3, 4, 6, 8),
-    "STRONG": (1, 1.3, 2.7, 4),
-    "CLEAR": (0, 4, 6, 12, 16),
-    "NEIGHBOURS": (16, 20, 32),
-    "ALIGNED": (4, 5, 6, 8),
-    "OPPOSED": (0, 1, 3),
+    "STRONG": (1, 1.25, 1.75, 2),
+    "NEIGHBOURS": (20, 24, 28, 40),
+    "ALIGNED": (5, 6, 7, 10, 12),
     "SEEN": (0.5, 2.5),
 }
 

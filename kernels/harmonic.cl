@@ -22,7 +22,8 @@
 #define KINDS (1 + FINE + OCTAVES)
 #define KIND_OF_OCTAVE(n) ((n) ? FINE + (n) : 0)
 #define LIST_COLUMNS 6
-#define CLEAN (1 << 30) /* in the column of the sums: see mark_of */
+#define CLEAN (1 << 30) /* in the column of the sums, of the frame: see is_clean */
+#define WIDE CLEAN      /* the same bit in a halved frame: the ring of 8 px responds too */
 #define KEPT (1 << 29)  /* in the same column: a corner */
 
 /* The column of a work-item; in the padding it is the border column. */
@@ -141,11 +142,12 @@ bool is_maximum(__global const short *response, const size_t p, const int x, con
   return true;
 }
 
-/* True if little is subtracted from the length: the corner is weak at most in contrast. */
+/* True if little is subtracted from the length: the corner is weak at most in contrast, and may be
+ * half as weak as others. */
 bool is_clean(const int response, const Harmonics h) { return 4 * response >= 3 * h.length; }
 
 /* Append a maximum to a list. The columns are x, y, the response, and the sum and the moments
- * in x and y of the positive responses of the 5 x 5 around it. `mark` is CLEAN or 0, and the
+ * in x and y of the positive responses of the 5 x 5 around it. `mark` is CLEAN or WIDE, and the
  * direction. */
 void append(__global const short *response, const size_t p, const int x, const int y,
             const int mark, const uint rows, const uint step, const uint capacity,
@@ -175,14 +177,6 @@ void append(__global const short *response, const size_t p, const int x, const i
 
 #define IN_AREA(x, y, words) (area[(uint)(y) * (words) + (uint)(x) / 32] >> (x) % 32 & 1)
 
-/* CLEAN, if a maximum may be half as weak as others: it is clean, and the wide ring responds half as
- * much. In a halved frame: if the wide ring responds a quarter as much, without which there is no
- * corner. */
-int mark_of(const uint octave, const int r, const Harmonics h, const int wide) {
-  if (octave == 0 && !is_clean(r, h)) return 0;
-  return WIDE && (octave ? 4 : 2) * wide < r ? 0 : CLEAN;
-}
-
 /* List the maxima of the coarse response of an octave that pass the checks. `area` has a bit for
  * every pixel of the frame, in rows of `frame_words`. One work-item per pixel. */
 __kernel void coarse_maxima(__global const ushort *restrict fine_plane,
@@ -204,15 +198,17 @@ __kernel void coarse_maxima(__global const ushort *restrict fine_plane,
   /* Check 2: a ring of 4 px responds alike. */
   const int middle = coarse_response_of(harmonics_of(coarse_plane, p, x, y, 4, 3, rows, step));
   if (32 * middle < r || middle > 2 * r) return;
-#if WIDE
-  const int wide = coarse_response_of(harmonics_of(coarse_plane, p, x, y, 8, 6, rows, step));
-#else
-  const int wide = 0;
+  int mark = is_clean(r, outer) ? CLEAN : 0;
+#if OCTAVES
+  if (octave) {
+    const Harmonics wide = harmonics_of(coarse_plane, p, x, y, 8, 6, rows, step);
+    mark = 4 * coarse_response_of(wide) < r ? 0 : WIDE;
+  } else {
+    mark |= direction_bits(outer.second, outer.length);
+  }
 #endif
   const uint kind = KIND_OF_OCTAVE(octave);
-  const int direction = OCTAVES && !octave ? direction_bits(outer.second, outer.length) : 0;
-  append(response, p, x, y, mark_of(octave, r, outer, wide) | direction, rows, step, capacity,
-         counts + LIST(kind), LIST_OF(kind));
+  append(response, p, x, y, mark, rows, step, capacity, counts + LIST(kind), LIST_OF(kind));
 }
 
 #if FINE
@@ -389,7 +385,7 @@ Around around_maximum(__global const int *lists, __global const uint *counts, co
                       const Decision decision, __global const int *entry, const uint capacity,
                       const int coarse_share, const int fine_share) {
   const int x = entry[0], y = entry[capacity], own = entry[3 * capacity];
-  Around around = {0, 0, 0};
+  Around around = {0, 0};
   for (int fine = 0; fine <= FINE; ++fine) {
     __global const int *list = LIST_OF(fine);
     const uint count = min(counts[LIST(fine)], capacity);
@@ -399,11 +395,10 @@ Around around_maximum(__global const int *lists, __global const uint *counts, co
       const int marks = list[3 * capacity + n];
       if (!is_candidate(decision, fine, list[2 * capacity + n], marks, coarse_share, fine_share))
         continue;
-      const int to_other = facing(DIRECTION_X(own), DIRECTION_Y(own), DIRECTION_X(marks),
-                                  DIRECTION_Y(marks));
-      around.opposed += to_other < 0;
-      around.aligned += to_other != 0;
-      around.askew += to_other == 0;
+      const bool askew = are_askew(DIRECTION_X(own), DIRECTION_Y(own), DIRECTION_X(marks),
+                                   DIRECTION_Y(marks));
+      around.aligned += !askew;
+      around.askew += askew;
     }
   }
   return around;
@@ -412,20 +407,18 @@ Around around_maximum(__global const int *lists, __global const uint *counts, co
 /* A corner of the frame is strong, or not lone. A maximum of octave 1 is seen within 1 px of the
  * pixel of that octave. */
 bool is_lone(__global const int *lists, __global const uint *counts, __global const uint *seen,
-             const size_t p, const Decision decision, __global const int *entry, const bool fine,
-             const uint rows, const uint step, const uint capacity, const int coarse_share,
-             const int fine_share) {
-  if (!is_weak(entry[2 * capacity], fine, decision.bound[fine], decision.reference)) return false;
+             const size_t p, const Decision decision, __global const int *entry, const uint rows,
+             const uint step, const uint capacity, const int coarse_share, const int fine_share) {
+  if (!IS_WEAK(entry[2 * capacity], decision.reference)) return false;
   const Around around =
       around_maximum(lists, counts, p, decision, entry, capacity, coarse_share, fine_share);
   const int x = (PAD + entry[0]) & ~1, y = entry[capacity] & ~1;
   return IS_LONE_IN(around, any_bit(seen, p, x, y, 1, 3, rows, step));
 }
-#define IS_LONE(fine)                                                               \
-  is_lone(lists, counts, seen, p, decision, entry, fine, rows, step, capacity, coarse_share, \
-          fine_share)
+#define IS_LONE                                                                     \
+  is_lone(lists, counts, seen, p, decision, entry, rows, step, capacity, coarse_share, fine_share)
 #else
-#define IS_LONE(fine) false
+#define IS_LONE false
 #endif
 
 /* Keep the coarse corners: their response is above the noise bound and not below a share of the
@@ -440,7 +433,7 @@ __kernel void keep_coarse(__global int *lists, __global const uint *restrict cou
   ENTRY(0)
   const Decision decision = DECISION(p, 0);
   const int r = entry[2 * capacity], marks = entry[3 * capacity];
-  if (!is_candidate(decision, false, r, marks, coarse_share, fine_share) || IS_LONE(false)) return;
+  if (!is_candidate(decision, false, r, marks, coarse_share, fine_share) || IS_LONE) return;
   entry[3 * capacity] |= KEPT;
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);
@@ -467,7 +460,7 @@ __kernel void keep_fine(__global int *lists, __global const uint *restrict count
   const Decision decision = DECISION(p, 0);
   const int r = entry[2 * capacity], marks = entry[3 * capacity];
   if (taken[word] >> x % 32 & 1) return;
-  if (!is_candidate(decision, true, r, marks, coarse_share, fine_share) || IS_LONE(true)) return;
+  if (!is_candidate(decision, true, r, marks, coarse_share, fine_share) || IS_LONE) return;
   entry[3 * capacity] |= KEPT;
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);
@@ -487,7 +480,7 @@ __kernel void keep_octave(__global int *restrict lists, __global const uint *res
   OF_FRAME
   ENTRY(KIND_OF_OCTAVE(number))
   const int r = entry[2 * capacity], reach = 5 << octave;
-  if (!(entry[3 * capacity] & CLEAN) || r <= DECISION(p, octave).bound[0]) return;
+  if (!(entry[3 * capacity] & WIDE) || r <= DECISION(p, octave).bound[0]) return;
   if (128 * r < 48 * DECISION(p, 0).reference) return;
   if (any_bit(maxima, p, x, y, reach, reach - 1, rows, step)) return;
   entry[3 * capacity] |= KEPT;

@@ -31,14 +31,12 @@ ALIGNMENT, FINE_ALIGNMENT = 8, 4
 SUPPORT = 32
 WIDE: Ring = (8, 6)
 LEAST_SIDE = 48  # px, of a halved frame
-FRAME_WIDE, OCTAVE_WIDE = 2, 4  # the ring of 8 px responds at least one in so many
+OCTAVE_WIDE = 4  # the ring of 8 px responds at least one in so many
 OCTAVE_SHARE = 48  # least response of a corner of a halved frame, 1/128 of the reference
 OCTAVE_APART = 5  # px of the halved frame: nearer to a corner found before it is that corner
-STRONG = 2  # a response of half the reference needs nothing beside it
-CLEAR = 8  # a fine one needs 3/4 of it, or so many times its noise bound
-NEIGHBOURS = 24  # px in x and y: the corners of narrower cells have neighbours in there
-ALIGNED = 7  # of them that are opposed or alike suffice
-OPPOSED = 2  # of them, or no aligned one, beside one that the frame halved once has too
+STRONG = 1.5  # one in so many of the reference is a response that needs nothing beside it
+NEIGHBOURS = 32  # px in x and y: the corners of narrower cells have neighbours in there
+ALIGNED = 8  # of them suffice, and two more for each that is askew
 SEEN = 1.5  # px of the frame halved once
 UNIT = 15  # of a direction, about
 
@@ -63,14 +61,13 @@ class Maxima:
     """The maxima of one ring in a frame that was halved `halvings` times, in raster order, that
     pass the checks.
 
-    fine: whether the ring is that of 3 px. bound: the least response by noise. x, y: (N,) pixels of
-    the halved frame. response, length: (N,), of the ring. wide: (N,), the response of the ring of 8
-    px; 0 if `fine`. direction: (N, 2), of the second harmonic, about UNIT long.
+    fine: whether the ring is that of 3 px. x, y: (N,) pixels of the halved frame. response, length:
+    (N,), of the ring. wide: (N,), the response of the ring of 8 px; 0 if `fine`. direction: (N, 2),
+    of the second harmonic, about UNIT long.
     """
 
     halvings: int
     fine: bool
-    bound: int
     x: Whole
     y: Whole
     response: Whole
@@ -209,7 +206,6 @@ def layers_of(
             found = Maxima(
                 halvings=halvings,
                 fine=fine,
-                bound=bounds[fine],
                 x=x,
                 y=y,
                 response=response[y, x],
@@ -269,7 +265,7 @@ def decided(
         reach = OCTAVE_APART if each.halvings else nms_radius
         corner = ~is_near(each, kept, reach)
         if halves and not each.halvings:
-            asked = corner & is_weak(each, level)
+            asked = corner & (STRONG * each.response < level)
             corner[asked] = is_confirmed(each.of(asked), every, halves[0], nms_radius)
         kept.append(each.of(corner))
     return greatest, kept
@@ -278,9 +274,8 @@ def decided(
 def strong_enough(found: Maxima, rule: RingHarmonic, level: int) -> Maxima:
     """Return the maxima that are strong enough against the reference.
 
-    Clean ones of the frame may be half as strong; with octaves only if the ring of 8 px responds
-    half as much: noise that looks like a corner on one ring is independent of it on the next. In a
-    halved frame the ring of 8 px must respond a quarter as much.
+    Clean ones of the frame may be half as strong. In a halved frame the ring of 8 px must respond a
+    quarter as much: noise that looks like a corner on one ring is independent of it on the next.
     """
     if found.fine:
         return found.of(128 * found.response >= rule.fine_share * level)
@@ -288,30 +283,21 @@ def strong_enough(found: Maxima, rule: RingHarmonic, level: int) -> Maxima:
         strong = 128 * found.response >= OCTAVE_SHARE * level
         return found.of(strong & (OCTAVE_WIDE * found.wide >= found.response))
     clean = 4 * found.response >= 3 * found.length  # weak at most in contrast; dirt loses more
-    if rule.octaves:
-        clean &= FRAME_WIDE * found.wide >= found.response
     return found.of(np.where(clean, 256, 128) * found.response >= rule.coarse_share * level)
-
-
-def is_weak(found: Maxima, level: int) -> NDArray[np.bool_]:
-    """Return which maxima of the frame need more than their response."""
-    weak: NDArray[np.bool_] = STRONG * found.response < level
-    if found.fine:
-        weak |= (found.response < CLEAR * found.bound) & (4 * found.response < 3 * level)
-    return weak
 
 
 def is_confirmed(
     asked: Maxima, every: Sequence[Maxima], half: Maxima, nms_radius: int
 ) -> NDArray[np.bool_]:
-    """Return which maxima of the frame their neighbours confirm, or the frame halved once.
+    """Return which maxima of the frame many neighbours confirm, or the frame halved once with no
+    neighbour against it.
 
     every: those of the frame that are strong enough. half: those of the frame halved once. Noise is
         weaker there, and independent of that of the frame; the corners of wide cells stay.
     """
-    opposed, aligned, askew = around(asked, every, nms_radius)
-    seen = is_near(asked, [half], SEEN) & ((aligned == 0) | (opposed >= OPPOSED))
-    confirmed: NDArray[np.bool_] = (opposed >= 2 * askew) & (seen | (aligned >= ALIGNED))
+    aligned, askew = around(asked, every, nms_radius)
+    confirmed: NDArray[np.bool_] = is_near(asked, [half], SEEN) & (askew == 0)
+    confirmed |= aligned >= ALIGNED + 2 * askew
     return confirmed
 
 
@@ -331,21 +317,21 @@ def is_near(found: Maxima, others: Sequence[Maxima], reach: float) -> NDArray[np
 
 
 def around(asked: Maxima, every: Sequence[Maxima], nms_radius: int) -> Whole:
-    """Return (3, N): how many maxima around each are opposed to it, how many are opposed or alike,
-    and how many askew.
+    """Return (2, N): how many maxima around each are aligned with it, opposed or alike, and how
+    many are askew.
 
-    Those of a checkerboard are opposed or alike; those of noise have any direction.
+    Those of a checkerboard are aligned; those of noise have any direction, and more than half of
+    them are askew.
     """
     x, y, direction = (
         np.concatenate([getattr(each, name) for each in every]) for name in ("x", "y", "direction")
     )
-    found = np.zeros((3, len(asked.x)), np.int64)
+    found = np.zeros((2, len(asked.x)), np.int64)
     for n, own in enumerate(asked.direction):
         apart = np.maximum(np.abs(x - asked.x[n]), np.abs(y - asked.y[n]))
         near = direction[(apart > nms_radius) & (apart <= NEIGHBOURS)]
-        along = near @ own
-        askew = 3 * along**2 < 2 * (own @ own) * (near**2).sum(axis=1)
-        found[:, n] = (~askew & (along < 0)).sum(), (~askew).sum(), askew.sum()
+        askew = 3 * (near @ own) ** 2 < 2 * (own @ own) * (near**2).sum(axis=1)
+        found[:, n] = (~askew).sum(), askew.sum()
     return found
 
 

@@ -27,7 +27,6 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
     return {
         "FINE": int(rule.fine),
         "FRAME_GROUP": FRAME_GROUP,
-        "WIDE": int(rule.octaves > 0),
         "WHOLE_LEVELS": int(whole),
     }
 
@@ -271,7 +270,7 @@ def _work_rows(plan: PlanBase) -> int:
     """Return the rows of 16-bit numbers that a band keeps, see kernels/cpu/harmonic.cl."""
     radius = plan.config.nms_radius
     smooth = 16 if radius <= 4 else 32
-    coarse = 32 if _rule(plan).octaves else smooth
+    coarse = 32 if plan.octaves else smooth
     responses = 8 if radius <= 3 else 16 if radius <= 7 else 32
     return 4 + smooth + 4 + coarse + 2 + 1 + 2 + responses * (1 + _rule(plan).fine)
 

@@ -22,16 +22,16 @@
 
 #define LEAST 80  /* below every bound of a response */
 #define REACH_OF_RING 5
-#define REACH_OF_WIDE (WIDE ? 8 : REACH_OF_RING)
+#define REACH_OF_WIDE (OCTAVES ? 8 : REACH_OF_RING)
 #define LAG (REACH_OF_RING + 3) /* from an image row to the response that it completes */
-#define BESIDE_MAXIMUM LARGER(NMS_RADIUS, WIDE ? 3 : 2) /* rows of suppression, and of the moments */
+#define BESIDE_MAXIMUM LARGER(NMS_RADIUS, OCTAVES ? 3 : 2) /* rows of suppression, and of the moments */
 #define BEYOND (LAG + BESIDE_MAXIMUM)
 #define ROWS_AT_A_TIME 8 /* that a band takes */
 
 /* Ring buffers: powers of two. A smoothed row serves from the response REACH_OF_RING rows above
  * until check 1 of a maximum REACH_OF_RING rows below; of S3, until the wide ring. */
 #define SMOOTH_ROWS (NMS_RADIUS <= 4 ? 16 : 32)
-#define COARSE_ROWS (WIDE ? 32 : SMOOTH_ROWS)
+#define COARSE_ROWS (OCTAVES ? 32 : SMOOTH_ROWS)
 #define RESPONSE_ROWS (NMS_RADIUS <= 3 ? 8 : NMS_RADIUS <= 7 ? 16 : 32)
 #define SMOOTH_AT(y) ((size_t)((y) & (SMOOTH_ROWS - 1)) * step + PAD)
 #define COARSE_AT(y) ((size_t)((y) & (COARSE_ROWS - 1)) * step + PAD)
@@ -266,10 +266,12 @@ int coarse_response_of(const Harmonics h) {
 int dot_of(const int2 a, const int2 b) { return a.x * b.x + a.y * b.y; }
 
 /* Append a maximum to a list. The columns are x, y, the response, and the sum and the moments in x
- * and y of the positive responses of the 5 x 5 around it. `mark` is CLEAN or 0, and the direction.
+ * and y of the positive responses of the 5 x 5 around it. `mark` is CLEAN or WIDE, and the direction.
  * `rows_of` holds the five rows; those outside the image are 0. A response is at most 11 220, so the sum of five fits
  * in 16 bits. */
-#define CLEAN (1 << 30) /* in the column of the sums: see mark_of */
+#define CLEAN (1 << 30) /* in the column of the sums, of the frame: little is subtracted from the
+                           length. Weak at most in contrast, it may be half as weak as others */
+#define WIDE CLEAN      /* the same bit in a halved frame: the ring of 8 px responds too */
 #define LONE (1 << 29)  /* in the same column: no corner */
 #define ABOVE_ZERO(v) ((v) & ~((v) >> (short)15))
 #define POSITIVE(k) ABOVE_ZERO(EIGHT_AT(rows_of[k] + x - 2))
@@ -430,16 +432,15 @@ ROW_LOOP Around count_around(__global const int *restrict columns, __global cons
                              __global const int *restrict marks, const uint count, const int x,
                              const int y, const int own) {
   const int own_x = DIRECTION_X(own), own_y = DIRECTION_Y(own);
-  int opposed = 0, aligned = 0, askew = 0;
+  int aligned = 0, askew = 0;
   for (uint n = 0; n < count; ++n) {
     const int across = MAGNITUDE_OF(columns[n] - x), down = MAGNITUDE_OF(rows[n] - y);
     const int near = (across <= AROUND) & ((across > NMS_RADIUS) | (down > NMS_RADIUS));
-    const int to_other = facing(own_x, own_y, DIRECTION_X(marks[n]), DIRECTION_Y(marks[n]));
-    opposed += near & (to_other < 0);
-    aligned += near & (to_other != 0);
-    askew += near & (to_other == 0);
+    const int is_askew = are_askew(own_x, own_y, DIRECTION_X(marks[n]), DIRECTION_Y(marks[n]));
+    aligned += near & !is_askew;
+    askew += near & is_askew;
   }
-  const Around around = {opposed, aligned, askew};
+  const Around around = {aligned, askew};
   return around;
 }
 
@@ -458,7 +459,7 @@ uint first_from(__global const int *rows, const uint count, const int y) {
 int is_lone(__global const int *lists, __global const uint2 *spans, const uint bands,
             const uint capacity, const int x, const int y, const int own,
             __global const uint *marks, const Octave smaller) {
-  Around around = {0, 0, 0};
+  Around around = {0, 0};
   for (uint kind = 0; kind <= FINE; ++kind)
     for (uint band = 0; band < bands; ++band) {
       __global const int *list = LIST_OF(band, kind), *rows = list + capacity;
@@ -466,15 +467,14 @@ int is_lone(__global const int *lists, __global const uint2 *spans, const uint b
       const uint end = first + first_from(rows + first, count - first, y + AROUND + 1);
       const Around here = count_around(list + first, rows + first, list + 3 * capacity + first,
                                        end - first, x, y, own);
-      around.opposed += here.opposed;
       around.aligned += here.aligned;
       around.askew += here.askew;
     }
   return IS_LONE_IN(
       around, is_marked(marks, x >> 1, y >> 1, 1, 1, (int)smaller.rows - 1, smaller.step / 32));
 }
-#define IS_LONE(list, n, fine)                                                      \
-  (is_weak(list[2 * capacity + (n)], fine, bound[fine], reference) &&               \
+#define IS_LONE(list, n)                                                            \
+  (IS_WEAK(list[2 * capacity + (n)], reference) &&                                  \
    is_lone(lists, spans, bands, capacity, list[n], list[capacity + (n)],            \
            list[3 * capacity + (n)], marks, smaller))
 
@@ -492,7 +492,7 @@ uint add_octave(const uint n, const Octave octave, __global uint2 *spans, __glob
     for (uint k = 0; k < SMALLER(SPAN_OF(band, kind).y, capacity); ++k) {
       const int r = list[2 * capacity + k];
       if (r <= bound || 128 * r < LEAST_SHARE * reference) continue;
-      if (!(list[3 * capacity + k] & CLEAN)) continue;
+      if (!(list[3 * capacity + k] & WIDE)) continue;
       list[3 * capacity + k] &= SUM_MASK;
       if (kept < k) copy_entries(list + k, capacity, 1, list + kept, capacity);
       ++kept;
@@ -610,7 +610,7 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
   mark_octave(smaller, lists, spans, bands_of(1, rows, bands), capacity, bounds[1],
               coarse_share * reference, marks);
 #else
-#define IS_LONE(list, n, fine) 0
+#define IS_LONE(list, n) 0
 #endif
 #if FINE
   for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
@@ -619,7 +619,7 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
     __global int *list = LIST_OF(band, 0);
     for (uint n = 0; n < SPAN_OF(band, 0).y; ++n) {
       const uint x = (uint)list[n] + PAD;
-      if (IS_LONE(list, n, 0)) list[3 * capacity + n] |= LONE;
+      if (IS_LONE(list, n)) list[3 * capacity + n] |= LONE;
 #if FINE
       else maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
 #endif
@@ -630,7 +630,7 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
     __global int *list = LIST_OF(band, 1);
     for (uint n = 0; n < SPAN_OF(band, 1).y; ++n)
       if (any_near(maxima, list[n] + PAD, list[capacity + n], (int)rows, width) ||
-          IS_LONE(list, n, 1))
+          IS_LONE(list, n))
         list[3 * capacity + n] |= LONE;
   }
 #endif
@@ -679,17 +679,6 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
 int take_rows(volatile __global uint *taken, const int next, const int height, const int upward) {
   if ((int)atomic_inc(taken) * ROWS_AT_A_TIME >= height) return 0;
   return upward ? next % ROWS_AT_A_TIME + 1 : SMALLER(ROWS_AT_A_TIME, height - next);
-}
-
-/* CLEAN, if a maximum may be half as weak as others: little is subtracted from its length, so that it
- * is weak at most in contrast, and the wide ring responds half as much. In a halved frame: if the
- * wide ring responds a quarter as much, without which there is no corner. */
-int mark_of(const uint n, const int x, const int r, const Harmonics h, const Ring *wide) {
-  if (n == 0 && 4 * r < 3 * h.length) return 0;
-#if WIDE
-  if ((n ? 4 : 2) * coarse_response_of(harmonics_of(wide, x, 8, 6)) < r) return 0;
-#endif
-  return CLEAN;
 }
 
 /* Row y of the frame. */
@@ -811,8 +800,13 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
           if (32 * r4 < r || r4 > 2 * r) continue;
           if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along))
             continue;
-          mark = mark_of(n, x, r, h5, &s3_8);
-          if (OCTAVES && !n) mark |= direction_bits(h5.second, h5.length);
+          mark = 4 * r < 3 * h5.length ? 0 : CLEAN;
+#if OCTAVES
+          if (n)
+            mark = 4 * coarse_response_of(harmonics_of(&s3_8, x, 8, 6)) < r ? 0 : WIDE;
+          else
+            mark |= direction_bits(h5.second, h5.length);
+#endif
         }
         if (found[fine] < capacity) {
           const uint place = upward ? capacity - 1 - found[fine] : found[fine];

@@ -272,7 +272,7 @@ def test_corners_of_a_line_that_no_side_links_are_told(shape):
     assert "of this one are no nodes" in grid.doubts[0]
 
 
-@pytest.mark.parametrize(("middle", "width"), [(1.6, 0.7), (2.5, 1.4)])
+@pytest.mark.parametrize(("middle", "width"), [(1.7, 0.7), (2.5, 1.4)])
 def test_a_part_of_a_board_beside_a_bar_is_not_taken_for_the_whole_in_silence(middle, width):
     camera = plane(cell=30, middle=(200, 150), about=(4, 2.5), turn=2)
     u, _ = camera(*samples(SIZE))
