@@ -4,7 +4,6 @@ import argparse
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -32,18 +31,17 @@ from cmp_cl.space.exports import check_cameras, save_cameras, save_corners
 from cmp_cl.viz import save_figure
 from cmp_cl.viz.calibration import calibration_figure
 
+HELP = "calibrate one, two or more cameras from views of a board"
+DESCRIPTION = """\
+Finds the corners of a rigid checkerboard in views of it, at least three, better ten or more,
+tilted in different directions and in all parts of the image; calibrates the camera or cameras and
+the poses between them; prints the error of every view and what would make the result better, and
+draws both beside the calibration, if matplotlib is installed.
+"""
 
-def add_parser(commands: Any) -> None:
-    """Add `calibrate` to the commands of an argparse parser."""
-    parser = commands.add_parser(
-        "calibrate",
-        help="calibrate one, two or more cameras from views of a board",
-        description="Finds the corners of a rigid checkerboard in views of it, at least three, "
-        "better ten or more, tilted in different directions and in all parts of the image; "
-        "calibrates the camera or cameras and the poses between them; prints the error of every "
-        "view and what would make the result better, and draws both beside the calibration, if "
-        "matplotlib is installed.",
-    )
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
     cameras = parser.add_argument_group("views: of one camera, or of several at the same moments")
     cameras.add_argument("images", nargs="*", metavar="IMAGE", help="views of one camera")
     cameras.add_argument("--left", nargs="+", metavar="IMAGE", default=[], help="left views")
@@ -96,7 +94,6 @@ def add_parser(commands: Any) -> None:
     add_split(rare)
     add_full_scale(rare)
     add_device(rare)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

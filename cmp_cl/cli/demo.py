@@ -4,7 +4,6 @@ import argparse
 import statistics
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,16 +32,16 @@ _TIMES = 5  # measurements of the frame, of which the median time is told
 FIELDS = "field.npz", "field.csv", "field.vtp"  # for NumPy, a spreadsheet, ParaView
 
 
-def add_parser(commands: Any) -> None:
-    """Add `demo` to the commands of an argparse parser."""
-    parser = commands.add_parser(
-        "demo",
-        help="render a press in two views, measure it in space, compare it with the truth",
-        description="Renders a gel at rest and under a torus that presses and twists, as two "
-        "mirrors show it to one camera; finds and numbers the corners, places them in space, "
-        "prints the errors against the exact truth, and writes a sheet of pictures, the "
-        "deformation field, and the frames. It needs matplotlib.",
-    )
+HELP = "render a press in two views, measure it in space, compare it with the truth"
+DESCRIPTION = """\
+Renders a gel at rest and under a torus that presses and twists, as two mirrors show it to one
+camera; finds and numbers the corners, places them in space, prints the errors against the exact
+truth, and writes a sheet of pictures, the deformation field, and the frames. It needs matplotlib.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
     parser.add_argument(
         "--out",
         metavar="FOLDER",
@@ -50,7 +49,6 @@ def add_parser(commands: Any) -> None:
         help="where to write, made if missing; default: cmp-demo",
     )
     add_device(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

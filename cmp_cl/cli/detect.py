@@ -32,16 +32,17 @@ _CORNER_COLUMNS = (
 _NODE_COLUMNS = ("row", "column", "x_px", "y_px", "sigma_px", "status")
 
 
-def add_parser(commands: Any) -> None:
-    """Add `detect` to the commands of an argparse parser."""
-    parser = commands.add_parser(
-        "detect",
-        help="find the corners in images, folders of images and videos",
-        description="Finds the corners of checkerboard-like patterns. Colour becomes grey. "
-        "One line for each image says how many corners were found, on which device, and in how "
-        "many milliseconds: from the image in host memory to the corners, or with --grid the "
-        "nodes, in host memory, with the making of the detector for the first image of a size.",
-    )
+HELP = "find the corners in images, folders of images and videos"
+DESCRIPTION = """\
+Finds the corners of checkerboard-like patterns. Colour becomes grey. One line for each image says
+how many corners were found, on which device, and in how many milliseconds: from the image in host
+memory to the corners, or with --grid the nodes, in host memory, with the making of the detector
+for the first image of a size.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
     parser.add_argument("inputs", nargs="+", metavar="IMAGE", help="image, video or folder")
     parser.add_argument(
         "--out",
@@ -68,7 +69,6 @@ def add_parser(commands: Any) -> None:
     )
     add_full_scale(parser)
     add_device(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

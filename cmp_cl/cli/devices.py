@@ -6,7 +6,6 @@ import statistics
 import sys
 import time
 from collections.abc import Sequence
-from typing import Any
 
 from cmp_cl.cli.messages import one_line, tell
 from cmp_cl.detector import Detector
@@ -40,19 +39,19 @@ FRAMES = 100  # timed on each device
 WARM_UP = 5
 
 
-def add_parser(commands: Any) -> None:
-    """Add `devices` to the commands of an argparse parser."""
-    parser = commands.add_parser(
-        "devices",
-        help="list the OpenCL devices, and say which one is used by default",
-        description="Lists the OpenCL devices and says which one is used by default, and why.",
-    )
+HELP = "list the OpenCL devices, and say which one is used by default"
+DESCRIPTION = """\
+Lists the OpenCL devices and says which one is used by default, and why.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
     parser.add_argument(
         "--time",
         action="store_true",
         help="time the default detector on each device, and check its answer",
     )
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

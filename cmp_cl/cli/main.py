@@ -85,7 +85,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"cmp-cl {cmp_cl.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in (demo, pattern, calibrate, run, plot, detect, render, devices):
-        command.add_parser(commands)
+        name = command.__name__.rpartition(".")[2]
+        inner = commands.add_parser(name, help=command.HELP, description=command.DESCRIPTION)
+        command.add_arguments(inner)
+        inner.set_defaults(run=command.run)
     return parser
 
 

@@ -1,21 +1,20 @@
 """`cmp-cl pattern`: the checkerboard to print."""
 
 import argparse
-from typing import Any
 
 from cmp_cl.cli.arguments import grid_shape, positive_number
 from cmp_cl.cli.messages import shown
 from cmp_cl.pattern import Checkerboard
 
+HELP = "draw the checkerboard to print"
+DESCRIPTION = """\
+Draws a checkerboard to scale. Print it at 100 % ('actual size', not 'fit to page'), and measure
+the print.
+"""
 
-def add_parser(commands: Any) -> None:
-    """Add `pattern` to the commands of an argparse parser."""
-    parser = commands.add_parser(
-        "pattern",
-        help="draw the checkerboard to print",
-        description="Draws a checkerboard to scale. Print it at 100 % ('actual size', not 'fit to "
-        "page'), and measure the print.",
-    )
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
     parser.add_argument(
         "--grid",
         metavar="ROWSxCOLUMNS",
@@ -29,7 +28,6 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--out", metavar="FILE", required=True, help="what to write: .svg, or .png of 600 dpi"
     )
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,7 +1,6 @@
 """`cmp-cl plot`: pictures and animations of a series that `cmp-cl run` wrote."""
 
 import argparse
-from typing import Any
 
 from cmp_cl.cli.arguments import check_files, check_suffix
 from cmp_cl.cli.messages import Progress, counted, shown
@@ -11,18 +10,17 @@ from cmp_cl.viz import Quantity, map_figure, save_figure, sheet_figure
 from cmp_cl.viz.moments import NEEDED, Summary, moments_of
 from cmp_cl.viz.plots import animate
 
+HELP = "draw what a series shows: displacement, strain, height, sigma"
+DESCRIPTION = """\
+Draws a series of cmp-cl run: by default one sheet with the maps of the frame of the largest
+displacement, and curves over time; a name that ends in .mp4 is an animation of one map. With one
+view, lengths are in px, or in mm if run had --cell, and strain is in the plane; with two views,
+lengths are in the rig's unit, and strain is in the surface.
+"""
 
-def add_parser(commands: Any) -> None:
-    """Add `plot` to the commands of an argparse parser."""
-    parser = commands.add_parser(
-        "plot",
-        help="draw what a series shows: displacement, strain, height, sigma",
-        description="Draws a series of cmp-cl run: by default one sheet with the maps of the "
-        "frame of the largest displacement, and curves over time; a name that ends in .mp4 is an "
-        "animation of one map. With one view, lengths are in px, or in mm if run had --cell, and "
-        "strain is in the plane; with two views, lengths are in the rig's unit, and strain is in "
-        "the surface.",
-    )
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
     parser.add_argument(
         "series",
         metavar="SERIES",
@@ -43,7 +41,6 @@ def add_parser(commands: Any) -> None:
         type=int,
         help="number of the frame; default: that of the largest displacement",
     )
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

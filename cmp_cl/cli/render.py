@@ -24,14 +24,15 @@ _OPTIONS = {  # each a field of Scene
 }
 
 
-def add_parser(commands: Any) -> None:
-    """Add `render` to the commands of an argparse parser."""
-    parser = commands.add_parser(
-        "render",
-        help="draw a frame of a pressed gel with known corners",
-        description="Draws one frame of a pressed gel that carries a checkerboard, and writes "
-        "the true corners with --truth. The same options give the same image.",
-    )
+HELP = "draw a frame of a pressed gel with known corners"
+DESCRIPTION = """\
+Draws one frame of a pressed gel that carries a checkerboard, and writes the true corners with
+--truth. The same options give the same image.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
     parser.add_argument("--out", metavar="PNG", required=True, help="the image to write")
     parser.add_argument("--truth", metavar="CSV", help="write the true corners, px")
     for name, what in _OPTIONS.items():
@@ -43,7 +44,6 @@ def add_parser(commands: Any) -> None:
         elif name == "shape":
             how = {"type": int, "nargs": 2, "metavar": ("ROWS", "COLUMNS")}
         parser.add_argument(f"--{name}", default=usual, help=f"{what}; default: {usual}", **how)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -38,18 +38,18 @@ _AHEAD = 4  # the most frames that wait to be measured, and to be written
 _LINES_OF_BROKEN = 8  # broken frames that are reported one by one; the others are only counted
 
 
-def add_parser(commands: Any) -> None:
-    """Add `run` to the commands of an argparse parser."""
-    parser = commands.add_parser(
-        "run",
-        help="measure the deformation in every frame of a recording or of a live camera",
-        description="Numbers the corners of the pattern in every frame as in the frame at rest, "
-        "and writes their displacements as a series: in the image, or with --stereo in space. "
-        "Frames that cannot be read, or that a camera misses, are left out and counted; in frames "
-        "without the pattern all nodes are missing. Ctrl-C ends the run and saves what has been "
-        "measured.",
-        epilog="docs/formats.md lists the arrays of a series.",
-    )
+HELP = "measure the deformation in every frame of a recording or of a live camera"
+DESCRIPTION = """\
+Numbers the corners of the pattern in every frame as in the frame at rest, and writes their
+displacements as a series: in the image, or with --stereo in space. Frames that cannot be read, or
+that a camera misses, are left out and counted; in frames without the pattern all nodes are
+missing. Ctrl-C ends the run and saves what has been measured. docs/formats.md lists the arrays of
+a series.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
     _add_input(parser.add_argument_group("input"))
     group = parser.add_argument_group("pattern")
     group.add_argument(
@@ -71,7 +71,6 @@ def add_parser(commands: Any) -> None:
     group.add_argument("--config", metavar="TOML", help="settings of the detector")
     add_full_scale(group)
     add_device(group)
-    parser.set_defaults(run=run)
 
 
 def _add_input(group: Any) -> None:
