@@ -1,7 +1,6 @@
 #include "lattice.clh"
 
-/* The sides of a board (13.6): whether the pattern ends there, how far its last squares reach, and
- * what lies past them.
+/* The sides of a board (13.6): whether the pattern ends there, and how far its last squares reach.
  *
  * A side is read along squares that share its last two lines of nodes. From one square to the next
  * the colours change, so the difference of two neighbours, with its sign, is the pattern's own
@@ -22,13 +21,11 @@
 #define ROWS_OF 0
 #define COLUMNS_OF 1
 #define SIGN_OF 2
-#define CONTRAST_OF 3
-#define ROOM_OF 4
-#define FOLLOWS_OF 8
-#define REACH_OF 12
-#define PAST_OF 16
-#define STEPS_OF 20
-#define FURTHER_OF 24
+#define ROOM_OF 3
+#define FOLLOWS_OF 7
+#define REACH_OF 11
+#define STEPS_OF 15
+#define FURTHER_OF 19
 
 /* A place, by its line from a side and its number there. box: top, bottom, left, right, the ends not
  * included. */
@@ -256,26 +253,6 @@ int common_reach(__local const int *reach, const int count) {
   return MAGNITUDE_OF(apart) <= 2 * WHOLE ? common : UNSEEN;
 }
 
-/* What lies past the corner of the pattern at one end of a side: the sum of levels beyond its line
- * less that of levels within; UNSEEN if it is not. */
-int step_past(IMAGE_OF_BOARD, __global const float2 *nodes, __global const int *owner,
-              const int side, const int end, const int height, const int width, const int reach,
-              const int other) {
-  const int k = end ? LENGTH_OF(side) - 1 : 0;
-  const float2 node = AT(side, 0, k);
-  const float2 out = node - AT(side, 1, k), along = node - AT(side, 0, end ? k - 1 : 1);
-  int sum = 0;
-  bool seen = reach != UNSEEN && other != UNSEEN;
-  for (int m = 0; m < 6 && seen; ++m) {
-    const float across = REACH(reach) + (m < 3 ? -2 : 2) * STEP_OF_LEVELS;
-    const float ahead = REACH(other) + STEP_OF_LEVELS * (float)(2 * (m % 3 + 1));
-    const float2 p = (node + across * out) + ahead * along;
-    seen = is_in_view(p, rows, columns);
-    if (seen) sum += m < 3 ? -grey_at(IMAGE, p) : grey_at(IMAGE, p);
-  }
-  return seen ? sum : UNSEEN;
-}
-
 /* Measure the sides of a board. One work-group. */
 __kernel void measure_border(__global const PIXEL *restrict image, const uint step, const uint rows,
                              const uint columns, __global const float *restrict corners,
@@ -284,12 +261,11 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
                              __global const int *restrict binned, __global const uchar *restrict used,
                              const float passing, const float least_line, const float least_cosine,
                              const float beside, __global const float2 *restrict nodes,
-                             __global const int *restrict owner, __global int *restrict row_levels,
-                             __global int *restrict border) {
+                             __global const int *restrict owner, __global int *restrict border) {
   const int height = border[ROWS_OF], width = border[COLUMNS_OF];
   __local int first[SIDES * PAIRS], pairs[SIDES], near[SIDES], shown[SIDES * PAIRS];
   __local int levels[SIDES * PAIRS * DEPTHS * 2], squares[SIDES * PAIRS];
-  __local int reaches[SIDES], steps[4], low, high, count;
+  __local int steps[4];
   __local int room[SIDES], ahead[SIDES * SPAN], any_longer;
   FOR_ALL(k, 4) steps[k] = 0;
   FOR_ALL(m, SIDES * SPAN) ahead[m] = 0;
@@ -379,30 +355,7 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
     }
     border[FOLLOWS_OF + side] = follows;
     border[REACH_OF + side] = reached == UNSEEN ? UNSEEN : floor_of(WHOLE * reach);
-    reaches[side] = reached;
     room[side] = room[side] && !follows;
-  }
-  /* The contrast of the pattern: that of the quartiles of a row of cells. */
-  const int below = height / 2;
-  if (get_local_id(0) == 0) {
-    count = 0;
-    low = high = UNSEEN;
-    for (int k = 0; below && k < width - 1; ++k) {
-      const float2 a = corner_at(nodes, owner, (below - 1) * width + k + 1);
-      const float2 b = corner_at(nodes, owner, below * width + k);
-      const float2 middle = 0.5f * (a + b);
-      if (IS_HERE(middle)) row_levels[count++] = grey_at(IMAGE, middle);
-    }
-  }
-  ALL_TOGETHER;
-  FOR_ALL(k, count) {
-    int less = 0, equal = 0;
-    for (int n = 0; n < count; ++n) {
-      less += row_levels[n] < row_levels[k];
-      equal += row_levels[n] == row_levels[k];
-    }
-    if (less <= count / 4 && count / 4 < less + equal) low = row_levels[k];
-    if (less <= 3 * count / 4 && 3 * count / 4 < less + equal) high = row_levels[k];
   }
   FOR_ALL(place, height * width) { /* the steps of the board, in 1/32 px */
     const float2 here = corner_at(nodes, owner, place);
@@ -416,23 +369,6 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
     }
   }
   ALL_TOGETHER;
-  FOR_ALL(side, SIDES) {
-    int past = UNSEEN;
-    for (int end = 0; end < 2 && count >= 2 && height >= 2 && width >= 2; ++end) {
-      const int other = reaches[(side < 2 ? 2 : 0) + end];
-      const int found =
-          step_past(IMAGE, nodes, owner, side, end, height, width, reaches[side], other);
-      if (found == UNSEEN) continue;
-      if (past == UNSEEN)
-        past = found;
-      else if ((past < 0) != (found < 0) || !past || !found)
-        past = 0;
-      else
-        past = MAGNITUDE_OF(found) < MAGNITUDE_OF(past) ? found : past;
-    }
-    border[PAST_OF + side] = past;
-    border[ROOM_OF + side] = room[side] && !any_longer;
-  }
+  FOR_ALL(side, SIDES) border[ROOM_OF + side] = room[side] && !any_longer;
   FOR_ALL(k, 4) border[STEPS_OF + k] = steps[k];
-  if (get_local_id(0) == 0) border[CONTRAST_OF] = LARGER(high - low, 1);
 }

@@ -128,19 +128,19 @@ def _corners_beyond(board: Board, corners: Corners) -> int:
     if len(corners) - len(nodes) < K.join_votes or len(nodes) < K.least_board:
         return 0
     beside = (K.span + 0.5) * max(map(abs, board.steps))
-    xy, at = corners.xy.astype(np.float64), corners.xy[nodes]
-    is_free = ((xy > at.min(axis=0) - beside) & (xy < at.max(axis=0) + beside)).all(axis=1)
-    is_free[nodes] = False
-    free = np.flatnonzero(is_free)
+    x, y = board.x[mine], board.y[mine]
+    low, high = (np.array([each(x), each(y)]) for each in (np.min, np.max))
+    free = np.delete(corners.xy, nodes, axis=0).astype(np.float64)
+    free = free[((free > low - beside) & (free < high + beside)).all(axis=1)]
     if len(free) < K.join_votes:
         return 0
     number = np.argwhere(mine)[:, ::-1].astype(np.float64)
     some = np.random.default_rng(0).permutation(len(nodes))[: K.tear_most]  # not all of one line
-    plane, _ = cv2.findHomography(xy[nodes[some]], number[some])
+    plane, _ = cv2.findHomography(corners.xy[nodes[some]].astype(np.float64), number[some])
     if plane is None:
         return 0
     wide = np.pad(~mine, K.span, constant_values=True)  # places without a node
-    at = cv2.perspectiveTransform(xy[None, free], plane)[0] + K.span
+    at = cv2.perspectiveTransform(free[None], plane)[0] + K.span
     place = np.rint(np.clip(at, 0, np.array(wide.shape[::-1]) - 1)).astype(np.int64)
     apart = np.abs(at - place).max(axis=1)
     empty = wide[place[:, 1], place[:, 0]] & (apart <= 0.5)
@@ -170,7 +170,7 @@ def reference_of(grid: Grid) -> Reference:
         owner=np.where(np.isin(grid.status, MEASURED), 0, NONE),
         torn=grid.status == NodeStatus.ATTACHED,
         sign=1 - 2 * grid.parity,
-        border=NOT_SEEN._replace(reach=np.array(grid.reach), past=np.array(grid.past)),
+        border=NOT_SEEN._replace(reach=np.array(grid.reach)),
     )
     prints = prints_of(board.at, K.print_clip)
     return Reference(board, prints, grid.origin, not grid.ambiguous)

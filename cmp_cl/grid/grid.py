@@ -95,9 +95,6 @@ class Grid:
         was built without the image.
     reach: the reach of its last squares beyond the last nodes, cells, 1 if they are whole: top,
         bottom, left, right, NaN where it is not seen.
-    past: the difference of the image between the two sides of a border's line past the pattern, as
-        a share of the pattern's contrast; NaN where it is not seen. It is large at the edge of an
-        object that hides a part of the pattern.
     seen_shape: the rows and columns that are seen, if they contradict a known shape, else None.
     confidence: by how much the numbers are more probable than the second best, nats (the logarithm
         of the ratio); inf if no others are possible, 0 if others are as probable. See `ambiguous`.
@@ -119,7 +116,6 @@ class Grid:
     origin: tuple[int, int] = (0, 0)
     border: Sides | None = None
     reach: tuple[float, float, float, float] = UNSEEN
-    past: tuple[float, float, float, float] = UNSEEN
     seen_shape: tuple[int, int] | None = None
     confidence: float = math.inf
     rival: Rival | None = None
@@ -213,7 +209,6 @@ class Grid:
             origin=(0, 0),
             border=self.border and self.border.turned(quarters),
             reach=turned_sides(self.reach, quarters),
-            past=turned_sides(self.past, quarters),
             seen_shape=seen,
             rival=None,
         )

@@ -38,7 +38,6 @@ def placed(found: Found, corners: Corners, asked: Asked, others: int) -> Grid:
         origin=(best.row, best.column),
         border=Sides(*ends.tolist()),
         reach=tuple(board.border.reach.tolist()),
-        past=tuple(board.border.past.tolist()),
         seen_shape=seen_lines(board) if misfit else None,
         confidence=found.decision.margin,
         rival=_rival(found.decision, size, first, shape),

@@ -18,7 +18,6 @@ SAVED: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "origin": ("int64", (2,)),
     "border": ("bool", (4,)),
     "reach": ("float64", (4,)),
-    "past": ("float64", (4,)),
     "seen_shape": ("int64", (2,)),
     "confidence": ("float64", ()),
     "rival": ("int64", (3,)),

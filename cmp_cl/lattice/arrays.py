@@ -50,14 +50,12 @@ class Border(NamedTuple):
     """The sides of a board: top, bottom, left, right, each (4,).
 
     reach: cells, of its last squares beyond its last nodes, 1 if they are whole; NaN where the
-    pattern is not seen to end. past: difference of the image between the two sides of the border's
-    line past the pattern, as a share of the pattern's contrast; NaN where that is not seen.
-    follows: the pattern goes on. room: most places of a further line lie in the image, and that
-    there is none can be seen. further: corners on a line that follows, and are no nodes.
+    pattern is not seen to end. follows: the pattern goes on. room: most places of a further line
+    lie in the image, and that there is none can be seen. further: corners on a line that follows,
+    and are no nodes.
     """
 
     reach: Float
-    past: Float
     follows: Mask
     room: Mask
     further: Whole
@@ -77,7 +75,6 @@ class Border(NamedTuple):
 
 NOT_SEEN = Border(
     reach=np.full(4, np.nan),
-    past=np.full(4, np.nan),
     follows=np.zeros(4, np.bool_),
     room=np.zeros(4, np.bool_),
     further=np.zeros(4, np.int64),

@@ -1,41 +1,34 @@
 """The sides of a board: from its nodes to what is seen at its sides, see kernels/borders.cl.
 
 A side is read along squares that share the last two lines of nodes. Where the pattern ends, how far
-its last squares reach, and what lies past them, tell one end of a pattern from another, and from
-the edge of an object before it.
+its last squares reach, tell one end of a pattern from another, and from the edge of an object
+before it.
 """
 
 import cmath
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.lattice.arrays import Border
-from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.opencl.launches import Launch
 
 if TYPE_CHECKING:
     from cmp_cl.lattice.plan import LatticePlan
 
 # In what is found, see kernels/borders.cl.
-ROWS, COLUMNS, SIGN, CONTRAST, ROOM, FOLLOWS, REACH, PAST, STEPS, FURTHER, FOUND = (
-    *(0, 1, 2, 3),
-    *(4, 8, 12, 16, 20, 24, 28),
-)
+ROWS, COLUMNS, SIGN, ROOM, FOLLOWS, REACH, STEPS, FURTHER, FOUND = 0, 1, 2, 3, 7, 11, 15, 19, 23
 UNSEEN = -(2**31)
 WHOLE = 4096  # a share of 1
-SPOTS = 3  # levels in a sum
 
 
-def border_of(found: NDArray[np.int32], k: LatticeConstants) -> Border:
+def border_of(found: NDArray[np.int32]) -> Border:
     """Return the sides of a board from what the kernels found."""
-    values = [math.nan if value == UNSEEN else value for value in found.tolist()]
-    reach = np.array(values[REACH:PAST], np.float64) / WHOLE
-    past = np.array(values[PAST:STEPS], np.float64) / (SPOTS * values[CONTRAST])
-    follows, room = (np.array(values[n : n + 4], np.bool_) for n in (FOLLOWS, ROOM))
-    return Border(reach, past, follows, room, found[FURTHER:FOUND].astype(np.int64))
+    share = found[REACH:STEPS]
+    reach = np.where(share == UNSEEN, np.nan, share / WHOLE)
+    follows, room = (found[n : n + 4].astype(np.bool_) for n in (FOLLOWS, ROOM))
+    return Border(reach, follows, room, found[FURTHER:FOUND].astype(np.int64))
 
 
 def upright(found: NDArray[np.int32]) -> int:
@@ -89,6 +82,5 @@ def measure(plan: "LatticePlan") -> Launch:
         beside=np.float32(k.reach_cells),
         nodes=b["nodes"],
         owner=b["node_owner"],
-        row_levels=b["key"],
         border=b["border"],
     )

@@ -78,11 +78,11 @@ class LatticeConstants:
         at one border may reach differently. With .12 the size of 3 in 20 photographs is
         no longer sure.
     passing: share, of the contrast; levels two cells apart that differ by less show that cells
-        follow, a side beyond which cells differ by less is an end, and a line that shows more past
-        the pattern is an object's edge. Between .2 and .3 nearly all is the same.
+        follow, and a side beyond which cells differ by less is an end. Between .2 and .3 nearly
+        all is the same.
     end_nats: nats, against a border that is not there, a line that a known size lacks, and one
-        whose places in view are empty; half as much against a border that may be the edge of an
-        object. With 5, the motion from a board at rest made its numbers ambiguous.
+        whose places in view are empty; half as much against borders that reach differently far.
+        With 5, the motion from a board at rest made its numbers ambiguous.
     rest_sd_cells: cells, standard deviation of the motion since rest.
     step_sd_cells: cells, the same from one frame to the next.
     motion_nats: nats, the most against any motion: one by more than half a cell between frames is

@@ -171,16 +171,15 @@ class Side(NamedTuple):
     def near(self, other: "Side", reach: float, most: int) -> "Side":
         """Return those that are by less than `reach` px farther from the other side's rim than the
         nearest one, at most so many."""
-        z, rim = self.at.astype(np.complex64), self.at[self.rim].astype(np.complex64)
-        others = other.at[other.rim].astype(np.complex64)
-        if not len(rim) or not len(others):
+        z, others = self.at.astype(np.complex64), other.at[other.rim].astype(np.complex64)
+        if not len(z) or not len(others):
             return Side(self.at[:0], self.number[:0], self.rim[:0])
-        limit = np.abs(np.subtract.outer(rim, others)).min() + reach
         x, y = (
             np.maximum(np.maximum(there.min() - own, own - there.max()), 0)
             for own, there in ((z.real, others.real), (z.imag, others.imag))
         )
-        some = np.flatnonzero(np.hypot(x, y) <= limit)  # from the upright rectangle around them
+        box = np.hypot(x, y)  # from the upright rectangle around the others, not farther than they
+        some = np.flatnonzero(box <= np.abs(others - z[box.argmin()]).min() + reach)
         away = np.abs(np.subtract.outer(others, z[some])).min(axis=0)
         chosen = some[away < away.min() + reach]
         if len(chosen) > most:

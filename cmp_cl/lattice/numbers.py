@@ -132,15 +132,6 @@ def _scores(
     return row, column, score
 
 
-def _nats_of(border: Border, k: LatticeConstants) -> Float:
-    """Return the log-odds that the pattern, and no object before it, ends at each side, (4,).
-
-    The edge of an object continues past the pattern. It is 0 where no end is seen.
-    """
-    nats = np.where(np.abs(border.past) > k.passing, k.end_nats / 2, k.end_nats)
-    return np.where(border.ends, nats, 0.0)
-
-
 def _of_ends(first: Whole, now: Board, rest: Board, axis: int, k: LatticeConstants) -> Float:
     """Return the nats of two opposite sides for each number of the first line, (P,).
 
@@ -150,9 +141,8 @@ def _of_ends(first: Whole, now: Board, rest: Board, axis: int, k: LatticeConstan
     sides = slice(2 * axis, 2 * axis + 2)
     here, there = (np.array(each.outer_lines)[sides] for each in (now, rest))
     one, other = now.border, rest.border
-    nats_now, nats_rest = _nats_of(one, k), _nats_of(other, k)
+    nats_now, nats_rest = k.end_nats * one.ends, k.end_nats * other.ends
     unlike = np.abs(one.reach - other.reach) > k.border_step_cells
-    unlike |= np.abs(one.past - other.past) > k.passing
     same = np.where(unlike, -k.end_nats / 2, 0.0)
     same = np.where(one.ends & other.follows, -nats_now, same)
     same = np.where(other.ends & one.follows, -nats_rest, same)
@@ -195,7 +185,7 @@ def _places(
 
     begin, end: the first and the last of its lines. size: the lines of the pattern.
     """
-    nats, places = _nats_of(border, k), []
+    places = []
     lines = end - begin + 1
     for start in range(min(0, size - lines), max(0, size - lines) + 1):
         total = 0.0
@@ -203,7 +193,7 @@ def _places(
             if beyond > 0:
                 total -= k.end_nats * beyond
             elif beyond < 0 and not border.follows[n]:
-                total -= nats[n] if border.ends[n] else k.end_nats * bool(border.room[n])
+                total -= k.end_nats * bool(border.ends[n] or border.room[n])
             elif beyond == 0 and border.follows[n]:
                 total -= k.end_nats
         places.append((start - begin, total))

@@ -353,7 +353,7 @@ class LatticePlan(Binder):
             owner=owner[:count].reshape(shape),
             torn=rough[:count].reshape(shape),
             sign=int(found[borders.SIGN]),
-            border=borders.border_of(found, self.constants),
+            border=borders.border_of(found),
         )
         return layout, board.turned(borders.upright(found))
 

@@ -9,7 +9,7 @@ from lattice_plans import K, gel, plan_for
 from cmp_cl import detect
 from cmp_cl.lattice import borders
 from cmp_cl.lattice.arrays import NONE, Board
-from cmp_cl.lattice.borders import CONTRAST, UNSEEN, border_of
+from cmp_cl.lattice.borders import ROOM, UNSEEN, border_of
 from cmp_cl.lattice.nodes import LAYOUT
 from cmp_cl.reference.harmonic import smoothed
 from cmp_cl.reference.lattice import parts
@@ -37,8 +37,8 @@ def assert_equal_to_the_oracle(plan, board, image, corners):
     found = plan.read("border", np.int32)
     plane = smoothed(image, plan.full_scale)[0]
     directed = parts.directed(plane, corners.xy, corners.edges, K)
-    border, sides = border_of(found, K), Sides(board, image, directed, K)
-    assert found[CONTRAST:].tolist() == sides.found()
+    border, sides = border_of(found), Sides(board, image, directed, K)
+    assert found[ROOM:].tolist() == sides.found()
     np.testing.assert_array_equal(border.ends, sides.reach != UNSEEN)
     return border
 

@@ -7,7 +7,7 @@ from lattices import keep
 
 from cmp_cl import detect
 from cmp_cl.lattice.arrays import LOOKED, NONE, Board
-from cmp_cl.lattice.borders import CONTRAST, upright
+from cmp_cl.lattice.borders import ROOM, upright
 from cmp_cl.lattice.nodes import ROUNDS
 from cmp_cl.reference import harmonic
 from cmp_cl.reference.lattice import borders
@@ -74,7 +74,7 @@ def assert_equal_to_the_oracle(device, image, corners, *, change=None):
     directed = lattice.directed(plane, corners.xy, corners.edges, K)
     sides = borders.Sides(wanted, image, directed, K)
     seen = plan.read("border", np.int32)
-    assert seen[CONTRAST:].tolist() == sides.found()
+    assert seen[ROOM:].tolist() == sides.found()
     wanted = wanted.turned(upright(seen))
     np.testing.assert_array_equal(found.owner, wanted.owner)
     np.testing.assert_array_equal(found.torn & found.there, wanted.torn & wanted.there)

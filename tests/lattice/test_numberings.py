@@ -22,7 +22,7 @@ def whole_board(degrees: float) -> Board:
         owner=np.arange(SIDE**2).reshape(SIDE, SIDE),
         torn=np.zeros((SIDE, SIDE), np.bool_),
         sign=1,
-        border=NOT_SEEN._replace(reach=np.ones(4), past=np.zeros(4)),
+        border=NOT_SEEN._replace(reach=np.ones(4)),
     )
 
 

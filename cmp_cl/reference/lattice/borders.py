@@ -80,10 +80,9 @@ class Sides:
 
     room: most places of a further line lie in the image, and it can be seen that there is none.
     follows: cells follow, or corners that could be linked. reach: of the last squares beyond the
-    last nodes, 1/4096 cell, UNSEEN where the pattern is not seen to end. past: the sum of three
-    levels beyond the line of a border, past the pattern, less that of three within, UNSEEN where
-    that is not seen. contrast: that of the pattern. steps: sums of the steps to the next column, x
-    and y, and to the next row, 1/32 px. further: corners on a line that follows, and are no nodes.
+    last nodes, 1/4096 cell, UNSEEN where the pattern is not seen to end. steps: sums of the steps
+    to the next column, x and y, and to the next row, 1/32 px. further: corners on a line that
+    follows, and are no nodes.
     """
 
     def __init__(
@@ -98,7 +97,7 @@ class Sides:
         self.ways = list(zip(_ways(self.x), _ways(self.y), strict=True))
         self.room = np.array([self._has_room(*way) for way in self.ways])
         self.follows, self.reach = np.zeros(4, np.bool_), np.full(4, UNSEEN)
-        self.past, self.further, self.contrast = np.full(4, UNSEEN), np.zeros(4, np.int64), 1
+        self.further = np.zeros(4, np.int64)
         steps = [np.diff(each, axis=axis) for axis in (1, 0) for each in (self.x, self.y)]
         self.steps = [int(np.floor(F(32) * d[~np.isnan(d)] + F(0.5)).sum()) for d in steps]
         if min(there.shape) < 2:
@@ -116,23 +115,13 @@ class Sides:
         reach[longer] = 0
         self.reach = np.where(reach > 0, np.floor(F(WHOLE) * cells), UNSEEN).astype(np.int64)
         self.room &= ~(self.follows | longer.any())
-        levels = self._levels_of_a_row()
-        if len(levels):
-            low, high = levels[len(levels) // 4], levels[3 * len(levels) // 4]
-            self.contrast = max(high - low, 1)
-        if len(levels) >= 2:
-            for n, way in enumerate(self.ways):
-                others = reach[2:] if n < 2 else reach[:2]
-                self.past[n] = self._past(*way, reach[n], others)
 
     def found(self) -> list[int]:
         """Return all in the order of the kernel, after rows, columns and sign."""
         return [
-            self.contrast,
             *self.room.tolist(),
             *self.follows.tolist(),
             *self.reach.tolist(),
-            *self.past.tolist(),
             *self.steps,
             *self.further.tolist(),
         ]
@@ -243,41 +232,6 @@ class Sides:
         part = (len(reach) + 1) // 2
         apart = abs(_doubled_median(reach[:part]) - _doubled_median(reach[-part:]))
         return _doubled_median(reach) if apart <= 2 * WHOLE else UNSEEN
-
-    def _levels_of_a_row(self) -> Whole:
-        """Return the levels in the middles of the cells of the middle row, in order."""
-        row = len(self.x) // 2
-        x, y = (F(0.5) * (a[row - 1, 1:] + a[row, :-1]) for a in (self.x, self.y))
-        there = ~np.isnan(x)
-        return np.sort(self._grey(x[there], y[there]))
-
-    def _past(self, x: Real, y: Real, reach: Any, others: Real) -> int:
-        """Return the smaller of the differences at both ends of a side, 0 if their signs differ."""
-        found = []
-        for end, inner, other in ((0, 1, others[0]), (-1, -2, others[1])):
-            if 0 in (reach, other):
-                continue
-            out, along = (
-                [a[0, end] - b for a, b in ((x, x[at]), (y, y[at]))]
-                for at in ((1, end), (0, inner))
-            )
-            levels = []
-            step = F(self.k.border_step_cells)
-            for aside in (F(-2) * step, F(2) * step):
-                on = [other + step * F(2 * n) for n in (1, 2, 3)]
-                px, py = (
-                    np.array([(a[0, end] + (reach + aside) * o) + each * s for each in on])
-                    for a, o, s in ((x, out[0], along[0]), (y, out[1], along[1]))
-                )
-                if self._in_view(px, py).all():
-                    levels.append(int(self._grey(px, py).sum()))
-            if len(levels) == 2:
-                found.append(levels[1] - levels[0])
-        if not found:
-            return UNSEEN
-        if min(found) > 0 or max(found) < 0:
-            return min(found, key=abs)
-        return 0
 
 
 def _doubled_median(values: Whole) -> int:
