@@ -67,60 +67,36 @@ def detect_with_margin(
     check_kind("config", config, DetectorConfig, ConfigError)
     factor = 1.0 if config.scale is None else float(config.scale)
     found = _at_scale(image, config, _checked(mask, image), factor)
-    if any(found.halvings):
-        return _of_octaves(found, config)
-    pixel, centroid, rounded = found.pixel, found.centroid, found.rounded
+    pixel = harmonic.in_frame(found.pixel, found.halvings[:, None])
+    centroid, rounded, images = found.centroid, found.rounded, found.images
     if factor != 1:
         pixel = scale.nearest(scale.to_full(pixel.astype(np.float64), factor), image.shape)
         centroid = scale.to_full(centroid, factor)
-        rounded = scale.nearest(centroid + scale.BORDER, image.shape)
-    refined = refine.refine(image, rounded, centroid, config.refinement, factor)
-    corners = Corners(
-        xy=refined.xy.astype(np.float32),
-        pixel=pixel.astype(np.int32),
-        octave=np.zeros(len(pixel), np.uint8),
-        response=found.response.astype(np.float32),
-        method=refined.method,
-        refusal=refined.refusal,
-        sigma=refined.sigma.astype(np.float32),
-        edges=refined.edges.astype(np.float32),
-        doubtful=refined.doubtful,
-        edge_radius=refine.edge_radius(config.refinement, factor),
-        device="NumPy",
-    )
-    return corners, refined.margin
-
-
-def _of_octaves(found: _Found, config: DetectorConfig) -> tuple[Corners, NDArray[np.float64]]:
-    """Return the corners, each refined in its octave, and the margins."""
-    count = len(found.pixel)
+        rounded, images = scale.nearest(centroid + scale.BORDER, image.shape), [image]
     values: dict[str, NDArray[Any]] = {}
-    for halvings, image in enumerate(found.images):
-        here = found.halvings == halvings
-        size = 2**halvings
+    for halvings, octave in enumerate(images):
+        here, size = found.halvings == halvings, 2**halvings
         refined = refine.refine(
-            image, found.rounded[here], found.centroid[here], config.refinement, 1.0, size
+            octave, rounded[here], centroid[here], config.refinement, factor, size
         )
         placed = dataclasses.replace(
             refined, xy=refined.xy * size + (size - 1) / 2, sigma=refined.sigma * size
         )
         for name, part in vars(placed).items():
-            whole = values.setdefault(name, np.zeros((count, *part.shape[1:]), part.dtype))
+            whole = values.setdefault(name, np.zeros((len(here), *part.shape[1:]), part.dtype))
             whole[here] = part
     margin = values.pop("margin")
+    for name in ("xy", "sigma", "edges"):
+        values[name] = values[name].astype(np.float32)
     corners = Corners(
-        pixel=harmonic.in_frame(found.pixel, found.halvings[:, None]).astype(np.int32),
+        pixel=pixel.astype(np.int32),
         octave=found.halvings.astype(np.uint8),
         response=found.response.astype(np.float32),
-        edge_radius=refine.edge_radius(config.refinement, 1.0),
+        edge_radius=refine.edge_radius(config.refinement, factor),
         device="NumPy",
-        **{name: _single(part) for name, part in values.items()},
+        **values,
     )
     return corners, margin
-
-
-def _single(values: NDArray[Any]) -> NDArray[Any]:
-    return values.astype(np.float32) if values.dtype == np.float64 else values
 
 
 def maps(

@@ -305,7 +305,7 @@ class StereoRig:
         points = as_numbers("xyz", xyz, FieldError)
         if points.ndim != 2 or points.shape[1] != 3:
             raise FieldError(f"xyz must be (N, 3), not {points.shape}")
-        seen = self._pixels(points)
+        seen, _, _ = self._projected(points)
         return seen[:, :2], seen[:, 2:]
 
     def slopes(self, xyz: Array) -> tuple[Array, Array]:
@@ -320,7 +320,7 @@ class StereoRig:
         if self.window is not None:
             sizes += [1, 1, length, 1]
         by_place = [
-            (self._moved(step)._pixels(xyz) - seen) / step.sum()
+            (self._moved(step)._projected(xyz)[0] - seen) / step.sum()
             for step in np.diag(_STEP * np.array(sizes))
         ]
         return by_point, np.dstack([by_lens, *by_place])
@@ -345,18 +345,9 @@ class StereoRig:
             camera_of(self.K2, self.D2, self.R, self.T),
         )
 
-    def _pixels(self, xyz: Array) -> Array:
-        """Project points into both cameras, (N, 4) px."""
-        seen = []
-        for camera, centre in zip(self._cameras, (np.zeros(3), self._centre), strict=True):
-            window = self.window
-            straight = xyz if window is None else window.apparent(centre, xyz).points
-            seen.append(projected(straight, camera)[0])
-        return np.hstack(seen)
-
     def _projected(self, xyz: Array) -> tuple[Array, Array, Array]:
-        """Return the same, and the derivatives by the point, (N, 4, 3), and by the parameters of
-        both lenses, (N, 4, 16)."""
+        """Project points into both cameras, (N, 4) px; also return the derivatives by the point,
+        (N, 4, 3), and by the parameters of both lenses, (N, 4, 16)."""
         seen, slopes = [], []
         by_lens = np.zeros((len(xyz), 4, 2 * ESTIMATED))
         for k, (camera, centre) in enumerate(
