@@ -3,9 +3,6 @@
 /* Binarization (section 3.1): black iff (I + C) n < S, with S the sum of the n = w w pixels of
  * the window, border repeated. A pixel of the binary image is 1 where black.
  *
- * The sums are those of a slab, `slab` rows of each frame from `first` on, with one spare row
- * before the first slab and after the last.
- *
  * WINDOW_SUM(T, F) adds F(-w/2) .. F(w/2) in type T; WIDE_SUM(T, F) adds as many of them in
  * type COLUMN as it can hold, and these sums in type T. */
 
@@ -36,26 +33,22 @@ __kernel void repeat_border_binary(const uint rows, const uint columns, const ui
   }
 }
 
-#define SUMS_ROW(p, y) (((size_t)(p) * slab + (y) + 1) * step)
-
 /* Sum of each pixel's column within the window. */
 __kernel void column_sums(__global const PIXEL *restrict image, const uint rows,
-                          const uint step, const uint first, const uint slab,
-                          const COLUMN zero, __global COLUMN *restrict sums) {
+                          const uint step, const COLUMN zero, __global COLUMN *restrict sums) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
-#define TERM(k) image[NEAR_ROW(p, (int)(first + y) + (k)) + x]
-  sums[SUMS_ROW(p, y) + x] = WINDOW_SUM(COLUMN, TERM);
+#define TERM(k) image[NEAR_ROW(p, (int)y + (k)) + x]
+  sums[ROW(p, y) + x] = WINDOW_SUM(COLUMN, TERM);
 #undef TERM
 }
 
 /* Sum the column sums over the window, and compare. */
 __kernel void binarize(__global const PIXEL *restrict image,
                        __global const COLUMN *restrict sums, const uint rows,
-                       const uint step, const uint first, const uint slab, const LEVEL count,
-                       const LEVEL offset, const uint zero, __global uchar *restrict binary) {
-  const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
-  const size_t i = ROW(p, first + y) + x, window = SUMS_ROW(p, y) + x;
-#define TERM(k) sums[window + (k)]
+                       const uint step, const LEVEL count, const LEVEL offset, const uint zero,
+                       __global uchar *restrict binary) {
+  const size_t i = ROW(get_global_id(2), get_global_id(1)) + get_global_id(0);
+#define TERM(k) sums[i + (k)]
   binary[i] = (uchar)(((LEVEL)image[i] + offset) * count < (LEVEL)WIDE_SUM(uint, TERM));
 #undef TERM
 }

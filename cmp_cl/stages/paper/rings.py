@@ -60,14 +60,14 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
     start of every other layout, and so stay.
     """
     rule = _rule(plan)
-    element, step = plan.types["RESPONSE"].itemsize, plan.step
-    rows = plan.frames * plan.working[0] + 2
+    element = plan.types["RESPONSE"].itemsize
+    plane = (plan.frames * plan.working[0] + 2) * plan.step
     lists = {"responses": element * plan.frames * plan.list_capacity}
-    keys = {"key": plan.types["SCORE"].itemsize * rows * step} if nms.keeps_keys(plan) else {}
+    keys = {"key": plan.types["SCORE"].itemsize * plane} if nms.keeps_keys(plan) else {}
     gated = {} if rule.contrast is None else gate.scratch(plan)
-    response = {"response": element * rows * step}
+    response = {"response": element * plane}
     return [
-        binarize.scratch(plan),
+        {"sums": plan.types["COLUMN"].itemsize * plane},
         *({**response, **later} for later in (lists, keys, gated)),
     ]
 
