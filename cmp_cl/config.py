@@ -16,11 +16,11 @@ from typing import Annotated, Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 
-from cmp_cl.errors import ConfigError, check_range
+from cmp_cl.errors import ConfigError, check_pair, check_range
 from cmp_cl.files import check_path, read_toml, write_text
 from cmp_cl.image import check_dtype
 
-Part = TypeVar("Part", bound="_Settings")
+Part = TypeVar("Part", bound="Settings")
 
 
 class Fit(enum.Enum):
@@ -30,7 +30,7 @@ class Fit(enum.Enum):
     QUADRATIC = "quadratic"
 
 
-class _Range(NamedTuple):
+class Range(NamedTuple):
     """The bounds of a number, both allowed."""
 
     low: float
@@ -38,11 +38,11 @@ class _Range(NamedTuple):
     odd: bool = False
 
 
-class _Settings:
+class Settings:
     """A base of dataclasses whose fields are checked by their types.
 
-    A field is a number with a `_Range`, a bool, an enumeration, or another such dataclass; it may
-    be one of several of these, or None.
+    A field is a number with a `Range` or a pair of such numbers, a bool, an enumeration, or another
+    such dataclass; it may be one of several of these, or None.
     """
 
     def __post_init__(self) -> None:
@@ -50,17 +50,23 @@ class _Settings:
             name, value = f"{type(self).__name__}.{field.name}", getattr(self, field.name)
             kinds, limits = _kinds_of(field)
             if limits is not None and (value is not None or types.NoneType not in kinds):
+                low, high, odd = limits
                 kind = int if int in kinds else float
-                check_range(name, value, limits.low, limits.high, kind=kind, odd=limits.odd)
+                if tuple in kinds:
+                    check_pair(name, value, low, high, kind=kind)
+                else:
+                    check_range(name, value, low, high, kind=kind, odd=odd)
             elif limits is None and not isinstance(value, kinds):
                 raise ConfigError(f"{name} must be {_named(kinds)}, not {value!r}")
 
 
-def _kinds_of(field: "dataclasses.Field[Any]") -> tuple[tuple[type, ...], _Range | None]:
+def _kinds_of(field: "dataclasses.Field[Any]") -> tuple[tuple[type, ...], Range | None]:
     """Return the types that a field may have, and the range of a number."""
     kind, limits = field.type, None
     if typing.get_origin(kind) is Annotated:
         kind, limits = typing.get_args(kind)
+    if typing.get_origin(kind) is tuple:
+        return (tuple, typing.get_args(kind)[0]), limits
     return typing.get_args(kind) or (typing.cast(type, kind),), limits
 
 
@@ -77,19 +83,19 @@ def _named(kinds: tuple[type, ...]) -> str:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class AdaptiveMean(_Settings):
+class AdaptiveMean(Settings):
     """Binarization against the mean of a window (section 1).
 
     window: side of the square window, px, odd, 3 to 255.
     offset: C, grey levels of the image as given, 0 to 65535; black iff I + C < mean.
     """
 
-    window: Annotated[int, _Range(3, 255, odd=True)] = 21
-    offset: Annotated[int, _Range(0, 65535)] = 0
+    window: Annotated[int, Range(3, 255, odd=True)] = 21
+    offset: Annotated[int, Range(0, 65535)] = 0
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class RapidCriteria(_Settings):
+class RapidCriteria(Settings):
     """The four integer criteria (section 3a, Eqs. 18 to 23), each with a strict bound.
 
     sector_threshold: bound of the sector difference d2, 1 to 16; also sets the response.
@@ -97,13 +103,13 @@ class RapidCriteria(_Settings):
     corrosion_threshold: bound of Cd, -4 to 17; None leaves the criterion out.
     """
 
-    sector_threshold: Annotated[int, _Range(1, 16)] = 5
-    ring_threshold: Annotated[int, _Range(1, 17)] = 5
-    corrosion_threshold: Annotated[int | None, _Range(-4, 17)] = 6
+    sector_threshold: Annotated[int, Range(1, 16)] = 5
+    ring_threshold: Annotated[int, Range(1, 17)] = 5
+    corrosion_threshold: Annotated[int | None, Range(-4, 17)] = 6
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SpectralCriteria(_Settings):
+class SpectralCriteria(Settings):
     """The four spectral criteria (section 3b, Eqs. 13 and 17).
 
     correlation: bound of the normalised circular cross-correlation, 0 to 1, strict.
@@ -111,13 +117,13 @@ class SpectralCriteria(_Settings):
     corrosion_threshold: bound of Cd, -4 to 17; None leaves the criterion out.
     """
 
-    correlation: Annotated[float, _Range(0, 1)] = 0.75
-    phase: Annotated[float, _Range(0, math.pi)] = math.radians(20)
-    corrosion_threshold: Annotated[int | None, _Range(-4, 17)] = 6
+    correlation: Annotated[float, Range(0, 1)] = 0.75
+    phase: Annotated[float, Range(0, math.pi)] = math.radians(20)
+    corrosion_threshold: Annotated[int | None, Range(-4, 17)] = 6
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SectorContrast(_Settings):
+class SectorContrast(Settings):
     """The contrast gate (section 4).
 
     minimum: least contrast of a candidate, in 1/255 of full scale, 0 to 255.
@@ -125,13 +131,13 @@ class SectorContrast(_Settings):
     noise: least difference of the sector means, standard deviations of the noise, 0 to 100.
     """
 
-    minimum: Annotated[float, _Range(0, 255)] = 20
-    relative: Annotated[float, _Range(0, 1)] = 0.2
-    noise: Annotated[float, _Range(0, 100)] = 2.5
+    minimum: Annotated[float, Range(0, 255)] = 20
+    relative: Annotated[float, Range(0, 1)] = 0.2
+    noise: Annotated[float, Range(0, 100)] = 2.5
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class RingHarmonic(_Settings):
+class RingHarmonic(Settings):
     """Corners by the second harmonic of the grey levels on a ring of eight samples.
 
     The rule has no binary image and needs no cell size.
@@ -147,10 +153,10 @@ class RingHarmonic(_Settings):
         under 20 px lose nothing.
     """
 
-    noise: Annotated[float, _Range(0, 100)] = 2.0
-    relative: Annotated[float, _Range(0, 1)] = 0.1875
+    noise: Annotated[float, Range(0, 100)] = 2.0
+    relative: Annotated[float, Range(0, 1)] = 0.1875
     fine: bool = True
-    octaves: Annotated[int, _Range(0, 3)] = 3
+    octaves: Annotated[int, Range(0, 3)] = 3
 
     @property
     def coarse_noise(self) -> int:
@@ -172,7 +178,7 @@ class RingHarmonic(_Settings):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class BinaryRings(_Settings):
+class BinaryRings(Settings):
     """Corners by the paper's criteria on a binary image.
 
     threshold: binarization.
@@ -182,23 +188,23 @@ class BinaryRings(_Settings):
     """
 
     threshold: AdaptiveMean = AdaptiveMean()
-    outer_radius: Annotated[int, _Range(4, 5)] = 5
+    outer_radius: Annotated[int, Range(4, 5)] = 5
     criteria: RapidCriteria | SpectralCriteria = RapidCriteria()
     contrast: SectorContrast | None = SectorContrast()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class EdgeLines(_Settings):
+class EdgeLines(Settings):
     """Refinement by the intersection of the two edge lines (section 6, EDGE_LINES).
 
     max_shift: largest distance from the rounded centroid, px, 0 to 5.
     """
 
-    max_shift: Annotated[float, _Range(0, 5)] = 2.0
+    max_shift: Annotated[float, Range(0, 5)] = 2.0
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class EdgeStep(_Settings):
+class EdgeStep(Settings):
     """EDGE_LINES, then one least-squares step of a corner model in uneven light (section 6,
     EDGE_STEP).
 
@@ -208,11 +214,11 @@ class EdgeStep(_Settings):
         the right size.
     """
 
-    cell: Annotated[float, _Range(4, 1000)] = 8.6
+    cell: Annotated[float, Range(4, 1000)] = 8.6
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Midlines(_Settings):
+class Midlines(Settings):
     """Refinement by the centrelines of the black sectors (section 6, MIDLINE and CUSP).
 
     fit: straight or quadratic centrelines.
@@ -220,7 +226,7 @@ class Midlines(_Settings):
     """
 
     fit: Fit = Fit.LINEAR
-    max_shift: Annotated[float, _Range(0, 5)] = 2.0
+    max_shift: Annotated[float, Range(0, 5)] = 2.0
 
 
 _TABLE_2_WINDOWS = {20: 41, 30: 31, 40: 21}
@@ -228,7 +234,7 @@ _WIDE_CELL = 20  # px; wider cells are not squeezed under 6 px
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class DetectorConfig(_Settings):
+class DetectorConfig(Settings):
     """All settings that decide which corners are found in an image.
 
     detection: the detection rule, RingHarmonic or BinaryRings.
@@ -241,11 +247,11 @@ class DetectorConfig(_Settings):
     """
 
     detection: RingHarmonic | BinaryRings = RingHarmonic()
-    nms_radius: Annotated[int, _Range(1, 15)] = 3
+    nms_radius: Annotated[int, Range(1, 15)] = 3
     refinement: EdgeStep | EdgeLines | Midlines | None = EdgeStep()
-    scale: Annotated[float | None, _Range(0.05, 4)] = None
-    full_scale: Annotated[int | None, _Range(1, 65535)] = None
-    max_corners: Annotated[int, _Range(1, 2**26)] = 65536
+    scale: Annotated[float | None, Range(0.05, 4)] = None
+    full_scale: Annotated[int | None, Range(1, 65535)] = None
+    max_corners: Annotated[int, Range(1, 2**26)] = 65536
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -347,7 +353,7 @@ def _read(name: str, value: object, field: "dataclasses.Field[Any]") -> object:
     kinds, _ = _kinds_of(field)
     if value is False and bool not in kinds:
         return None
-    parts = {_key(kind): kind for kind in kinds if issubclass(kind, _Settings)}
+    parts = {_key(kind): kind for kind in kinds if issubclass(kind, Settings)}
     if not parts:
         return kinds[0](value) if issubclass(kinds[0], enum.Enum) else value
     choice = f" whose key kind is one of {list(parts)}" if len(parts) > 1 else ""
@@ -363,15 +369,15 @@ def _key(kind: type) -> str:
     return re.sub(r"\B([A-Z])", r"_\1", kind.__name__.removesuffix("Criteria")).lower()
 
 
-def _table(part: _Settings, name: str) -> list[str]:
+def _table(part: Settings, name: str) -> list[str]:
     """Return the lines of TOML of a part: its values, then the tables of its own parts."""
     lines: list[str] = []
     tables: list[str] = []
     for field in dataclasses.fields(part):  # type: ignore[arg-type]
         value = getattr(part, field.name)
-        if isinstance(value, _Settings):
+        if isinstance(value, Settings):
             inner = f"{name}.{field.name}".removeprefix(".")
-            several = sum(issubclass(kind, _Settings) for kind in _kinds_of(field)[0]) > 1
+            several = sum(issubclass(kind, Settings) for kind in _kinds_of(field)[0]) > 1
             tables += [f"\n[{inner}]"] + [f'kind = "{_key(type(value))}"'] * several
             tables += _table(value, inner)
         else:

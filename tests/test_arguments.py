@@ -63,7 +63,7 @@ def several(views=None, **changed):
         (lambda: several(lens="pinhole"), "lens must"),
         (lambda: save_cameras("a.yaml", {"a": 3}), r"cameras\['a'\] must"),
         (lambda: render(None), "scene must be of type Scene"),
-        (lambda: random_scene(-1), "seed must"),
+        (lambda: random_scene(-1), "Scene.seed must"),
     ],
 )
 def test_a_wrong_argument_is_named_in_one_line(call, said, tmp_path, monkeypatch):

@@ -27,19 +27,16 @@ Mask = NDArray[np.bool_] | None
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class _Found:
-    """The corners of an image at one working scale, in raster order, and the maps that gave them.
+    """The corners by the paper's rule, as `harmonic.Corners`; their octave is the image itself."""
 
-    pixel: (N, 2) (x, y). response: (N,). centroid, rounded: (N, 2). All are of the working image,
-    or of the image of their octave. halvings: (N,). images: of the octaves.
-    """
-
-    pixel: NDArray[np.int64]
+    x: NDArray[np.int64]
+    y: NDArray[np.int64]
     response: NDArray[np.int64]
     centroid: NDArray[np.float64]
     rounded: NDArray[np.int64]
     halvings: NDArray[np.int64]
     images: list[GreyImage]
-    maps: Maps | HarmonicMaps
+    maps: Maps
 
 
 def detect(image: GreyImage, config: DetectorConfig | None = None, mask: Mask = None) -> Corners:
@@ -67,7 +64,7 @@ def detect_with_margin(
     check_kind("config", config, DetectorConfig, ConfigError)
     factor = 1.0 if config.scale is None else float(config.scale)
     found = _at_scale(image, config, _checked(mask, image), factor)
-    pixel = harmonic.in_frame(found.pixel, found.halvings[:, None])
+    pixel = np.stack([harmonic.in_frame(at, found.halvings) for at in (found.x, found.y)], axis=1)
     centroid, rounded, images = found.centroid, found.rounded, found.images
     if factor != 1:
         pixel = scale.nearest(scale.to_full(pixel.astype(np.float64), factor), image.shape)
@@ -114,22 +111,13 @@ def _checked(mask: Mask, image: GreyImage) -> NDArray[np.bool_]:
 
 def _at_scale(
     image: GreyImage, config: DetectorConfig, mask: NDArray[np.bool_], factor: float
-) -> _Found:
+) -> _Found | harmonic.Corners:
     full_scale = config.grey_levels(image.dtype)
     image = scale.to_working(image, factor)
     mask = scale.mask_at_working(mask, factor)
     if isinstance(config.detection, BinaryRings):
         return _of_rings(image, config.detection, config.nms_radius, full_scale, mask)
-    found = harmonic.corners(image, config.detection, config.nms_radius, full_scale, mask)
-    return _Found(
-        pixel=np.stack([found.x, found.y], axis=1),
-        response=found.response,
-        centroid=found.centroid,
-        rounded=found.rounded,
-        halvings=found.halvings,
-        images=found.images,
-        maps=found.maps,
-    )
+    return harmonic.corners(image, config.detection, config.nms_radius, full_scale, mask)
 
 
 def _of_rings(
@@ -156,7 +144,8 @@ def _of_rings(
     y, x = np.nonzero(maximum)
     centroid, rounded = nms.centroids(response, x, y)
     return _Found(
-        pixel=np.stack([x, y], axis=1),
+        x=x,
+        y=y,
         response=response[y, x],
         centroid=centroid,
         rounded=rounded,

@@ -1,8 +1,6 @@
 """Two calibrated cameras, and points in space from equal grid indices."""
 
 import dataclasses
-import itertools
-import warnings
 from os import PathLike
 from typing import Any, Self
 
@@ -23,28 +21,13 @@ from cmp_cl.space.lens import (
     projected,
     rotation_of,
 )
-from cmp_cl.space.storage import (
-    open_storage,
-    read_matrix,
-    read_window,
-    save_storage,
-    window_entries,
-)
+from cmp_cl.space.storage import read_rig, save_storage, window_entries
 from cmp_cl.space.triangulation import between, rays_through, undistort
 from cmp_cl.space.window import WINDOW, Window
 
 MIN_PARALLAX = 1.0  # px; with less parallax, depth is only noise
 MAX_ERROR = 3.0  # px, of the reprojection
-_COVARIANCE = "covariance"
 _STEP = 1e-5  # of differences by parameters; of lengths, times the distance of the cameras
-_ALIASES = {
-    "K1": ("K1", "M1", "cameraMatrix1"),
-    "D1": ("D1", "distCoeffs1"),
-    "K2": ("K2", "M2", "cameraMatrix2"),
-    "D2": ("D2", "distCoeffs2"),
-    "R": ("R",),
-    "T": ("T",),
-}
 Array = NDArray[np.float64]
 
 
@@ -135,58 +118,21 @@ class StereoRig:
         Raises CalibrationError if a file cannot be read, or a parameter is missing, malformed or
         given twice.
         """
-        found: dict[str, Array] = {}
-        unit: str | None = None
-        keys = [*itertools.chain.from_iterable(_ALIASES.values()), _COVARIANCE, "unit"]
-        keys += [f"window_{name}" for name in ("normal", "distance", "layers", "index")]
-        window: Window | None = None
-        covariance: Array | None = None
-        for path in paths:
-            storage = open_storage(path, keys)
-            for name, aliases in _ALIASES.items():
-                for alias in aliases:
-                    value = read_matrix(storage, alias, path)
-                    if value is None:
-                        continue
-                    if name in found and not np.array_equal(found[name], value):
-                        raise CalibrationError(f"{path}: {alias} contradicts an earlier {name}")
-                    found[name] = value
-            if "fisheye" in (storage.getNode(name).string() for name in ("lens1", "lens2")):
-                raise CalibrationError(
-                    f"{path}: a camera is a fisheye, and a rig of two views takes none; calibrate "
-                    "it with --lens rational"
-                )
-            kept = read_matrix(storage, _COVARIANCE, path)
-            covariance = covariance if kept is None else kept
-            window = read_window(storage, path) or window
-            written = storage.getNode("unit")
-            if not (written.empty() or written.isString()):
-                raise CalibrationError(f"{path}: unit must be a word such as mm")
-            if written.isString():
-                unit = written.string()
-        files = ", ".join(map(str, paths))
-        missing = [" or ".join(_ALIASES[name]) for name in _ALIASES if name not in found]
-        if missing:
-            what = f"{files}: no {'; no '.join(missing)}"
-            raise CalibrationError(f"{what}; a rig has two cameras" if "K1" in found else what)
-        if unit is None:
-            unit = "mm"
-            warnings.warn(
-                f"{files}: no unit, so T is taken to be in mm; add a line unit: mm", stacklevel=2
-            )
+        found = read_rig(paths)
         try:
-            return cls(**found, unit=unit, covariance=covariance, window=window)
+            return cls(**found)
         except CalibrationError as error:
-            raise CalibrationError(f"{files}: {error}") from error
+            raise CalibrationError(f"{', '.join(map(str, paths))}: {error}") from error
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the rig as YAML that OpenCV reads. The file is replaced whole or not at all.
 
         Raises OSError if the file cannot be written.
         """
-        entries = {name: np.atleast_2d(getattr(self, name)) for name in _ALIASES}
+        names = ("K1", "D1", "K2", "D2", "R", "T")
+        entries = {name: np.atleast_2d(getattr(self, name)) for name in names}
         if self.covariance is not None:
-            entries[_COVARIANCE] = self.covariance
+            entries["covariance"] = self.covariance
         save_storage(path, entries | window_entries(self.window) | {"unit": self.unit})
 
     def triangulate(self, left: Grid, right: Grid) -> Points3D:

@@ -1,7 +1,9 @@
-"""Files of OpenCV's FileStorage: read with a limit on their size, written whole."""
+"""Rigs in files of OpenCV's FileStorage: read with a limit on their size, written whole."""
 
+import itertools
 import re
-from collections.abc import Iterable, Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -17,12 +19,66 @@ from cmp_cl.space.window import Window
 _MAX_FILE = 1 << 20  # bytes
 _MAX_LISTS = 4000  # maps, lists and tags: OpenCV's reader has no bound on how deep they lie
 _MAX_NUMBERS = 676  # entries of the largest matrix, a covariance of 26 parameters
+_NEEDED = {
+    "K1": ("K1", "M1", "cameraMatrix1"),
+    "D1": ("D1", "distCoeffs1"),
+    "K2": ("K2", "M2", "cameraMatrix2"),
+    "D2": ("D2", "distCoeffs2"),
+    "R": ("R",),
+    "T": ("T",),
+}
+_MATRICES = _NEEDED | {"covariance": ("covariance",)}
+_KEYS = [
+    *itertools.chain.from_iterable(_MATRICES.values()),
+    *("unit", "window_normal", "window_distance", "window_layers", "window_index"),
+]
 
 
-def open_storage(path: str | PathLike[str], keys: Iterable[str] = ()) -> cv2.FileStorage:
+def read_rig(paths: Sequence[str | PathLike[str]]) -> dict[str, Any]:
+    """Return what files of one rig hold, by the names of `StereoRig`'s arguments.
+
+    Without a unit it warns. Raises CalibrationError if a file cannot be read, or a camera is
+    missing, contradicts itself or is a fisheye.
+    """
+    found: dict[str, Any] = {}
+    for path in paths:
+        storage = _open_storage(path)
+        for name, aliases in _MATRICES.items():
+            for alias in aliases:
+                value = _read_matrix(storage, alias, path)
+                if value is None:
+                    continue
+                if name in found and not np.array_equal(found[name], value):
+                    raise CalibrationError(f"{path}: {alias} contradicts an earlier {name}")
+                found[name] = value
+        if "fisheye" in (storage.getNode(name).string() for name in ("lens1", "lens2")):
+            raise CalibrationError(
+                f"{path}: a camera is a fisheye, and a rig of two views takes none; calibrate it "
+                "with --lens rational"
+            )
+        window, unit = _read_window(storage, path), storage.getNode("unit")
+        if window is not None:
+            found["window"] = window
+        if unit.isString():
+            found["unit"] = unit.string()
+        elif not unit.empty():
+            raise CalibrationError(f"{path}: unit must be a word such as mm")
+    files = ", ".join(map(str, paths))
+    missing = [" or ".join(_NEEDED[name]) for name in _NEEDED if name not in found]
+    if missing:
+        what = f"{files}: no {'; no '.join(missing)}"
+        raise CalibrationError(f"{what}; a rig has two cameras" if "K1" in found else what)
+    if "unit" not in found:
+        warnings.warn(
+            f"{files}: no unit, so T is taken to be in mm; add a line unit: mm", stacklevel=3
+        )
+    return found
+
+
+def _open_storage(path: str | PathLike[str]) -> cv2.FileStorage:
     """Open a file at `path` of OpenCV's FileStorage.
 
-    Raises CalibrationError if that fails, or if one of the keys is in the file twice: OpenCV would
+    Raises CalibrationError if that fails, or if a key of a rig is in the file twice: OpenCV would
     read one of them without saying which.
     """
     check_path(path, CalibrationError)
@@ -32,7 +88,7 @@ def open_storage(path: str | PathLike[str], keys: Iterable[str] = ()) -> cv2.Fil
         if len(data) > _MAX_FILE:
             raise CalibrationError(f"{path}: over {_MAX_FILE} bytes, no calibration file")
         text = data.decode("utf-8")
-        for key in keys:
+        for key in _KEYS:
             if len(re.findall(rf'^{key}\s*:|"{key}"\s*:|<{key}[\s>]', text, re.MULTILINE)) > 1:
                 raise CalibrationError(f"{path}: {key} is given twice; remove one of them")
         if len(re.findall(r"[\[{<:]|-\s", text)) > _MAX_LISTS:
@@ -61,7 +117,7 @@ def save_storage(
     write_text(path, "%YAML:1.0\n" + storage.releaseAndGetString().split("\n", 1)[1])
 
 
-def read_matrix(
+def _read_matrix(
     storage: cv2.FileStorage, key: str, path: str | PathLike[str]
 ) -> NDArray[np.float64] | None:
     """Read a matrix of at most _MAX_NUMBERS entries; None if the key is missing.
@@ -102,9 +158,9 @@ def window_entries(window: Window | None) -> dict[str, float | NDArray[Any]]:
     }
 
 
-def read_window(storage: cv2.FileStorage, path: str | PathLike[str]) -> Window | None:
+def _read_window(storage: cv2.FileStorage, path: str | PathLike[str]) -> Window | None:
     """Read a window; None if the file has none. Raises CalibrationError if it is not complete."""
-    normal, layers = (read_matrix(storage, f"window_{n}", path) for n in ("normal", "layers"))
+    normal, layers = (_read_matrix(storage, f"window_{n}", path) for n in ("normal", "layers"))
     numbers = [storage.getNode(f"window_{name}") for name in ("distance", "index")]
     if normal is None and layers is None and all(node.empty() for node in numbers):
         return None

@@ -40,7 +40,7 @@ _RESIDUAL = 2e-3  # px, the largest error of the inverse map
 class Rendered:
     """A rendered view and its truth.
 
-    image: (H, W) uint8, or uint16 with 12 bits.
+    image: (H, W) uint8, or uint16 with more than 8 bits.
     truth: (N, N, 2) float64, px: the true position of each inner corner, [row, column] = (x, y).
     cell: median side of a cell in the image, px.
     junctions: (4 (N+1), 2) float64, px: the points at which cell edges and the pattern's corners

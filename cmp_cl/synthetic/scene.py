@@ -3,10 +3,11 @@
 import dataclasses
 import enum
 import math
+from typing import Annotated
 
 import numpy as np
 
-from cmp_cl.errors import ConfigError, check_pair, check_range
+from cmp_cl.config import Range, Settings
 
 
 class Indenter(enum.Enum):
@@ -40,7 +41,7 @@ class Surround(enum.Enum):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Scene:
+class Scene(Settings):
     """One frame to render.
 
     markers: N inner corners a side, 3 to 100: N x N corners between (N+1) x (N+1) cells.
@@ -59,7 +60,7 @@ class Scene:
     vignetting: brightness at the centre over that in the image's corners, 1 to 10.
     exposure: factor on all grey levels, 0.05 to 10; above about 1.3 white saturates.
     surround: grey level beside the pattern.
-    bits: 8 for uint8, 12 for 0 to 4095 in uint16.
+    bits: of the camera: 8 for uint8, 9 to 16 for uint16.
     position: (x, y) of the pattern's centre from the image's, px, within +-8192.
     rotation: rotation of the pattern in the image, rad, -7 to 7.
     tilt: rotations of the gel about the image's x and y axes, rad, -0.5 to 0.5.
@@ -68,59 +69,30 @@ class Scene:
     Raises ConfigError if a field is outside its range.
     """
 
-    markers: int = 40
-    shape: tuple[int, int] = (480, 640)
-    side: float = 32.0
+    markers: Annotated[int, Range(3, 100)] = 40
+    shape: Annotated[tuple[int, int], Range(64, 8192)] = (480, 640)
+    side: Annotated[float, Range(16, 64)] = 32.0
     indenter: Indenter = Indenter.BALL
     mode: Mode = Mode.PRESS
-    severity: float = 1.0
-    contact: tuple[float, float] = (0.0, 0.0)
-    direction: float = 0.0
-    corrosion: float = 1.0
-    blur: float = 0.9
-    noise: float = 3.0
-    light: float = 0.5
-    vignetting: float = 1.2
-    exposure: float = 1.0
+    severity: Annotated[float, Range(0, 2)] = 1.0
+    contact: Annotated[tuple[float, float], Range(-32, 32)] = (0.0, 0.0)
+    direction: Annotated[float, Range(-7, 7)] = 0.0
+    corrosion: Annotated[float, Range(0, 3)] = 1.0
+    blur: Annotated[float, Range(0, 10)] = 0.9
+    noise: Annotated[float, Range(0, 100)] = 3.0
+    light: Annotated[float, Range(0, 1)] = 0.5
+    vignetting: Annotated[float, Range(1, 10)] = 1.2
+    exposure: Annotated[float, Range(0.05, 10)] = 1.0
     surround: Surround = Surround.GREY
-    bits: int = 8
-    position: tuple[float, float] = (0.0, 0.0)
-    rotation: float = 0.0
-    tilt: tuple[float, float] = (0.0, 0.0)
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        check_range("Scene.markers", self.markers, 3, 100, kind=int)
-        check_pair("Scene.shape", self.shape, 64, 8192, kind=int)
-        check_range("Scene.side", self.side, 16, 64)
-        _check_member("indenter", self.indenter, Indenter)
-        _check_member("mode", self.mode, Mode)
-        check_range("Scene.severity", self.severity, 0, 2)
-        check_pair("Scene.contact", self.contact, -32, 32)
-        check_range("Scene.direction", self.direction, -7, 7)
-        check_range("Scene.corrosion", self.corrosion, 0, 3)
-        check_range("Scene.blur", self.blur, 0, 10)
-        check_range("Scene.noise", self.noise, 0, 100)
-        check_range("Scene.light", self.light, 0, 1)
-        check_range("Scene.vignetting", self.vignetting, 1, 10)
-        check_range("Scene.exposure", self.exposure, 0.05, 10)
-        _check_member("surround", self.surround, Surround)
-        if isinstance(self.bits, bool) or self.bits not in (8, 12):
-            raise ConfigError(f"Scene.bits must be 8 or 12, not {self.bits!r}")
-        check_pair("Scene.position", self.position, -8192, 8192)
-        check_range("Scene.rotation", self.rotation, -7, 7)
-        check_pair("Scene.tilt", self.tilt, -0.5, 0.5)
-        check_range("Scene.seed", self.seed, 0, 2**63 - 1, kind=int)
+    bits: Annotated[int, Range(8, 16)] = 8
+    position: Annotated[tuple[float, float], Range(-8192, 8192)] = (0.0, 0.0)
+    rotation: Annotated[float, Range(-7, 7)] = 0.0
+    tilt: Annotated[tuple[float, float], Range(-0.5, 0.5)] = (0.0, 0.0)
+    seed: Annotated[int, Range(0, 2**63 - 1)] = 0
 
     def at_rest(self) -> "Scene":
         """Return the same scene with nothing pressing on the gel."""
         return dataclasses.replace(self, severity=0.0)
-
-
-def _check_member(field: str, value: object, kind: type[enum.Enum]) -> None:
-    if not isinstance(value, kind):
-        names = ", ".join(f"{kind.__name__}.{member.name}" for member in kind)
-        raise ConfigError(f"Scene.{field} must be one of {names}, not {value!r}")
 
 
 def random_scene(
@@ -143,22 +115,18 @@ def random_scene(
     6 px (at VGA), the rotation within 3 degrees, the tilt within 2. Raises ConfigError for a value
     that `Scene` does not take.
     """
-    check_range("seed", seed, 0, 2**63 - 1, kind=int)
-    check_pair("shape", shape, 64, 8192, kind=int)
+    given = Scene(markers=markers, shape=shape, severity=severity, corrosion=corrosion, seed=seed)
     draw = np.random.default_rng([seed, 1])
     indenters = [kind for kind in Indenter if kind is not Indenter.NONE]
     chosen = indenters[draw.integers(len(indenters))]
     moved = list(Mode)[draw.integers(len(Mode))]
     reach = 6.0 * min(shape) / 480
-    return Scene(
-        markers=markers,
-        shape=shape,
+    return dataclasses.replace(
+        given,
         indenter=chosen if indenter is None else indenter,
         mode=moved if mode is None else mode,
-        severity=severity,
         contact=_uniform_pair(draw, 5.0),
         direction=float(draw.uniform(-math.pi, math.pi)),
-        corrosion=corrosion,
         blur=float(draw.uniform(0.7, 1.1)),
         noise=float(draw.uniform(2.0, 4.5)),
         light=float(draw.uniform(0.2, 1.0)),
@@ -167,7 +135,6 @@ def random_scene(
         position=_uniform_pair(draw, reach),
         rotation=float(draw.uniform(-0.05, 0.05)),
         tilt=_uniform_pair(draw, 0.035),
-        seed=seed,
     )
 
 

@@ -210,16 +210,6 @@ def test_the_field_is_the_oracles(run, case, views, lens, window):
     assert bool(CASES[case][2]) == found.refused.any()
 
 
-def test_nodes_before_the_last_face_of_a_window_are_told_as_by_the_oracle(run):
-    """As seen in air, the middle of the press lies within the acrylic."""
-    near = dataclasses.replace(WINDOWS["acrylic and gel"], normal=(0, 0, 1), distance=40.0)
-    rig, rng = dataclasses.replace(rig_with(), window=near), np.random.default_rng(3)
-    rest, now = (views_of(rig_with(), surface(*USUAL, press), rng) for press in (0.0, 4.0))
-    _, _, field = run(rig, rest, now)
-    assert 4 < np.count_nonzero(field.status == PointStatus.BEHIND) < 60
-    np.testing.assert_array_equal(field.status, expected(rig, rest, now).status)
-
-
 @pytest.mark.parametrize("views", [1, 2])
 @pytest.mark.parametrize(
     ("case", "at_once"),
