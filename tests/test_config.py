@@ -73,7 +73,6 @@ def test_bounds_are_allowed_and_a_step_beyond_is_not(part, field, low, high, ste
         ),
         (lambda: DetectorConfig(nms_radius=None), "nms_radius must be an integer in [1, 15]"),
         (lambda: DetectorConfig(scale=0.5), "or for RingHarmonic(octaves=0)"),
-        (lambda: DetectorConfig().replace(window=21), "DetectorConfig has no field 'window'"),
         (lambda: DetectorConfig.paper(0), "20, 30 or 40 markers a side, not 0"),
         (lambda: DetectorConfig.for_cell(3), "for_cell(cell) must be a number in [4, 1000], not 3"),
     ],

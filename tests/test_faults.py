@@ -82,7 +82,7 @@ def cache(own_programs, tmp_path, monkeypatch):
     """Return an empty folder for compiled programs, used on every device."""
     monkeypatch.delenv("PYOPENCL_NO_CACHE", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(program, "_keeps_by_itself", lambda _: False)
+    monkeypatch.setattr(program, "is_pocl", lambda _: False)
     return tmp_path / "cmp_cl"
 
 
@@ -229,7 +229,7 @@ import sys
 import cmp_cl
 import test_faults
 from cmp_cl.opencl import program
-program._keeps_by_itself = lambda _: False
+program.is_pocl = lambda _: False
 test_faults.build(cmp_cl.select_device(sys.argv[1]))
 """
 

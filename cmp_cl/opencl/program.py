@@ -201,16 +201,12 @@ def _place(context: cl.Context, text: str, options: list[str]) -> Path | None:
     itself."""
     device = context.devices[0]
     switched_off = os.environ.get(_NO_CACHE_VARIABLE, "").lower() in ("1", "true", "on", "yes")
-    if switched_off or len(context.devices) > 1 or _keeps_by_itself(device):
+    if switched_off or len(context.devices) > 1 or is_pocl(device):
         return None
     names = (device.platform.name, device.platform.version, device.name, device.driver_version)
     key = hashlib.sha256("\0".join([*names, *options, text]).encode()).hexdigest()
     folder = caches.own_folder()
     return None if folder is None else folder / f"{key}.bin"
-
-
-def _keeps_by_itself(device: cl.Device) -> bool:
-    return is_pocl(device)
 
 
 def _loaded(context: cl.Context, path: Path, options: list[str]) -> cl.Program | None:

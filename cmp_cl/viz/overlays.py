@@ -38,7 +38,8 @@ _WHITE = (255, 255, 255)
 _LEVELS = np.arange(256, dtype=np.uint8)[:, None]
 _PLASMA = cv2.applyColorMap(_LEVELS, cv2.COLORMAP_PLASMA)[:, 0]  # (256, 3), BGR
 _STRIP = 36  # px below the image for the legend
-_NARROWEST, _WIDEST = 480, 1920  # px, the width of `moved_overlay`
+_LEAST = 1000  # px along the longer side of an overlay
+_LEAST_OF_VIDEO, _MOST_OF_VIDEO = 480, 1920  # px, the same of `moved_overlay`
 _FRACTION_BITS = 4
 _UNIT = 1 << _FRACTION_BITS
 
@@ -47,17 +48,14 @@ def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
     """Draw a mark on each of the corners, coloured by its method, and a legend.
 
     image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR. The image is enlarged by a whole
-    factor, each pixel to a block, until a cell is about 32 px wide and the longer side at least
-    1000 px; the result is at most 2400 px long unless the image is longer. The legend is below the
-    image. A circle surrounds each corner and a dot marks its position. Raises ImageError, and
-    FieldError if `corners` is of another type.
+    factor, each pixel to a block, until its longer side has 1000 px. The legend is below the image.
+    A circle surrounds each corner and a dot marks its position. Raises ImageError, and FieldError
+    if `corners` is of another type.
     """
     image = check_image(image)
     check_kind("corners", corners, Corners, FieldError)
-    cell = _spacing(corners.xy)
-    factor = _enlarging(image, cell)
-    canvas = _Canvas(image, factor)
-    radius = min(max(3.0, 0.3 * cell * factor), 24.0)
+    canvas = _Canvas(image, _LEAST)
+    radius = min(max(3.0, 0.3 * _spacing(corners.xy) * canvas.factor), 24.0)
     colours = [METHOD_COLOURS[Method(method)] for method in corners.method]
     canvas.marks(corners.xy, colours, radius, thickness=1)
     canvas.marks(corners.xy, colours, max(1.0, radius / 8))
@@ -81,13 +79,11 @@ def grid_overlay(
         check_kind("corners", corners, Corners, FieldError)
         if len(corners) != len(grid.index):
             raise FieldError(f"the grid is of {len(grid.index)} corners, not of {len(corners)}")
-    cell = _spacing(grid.xy[grid.valid])
-    factor = _enlarging(image, cell)
-    canvas = _Canvas(image, factor)
+    canvas = _Canvas(image, _LEAST)
     canvas.lattice(grid.xy)
     canvas.lines(grid.xy[:1], _FIRST_ROW)
     canvas.lines(grid.xy.swapaxes(0, 1)[:1], _FIRST_COLUMN)
-    radius = min(max(2.0, 0.1 * cell * factor), 8.0)
+    radius = min(max(2.0, 0.1 * _spacing(grid.xy[grid.valid]) * canvas.factor), 8.0)
     off = np.empty((0, 2)) if corners is None else corners.xy[grid.index[:, 0] < 0]
     canvas.marks(off, [_OFF_GRID] * len(off), 1.5 * radius, thickness=1)
     colours = [STATUS_COLOURS[NodeStatus(status)] for status in grid.status[grid.valid]]
@@ -111,19 +107,17 @@ def moved_overlay(
 
     image: (H, W) uint8 or uint16. moved: how far each node has moved, (R, C); one without a
     displacement is grey. top: the end of the scale, in the unit. text: beside the bar. Returns
-    (H', W', 3) uint8 BGR of 480 to 1920 px across. Raises FieldError if `moved` does not fit the
-    grid.
+    (H', W', 3) uint8 BGR, whose longer side has 480 to 1920 px. Raises FieldError if `moved` does
+    not fit the grid.
     """
     if moved.shape != grid.shape:
         raise FieldError(f"moved is {moved.shape}, the grid has {grid.shape} nodes")
-    wide = image.shape[1]
-    factor = 1 / -(-wide // _WIDEST) if wide > _WIDEST else -(-_NARROWEST // wide)
-    canvas = _Canvas(image, factor)
+    canvas = _Canvas(image, _LEAST_OF_VIDEO, _MOST_OF_VIDEO)
     canvas.lattice(grid.xy)
     values = moved[grid.valid]
     levels = np.rint(255 * np.nan_to_num(values) / (top or 1)).clip(0, 255).astype(int)
     colours = np.where(np.isnan(values)[:, None], _UNKNOWN, _PLASMA[levels])
-    radius = min(max(2.5, 0.2 * _spacing(grid.xy[grid.valid]) * factor), 8.0)
+    radius = min(max(2.5, 0.2 * _spacing(grid.xy[grid.valid]) * canvas.factor), 8.0)
     canvas.marks(grid.xy[grid.valid], colours.tolist(), radius)
     bar = [("", bgr) for bgr in _PLASMA[::2].tolist()]
     ends = ("0", _WHITE), (f" {top:.3g} {unit}", _WHITE)
@@ -131,20 +125,24 @@ def moved_overlay(
 
 
 class _Canvas:
-    """An image in BGR, enlarged or reduced by a factor, to draw on at positions in the image."""
+    """An image in BGR, to draw on at positions in the image.
 
-    def __init__(self, image: GreyImage, factor: float) -> None:
-        rows, columns = (round(side * factor) for side in image.shape)
-        how = cv2.INTER_NEAREST if factor >= 1 else cv2.INTER_AREA
+    factor: by which it is enlarged or reduced, so that its longer side has `least` to `most` px.
+    """
+
+    def __init__(self, image: GreyImage, least: int, most: float = math.inf) -> None:
+        longest = max(image.shape)
+        self.factor: float = 1 / -(-longest // most) if longest > most else -(-least // longest)
+        rows, columns = (round(side * self.factor) for side in image.shape)
+        how = cv2.INTER_NEAREST if self.factor >= 1 else cv2.INTER_AREA
         white = 255 if image.dtype == np.uint8 else max(int(image.max()), 1)
         grey = cv2.convertScaleAbs(image, alpha=255 / white)  # stretched to the brightest pixel
         grey = cv2.resize(grey, (columns, rows), interpolation=how)
         self._picture = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
-        self._factor = factor
 
     def _places(self, xy: NDArray[Any]) -> NDArray[np.int32]:
         """Return positions as OpenCV draws them, in fractions of a pixel."""
-        places = (xy.astype(np.float64) + 0.5) * self._factor - 0.5
+        places = (xy.astype(np.float64) + 0.5) * self.factor - 0.5
         return np.rint(_UNIT * places).astype(np.int32)
 
     def marks(
@@ -211,9 +209,3 @@ def _spacing(xy: NDArray[np.float32]) -> float:
     distance = np.hypot(*(some[:, None] - xy[None]).transpose(2, 0, 1))
     distance[distance == 0] = np.inf
     return float(np.median(distance.min(axis=1)))
-
-
-def _enlarging(image: GreyImage, cell: float) -> int:
-    """Return the factor by which `corner_overlay` enlarges an image."""
-    longest = max(image.shape)
-    return int(max(1, min(max(round(32 / cell), math.ceil(1000 / longest)), 2400 // longest)))

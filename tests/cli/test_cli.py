@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pyopencl as cl
 import pytest
 from messages import fails_in_one_line
 
@@ -52,8 +53,13 @@ def test_devices_lists_what_there_is_and_why_one_is_the_default(run, monkeypatch
 
 
 def test_without_a_device_devices_says_why_and_what_to_install(run, monkeypatch, tmp_path):
-    monkeypatch.setattr(devices, "list_devices", list)
+    def no_platform():
+        raise cl.LogicError("clGetPlatformIDs failed: PLATFORM_NOT_FOUND_KHR")
+
+    monkeypatch.setattr(cl, "get_platforms", no_platform)
     monkeypatch.setenv("OCL_ICD_VENDORS", str(tmp_path))
+    asked = run("detect", BOARD, "--device", "cpu")
+    fails_in_one_line(asked, "no OpenCL device found", "pip install 'pyopencl[pocl]'")
     status, out, err = run("devices")
     assert (status, out) == (1, "")
     assert f"no driver is registered in {tmp_path};" in err
