@@ -182,7 +182,7 @@ class BinaryRings(Settings):
     """Corners by the paper's criteria on a binary image.
 
     threshold: binarization.
-    outer_radius: radius of the outer ring, 5 px, or 4 px for cells under 12 px.
+    outer_radius: radius of the outer ring, px, 4 to 5; 4 is for cells under 12 px.
     criteria: the rapid or the spectral form.
     contrast: the contrast gate, or None.
     """

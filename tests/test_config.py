@@ -1,64 +1,43 @@
 """DetectorConfig: every bound, its message, TOML in and out, the presets."""
 
+import inspect
 import math
+import re
 
 import numpy as np
 import pytest
-from configs import CONFIGS
+from configs import CONFIGS, all_settings
 
 from cmp_cl.config import (
     AdaptiveMean,
     BinaryRings,
     DetectorConfig,
-    EdgeLines,
-    EdgeStep,
     Fit,
     Midlines,
     RapidCriteria,
     RingHarmonic,
-    SectorContrast,
-    SpectralCriteria,
 )
 from cmp_cl.errors import ConfigError
 
-# part, field, the least and the greatest value allowed, and a step that leads beyond them
-BOUNDS = [
-    (RingHarmonic, "noise", 0, 100, 1e-3),
-    (RingHarmonic, "relative", 0, 1, 1e-3),
-    (AdaptiveMean, "window", 3, 255, 2),
-    (AdaptiveMean, "offset", 0, 65535, 1),
-    (RapidCriteria, "sector_threshold", 1, 16, 1),
-    (RapidCriteria, "ring_threshold", 1, 17, 1),
-    (RapidCriteria, "corrosion_threshold", -4, 17, 1),
-    (SpectralCriteria, "correlation", 0, 1, 1e-3),
-    (SpectralCriteria, "phase", 0, math.pi, 1e-3),
-    (SpectralCriteria, "corrosion_threshold", -4, 17, 1),
-    (SectorContrast, "minimum", 0, 255, 1e-3),
-    (SectorContrast, "relative", 0, 1, 1e-3),
-    (SectorContrast, "noise", 0, 100, 1e-3),
-    (EdgeLines, "max_shift", 0, 5, 1e-3),
-    (EdgeStep, "cell", 4, 1000, 1e-3),
-    (Midlines, "max_shift", 0, 5, 1e-3),
-    (DetectorConfig, "nms_radius", 1, 15, 1),
-    (DetectorConfig, "scale", 0.05, 4, 1e-3),
-    (DetectorConfig, "full_scale", 1, 65535, 1),
-    (DetectorConfig, "max_corners", 1, 2**26, 1),
-]
-NAMES = [f"{part.__name__}.{field}" for part, field, *_ in BOUNDS]
+RANGES = [each for each in all_settings() if each.limits]
+WRITTEN = {math.pi: "pi", 2**26: "2**26"}
 
 
-@pytest.mark.parametrize(("part", "field", "low", "high", "step"), BOUNDS, ids=NAMES)
-def test_bounds_are_allowed_and_a_step_beyond_is_not(part, field, low, high, step):
+@pytest.mark.parametrize("setting", RANGES, ids=lambda each: f"{each.part.__name__}.{each.name}")
+def test_bounds_are_those_of_the_docstring_and_a_step_beyond_is_refused(setting):
+    part, name, kinds, (low, high, odd) = setting
+    others = {"detection": RingHarmonic(octaves=0)} if name == "scale" else {}
+    said = re.search(rf"(?ms)^{name}: (.*?)(?=^\w+: |\Z)", inspect.getdoc(part))
+    written = " to ".join(WRITTEN.get(value, f"{value:g}") for value in (low, high))
+    assert written in " ".join(said[1].split())
     for value in (low, high):
-        others = {"detection": RingHarmonic(octaves=0)} if field == "scale" else {}
-        assert getattr(part(**{field: value}, **others), field) == value
+        assert getattr(part(**{name: value}, **others), name) == value
+    step = 1e-3 if float in kinds else 1 + odd
     for value in (low - step, high + step):
         with pytest.raises(ConfigError) as caught:
-            part(**{field: value})
-        message = str(caught.value)
-        assert f"{part.__name__}.{field}" in message
-        assert f"[{low:.10g}, {high:.10g}]" in message
-        assert repr(value) in message
+            part(**{name: value}, **others)
+        for word in (f"{part.__name__}.{name}", f"[{low:.10g}, {high:.10g}]", repr(value)):
+            assert word in str(caught.value)
 
 
 @pytest.mark.parametrize(
