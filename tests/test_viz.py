@@ -10,10 +10,11 @@ import cv2
 import numpy as np
 import pytest
 from disks import full_after
+from lattices import corners_at
 from stereo_data import grid_of
 
 from cmp_cl.cli.main import main
-from cmp_cl.corners import Corners, Method
+from cmp_cl.corners import Method
 from cmp_cl.errors import FieldError
 from cmp_cl.grid import NodeStatus
 from cmp_cl.media import read_frames
@@ -38,30 +39,13 @@ needs_matplotlib = pytest.mark.skipif(
 )
 
 
-def corners_at(xy, method):
-    xy = np.asarray(xy, np.float32).reshape(-1, 2)
-    count = len(xy)
-    return Corners(
-        xy=xy,
-        pixel=np.rint(xy).astype(np.int32),
-        octave=np.zeros(count, np.uint8),
-        response=np.ones(count, np.float32),
-        method=np.broadcast_to(np.uint8(method), (count,)).copy(),
-        sigma=np.full(count, np.nan, np.float32),
-        edges=np.full((count, 4), np.nan, np.float32),
-        doubtful=np.zeros(count, bool),
-        refusal=np.zeros(count, np.uint8),
-        device="none",
-    )
-
-
 # images with marks
 
 
 def test_the_centre_of_a_mark_is_the_corner():
     image = np.full((100, 200), 128, np.uint8)
     xy = [[40.25, 50.5], [159.6, 20.0]]
-    picture = corner_overlay(image, corners_at(xy, Method.MIDLINE))
+    picture = corner_overlay(image, corners_at(xy, method=Method.MIDLINE))
     factor = 1000 // 200
     assert picture.shape == (100 * factor + 36, 1000, 3)
     rows, columns = np.nonzero((picture[: 100 * factor] != 128).any(axis=2))

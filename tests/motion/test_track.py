@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pyopencl as cl
 import pytest
-from lattices import keep
+from lattices import corners_at, keep
 from stereo_data import grid_of
 
-from cmp_cl import Corners, Detector, DetectorConfig
+from cmp_cl import Detector, DetectorConfig
 from cmp_cl.grid.grid import NodeStatus, Sides
 from cmp_cl.motion.memory import Memory
 from cmp_cl.motion.nodes import put
@@ -44,25 +44,13 @@ def whole(xy):
     return dataclasses.replace(grid_of(xy, 0.03), border=Sides(True, True, True, True))
 
 
-def corners_at(xy, *, turn=0.05, torn=()):
+def board_at(xy, *, turn=0.05, torn=()):
     """Return the corners of a checkerboard whose nodes (R, C, 2) are there."""
     r, c = np.indices(xy.shape[:2])
     angle = np.where((r + c) % 2, np.pi / 2, 0.0).ravel() + turn
-    count = angle.size
-    sigma = np.full(count, 0.04, np.float32)
+    sigma = np.full(angle.size, 0.04)
     sigma[list(torn)] = 0.3
-    return Corners(
-        xy=xy.reshape(-1, 2).astype(np.float32),
-        pixel=np.rint(xy.reshape(-1, 2)).astype(np.int32),
-        octave=np.zeros(count, np.uint8),
-        response=np.ones(count, np.float32),
-        method=np.full(count, 2, np.uint8),
-        refusal=np.zeros(count, np.uint8),
-        sigma=sigma,
-        edges=np.stack([angle, angle + 1.6, angle + 3.1, angle - 1.5], axis=1).astype(np.float32),
-        doubtful=np.zeros(count, np.bool_),
-        device="",
-    )
+    return corners_at(xy, sigma=sigma, edges=angle[:, None] + (0, 1.6, 3.1, -1.5))
 
 
 def joined(one, other):
@@ -105,7 +93,7 @@ def tracker_of(device):
         programs = programs_of(device.handle)
         queue = cl.CommandQueue(programs.context)
         frame = Memory(queue, Tracker.layout(len(rests), rests[0].shape[:2]))
-        views = [(whole(xy), corners_at(xy)) for xy in rests]
+        views = [(whole(xy), board_at(xy)) for xy in rests]
         tracker = Tracker(
             queue,
             programs,
@@ -147,7 +135,7 @@ def test_nodes_are_those_of_the_oracle(tracker_of):
     rng = np.random.default_rng(2)
     rest = lattice(13, 15)
     follow, _ = tracker_of(rest, rest)
-    colour = colour_of(whole(rest), corners_at(rest))
+    colour = colour_of(whole(rest), board_at(rest))
     before = [rest, rest]
     nodes = [rest, rest]
     for frame in range(6):
@@ -158,7 +146,7 @@ def test_nodes_are_those_of_the_oracle(tracker_of):
             xy[4, 4] += 2.6  # torn, astray
             xy[7, 7] += 4.0  # not alike
             xy[9, 9] += 30.0
-            corners = corners_at(xy, torn=[4 * 15 + 4, 20])
+            corners = board_at(xy, torn=[4 * 15 + 4, 20])
             edges = corners.edges.copy()
             edges[[30, 31], 0] += np.pi / 2  # the other colour
             edges[40] = np.nan
@@ -187,10 +175,10 @@ def test_a_slip_by_whole_cells_is_refused(tracker_of, slip):
     rest = lattice(20, 20, bend=0.5)
     follow, reset = tracker_of(rest)
     step = slip[0] * (rest[1, 0] - rest[0, 0]) + slip[1] * (rest[0, 1] - rest[0, 0])
-    (found,), _ = follow(corners_at(rest + step))
+    (found,), _ = follow(board_at(rest + step))
     assert not found.holds((20, 20))
     reset()
-    (found,), _ = follow(corners_at(rest + 0.25 * step / np.linalg.norm(step) * CELL))
+    (found,), _ = follow(board_at(rest + 0.25 * step / np.linalg.norm(step) * CELL))
     assert found.holds((20, 20))
 
 
@@ -220,9 +208,9 @@ def test_random_jumps_are_refused_or_numbered_right(tracker_of):
             xy = pushed(rest, rest[rng.integers(18), rng.integers(22)], push, width)
         truth = np.arange(rest[..., 0].size)
         kept = rng.random(truth.size) > (0, 0.02, 0.05)[trial % 3]
-        corners = keep(corners_at(xy, turn=0.05 - turn), kept)
+        corners = keep(board_at(xy, turn=0.05 - turn), kept)
         false = lattice(3, 3, at=rng.uniform(0, 300, 2))  # corners of something else
-        other = keep(corners_at(false, turn=rng.uniform(0, 3)), np.arange(9) < 9 * (trial % 2))
+        other = keep(board_at(false, turn=rng.uniform(0, 3)), np.arange(9) < 9 * (trial % 2))
         (found,), arrays = follow(joined(corners, other))
         if not found.holds(rest.shape[:2]):
             refused += 1
