@@ -306,6 +306,16 @@ def test_streams_that_are_begun_and_dropped_keep_nothing(device):
             assert_same_bytes(result, detector(FRAMES[1]))
 
 
+def test_batches_of_many_sizes_take_the_memory_of_one(device):
+    with Detector(shape=images.SHAPE, device=device) as detector:
+        memory = []
+        for size in (5, 2, 3, 5):
+            detector.batch([BOARD] * size)
+            memory.append(detector.memory)
+    assert memory[0] == memory[-1]
+    assert max(memory) == memory[0]
+
+
 def test_threads_wait_for_one_another(detector):
     expected = [detector(frame) for frame in FRAMES]
 
