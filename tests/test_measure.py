@@ -89,44 +89,42 @@ def grainy(image, deviation=6):
     return np.clip(np.rint(image + deviation * noise / noise.std()), 0, 255).astype(np.uint8)
 
 
-@pytest.mark.parametrize(("changed", "least"), [(enlarged, 0.2), (grainy, 0.05)])
-def test_sigma_of_a_frame_is_the_same_tracked_or_numbered(changed, least):
-    rest, now = (changed(pressed(severity).left.image) for severity in FILM[:2])
-    with measure.OneView(rest, shape=NODES) as following:
-        following(rest)
-        tracked = following(now)
-    with measure.OneView(rest, shape=NODES) as alone:
-        anew = alone(now)
-    assert tracked.tracked
-    assert not anew.tracked
-    (one,), (other,) = tracked.grids, anew.grids
-    assert np.nanmedian(one.image_sigma) > least
-    np.testing.assert_array_equal(one.image_sigma, other.image_sigma)
+def torn(node, half, by):
+    """Return what moves the square of so many px around a node of the second frame of FILM."""
+    x, y = np.rint(pressed(FILM[1]).left.truth[node]).astype(int)
+    top, left, side = y - half, x - half, 2 * half + 1
+
+    def change(image):
+        image = image.copy()
+        moved = image[top - by : top - by + side, left - by : left - by + side].copy()
+        image[top : top + side, left : left + side] = moved
+        return image
+
+    return change
 
 
 @pytest.mark.parametrize(
-    ("node", "half", "by", "status"),
-    [((5, 6), 4, 2, NodeStatus.ATTACHED), ((7, 7), 2, 3, NodeStatus.SECOND_LOOK)],
+    ("at_rest", "now", "seen"),
+    [
+        (enlarged, enlarged, lambda grid: np.nanmedian(grid.image_sigma) > 0.2),
+        (grainy, grainy, lambda grid: np.nanmedian(grid.image_sigma) > 0.05),
+        (np.copy, torn((5, 6), 4, 2), lambda grid: grid.status[5, 6] == NodeStatus.ATTACHED),
+        (np.copy, torn((7, 7), 2, 3), lambda grid: grid.status[7, 7] == NodeStatus.SECOND_LOOK),
+    ],
+    ids=["enlarged", "grainy", "torn, attached", "torn, looked at again"],
 )
-def test_a_torn_node_is_the_same_tracked_or_numbered(node, half, by, status):
-    rest, now = pressed(0.0).left, pressed(0.1).left
-    x, y = np.rint(now.truth[node]).astype(int)
-    top, left, side = y - half, x - half, 2 * half + 1
-    torn = now.image.copy()
-    torn[top : top + side, left : left + side] = now.image[
-        top - by : top - by + side, left - by : left - by + side
-    ]
-    with measure.OneView(rest.image, shape=NODES) as following:
-        following(rest.image)
-        tracked = following(torn)
-    with measure.OneView(rest.image, shape=NODES) as alone:
-        anew = alone(torn)
-    assert tracked.tracked
-    assert not anew.tracked
-    (one,), (other,) = tracked.grids, anew.grids
-    assert one.status[node] == status
-    np.testing.assert_array_equal(one.status, other.status)
-    np.testing.assert_array_equal(one.xy, other.xy)
+def test_a_changed_frame_is_the_same_tracked_or_numbered(at_rest, now, seen):
+    rest, frame = at_rest(pressed(FILM[0]).left.image), now(pressed(FILM[1]).left.image)
+    with measure.OneView(rest, shape=NODES) as following:
+        following(rest)
+        tracked = following(frame)
+    with measure.OneView(rest, shape=NODES) as alone:
+        anew = alone(frame)
+    assert (tracked.tracked, anew.tracked) == (True, False)
+    assert seen(tracked.grids[0])
+    for name in ("xy", "status", "image_sigma"):
+        one, other = (getattr(each.grids[0], name) for each in (tracked, anew))
+        np.testing.assert_array_equal(one, other, name)
     for name, values in tracked.arrays.items():
         np.testing.assert_array_equal(values, anew.arrays[name], name)
 
