@@ -75,7 +75,7 @@ def assert_found_alone(found, truth, margin):
 
 @pytest.mark.parametrize("smooth", [1, 2, 3])
 def test_noise_between_wide_cells_is_no_corner(detector_in_form, smooth):
-    image, truth = images.board(*SHAPE, 60, angle=0.3, blur=1.5)
+    image, truth = images.board(*SHAPE, 60, angle=0.3, blur=1.5, samples=3)
     noise = cv2.GaussianBlur(np.random.default_rng(3).normal(size=SHAPE), (0, 0), smooth)
     dim = np.linspace(0.4, 1, SHAPE[1]) * image + 12 * noise / noise.std()
     image = dim.clip(0, 255).astype(np.uint8)
@@ -98,8 +98,8 @@ def test_strong_noise_on_the_small_ring_is_no_corner(detector_in_form, seed, smo
 
 @pytest.mark.parametrize("cell", [8, 12, 17])
 def test_a_faint_pattern_of_small_cells_beside_wide_ones_is_found(detector_in_form, cell):
-    image, _ = images.board(*SHAPE, 60, angle=0.3, blur=0.7)
-    small, truth = images.board(*SHAPE, cell, angle=0.2, blur=0.7)
+    image, _ = images.board(*SHAPE, 60, angle=0.3, blur=0.7, samples=3)
+    small, truth = images.board(*SHAPE, cell, angle=0.2, blur=0.7, samples=3)
     image[:, 150:] = 90 + 0.25 * (small[:, 150:] - 128.0)
     inside = ((truth > (165, 15)) & (truth < (290, 248))).all(axis=1)
     found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
