@@ -17,7 +17,7 @@ def made_up(index: str, name: str, platform: str, kind: DeviceKind) -> Device:
     )
 
 
-POCL = made_up("0:0", "cpu-haswell", "Portable Computing Language", DeviceKind.CPU)
+POCL = made_up("0:0", "cpu-3:0, not a GPU", "Portable Computing Language", DeviceKind.CPU)
 FIRST = made_up("1:0", "NVIDIA A100", "NVIDIA CUDA", DeviceKind.GPU)
 SECOND = made_up("1:1", "NVIDIA T4", "NVIDIA CUDA", DeviceKind.GPU)
 OTHER = made_up("2:0", "FPGA board", "Boards", DeviceKind.ACCELERATOR)
