@@ -182,6 +182,16 @@ def test_a_slip_by_whole_cells_is_refused(tracker_of, slip):
     assert found.holds((20, 20))
 
 
+@pytest.mark.parametrize(("hidden", "holds"), [(8, True), (12, False)])
+def test_numbers_do_not_hold_where_most_of_a_side_is_hidden(tracker_of, hidden, holds):
+    rest, seen = lattice(20, 20, bend=0.5), np.ones((20, 20), np.bool_)
+    seen[0, 4 : 4 + hidden] = False
+    follow, _ = tracker_of(rest)
+    (found,), _ = follow(keep(board_at(rest), seen.ravel()))
+    assert found.gone == (hidden, 0, 0, 0)
+    assert found.holds((20, 20)) is holds
+
+
 def pushed(xy, at, push, width):
     """Return nodes that a push (2,), px, at the place `at` moves, less so farther away."""
     far = np.linalg.norm(xy - at, axis=2, keepdims=True)
