@@ -145,6 +145,7 @@ def test_nodes_are_those_of_the_oracle(tracker_of):
             xy = rest + shift + rng.normal(0, 0.2, rest.shape)
             xy[4, 4] += 2.6  # torn, astray
             xy[7, 7] += 4.0  # not alike
+            xy[10, 3, 0] += 2.2  # whole, and near enough
             xy[9, 9] += 30.0
             corners = board_at(xy, torn=[4 * 15 + 4, 20])
             edges = corners.edges.copy()
