@@ -190,6 +190,18 @@ def test_a_frame_that_does_not_fit_is_refused_and_the_next_one_is_measured(film)
         np.testing.assert_array_equal(following(film[2]).field.displacement, expected)
 
 
+def test_a_frame_after_one_that_failed_is_numbered_anew(film, monkeypatch):
+    def fails(*_):
+        raise cmp_cl.DeviceError("the device is lost")
+
+    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
+        assert [following(frame).tracked for frame in film[:2]] == [False, True]
+        with monkeypatch.context() as patch, pytest.raises(cmp_cl.DeviceError):
+            patch.setattr(cmp_cl.Detector, "finish", fails)
+            following(film[2])
+        assert [following(frame).tracked for frame in film[3:5]] == [False, True]
+
+
 def test_a_view_is_measured_against_the_view_at_rest():
     rest, now = pressed(0.0).left.image, pressed(0.4).left.image
     with measure.OneView(rest, shape=NODES) as against_rest:
