@@ -69,10 +69,11 @@ def picture(kind):
 
 
 KINDS = ("worn scene", "soft", "noisy", "saturated", "steep light", "perfect", "at the edge")
+KINDS += ("at the side", "12 bits")
 
 
 @refinements
-@pytest.mark.parametrize("kind", [*KINDS, "at the side", "12 bits"])
+@pytest.mark.parametrize("kind", some(KINDS, ("worn scene", "saturated", "at the edge", "12 bits")))
 def test_positions_are_the_oracles(detector_in_form, name, kind):
     image = picture(kind)
     full_scale = 4095 if kind == "12 bits" else None
