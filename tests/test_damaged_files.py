@@ -36,9 +36,9 @@ def run(*arguments):
     return done.stdout
 
 
-@pytest.mark.parametrize(("cases", "seed"), some([(50, 1), (250, 2)], [(50, 1)]))
-def test_a_damaged_file_is_read_or_refused(cases, seed):
-    assert "'refused'" in run(SCRIPT, "--cases", cases, "--seed", seed)
+@pytest.mark.parametrize("cases", some([50, 250], [50]))
+def test_a_damaged_file_is_read_or_refused(cases):
+    assert "'refused'" in run(SCRIPT, "--cases", cases, "--seed", 1)
 
 
 def test_a_hang_a_crash_and_a_flood_of_memory_are_found():
