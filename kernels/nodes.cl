@@ -13,7 +13,7 @@
 #define MARGIN 15 /* places beside the first board: one a round, and three that are looked at */
 #define NEAR 3    /* the farthest that a node looks */
 
-/* Constants of the score, in the order of cmp_cl/lattice/nodes.py. */
+/* Constants of the score, in the order of cmp_cl/lattice/kernels.py. */
 typedef struct {
   float side_depth, side_depth_px, side_share;
   float depth;

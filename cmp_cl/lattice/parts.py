@@ -1,62 +1,18 @@
-"""From links to numbered parts: what kernels/faces.cl and kernels/parts.cl need."""
+"""What the host reads of the parts of a frame: nodes, and the ways across tears between them."""
 
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.lattice.arrays import Units
-from cmp_cl.opencl.launches import Launch
+from cmp_cl.lattice.arrays import Units, Votes
+from cmp_cl.lattice.kernels import VOTE
 
 if TYPE_CHECKING:
     from cmp_cl.lattice.plan import LatticePlan
 
 FULL = 4  # faces around a corner inside its part
-
-
-def sizes(plan: "LatticePlan") -> dict[str, int]:
-    """Return the bytes of the buffers."""
-    half_edges = 4 * plan.capacity
-    names = ("face", "beyond", "part", "waiting", "faces_of_part")
-    return {
-        **dict.fromkeys(names, 4 * half_edges),
-        "apart": 8 * half_edges,
-        "cut": half_edges,
-        "steps": 16 * half_edges,
-        "state": 16 * half_edges,
-    }
-
-
-def launches(plan: "LatticePlan") -> list[Launch]:
-    """Return the launches from the twins of half-edges to the parts and the numbers in them."""
-    k, b, corners = plan.constants, plan.buffers, plan.corners
-    links = {**corners, "twin": b["twin"]}
-    faces = {**links, "face": b["face"]}
-    compared = {**faces, "steps": b["steps"], "apart": b["apart"]}
-    return [
-        plan.of_half_edges(
-            "close_faces",
-            **links,
-            cuts=plan.constant(np.array(k.torn_cuts, np.int32)),
-            face=b["face"],
-            cut=b["cut"],
-            steps=b["steps"],
-        ),
-        plan.of_half_edges("compare_faces", **compared),
-        plan.one_group(
-            "number_parts",
-            **faces,
-            apart=b["apart"],
-            tolerances=plan.constant(k.face_tolerances()),
-            most_cuts=np.int32(k.cuts),
-            cut=b["cut"],
-            beyond=b["beyond"],
-            part=b["part"],
-            waiting=b["waiting"],
-            state=b["state"],
-            size=b["faces_of_part"],
-        ),
-    ]
+ROOM = 16  # votes for each node of a rim, more than most tears have
 
 
 def units_of(numbered: list[NDArray[np.int32]], xy: NDArray[np.float32], least: int) -> Units:
@@ -85,3 +41,32 @@ def units_of(numbered: list[NDArray[np.int32]], xy: NDArray[np.float32], least: 
         rim=(part[1:] != part[0]).any(axis=0)[corner],
         at=xy[corner].astype(np.float64).view(np.complex128)[:, 0],
     )
+
+
+def votes(plan: "LatticePlan", units: Units) -> Votes:
+    """Return the votes between the rims of parts, in order of both units and of the steps."""
+    rim = np.flatnonzero(units.rim)
+    found = np.zeros((0, VOTE), np.int32)
+    if len(rim) and units.part[rim[0]] < units.part[rim[-1]]:
+        part = units.part[rim]
+        after = np.searchsorted(part, part, side="right")
+        rims = np.stack([units.corner[rim], after], axis=1).astype(np.int32)
+        found = _found(plan, rims, ROOM * len(rims))
+    first, second, _, _, steps, weight = found.T
+    order = np.lexsort((second, first, steps))
+    first, second, boundary, other, steps = found[order, :5].astype(np.int64).T
+    share = np.ascontiguousarray(weight[order]).view(np.float32).astype(np.float64)
+    return Votes(rim[first], rim[second], boundary, other, steps, share)
+
+
+def _found(plan: "LatticePlan", rims: NDArray[np.int32], room: int) -> NDArray[np.int32]:
+    """Return the votes between nodes of rims, in any order."""
+    if "votes" not in plan.buffers or plan.buffers["votes"].size < 4 * VOTE * room:
+        plan.find_votes = plan.votes_in(1 << (room - 1).bit_length())
+    plan.write("rims", rims)
+    plan.write("rims_and_votes", np.array([len(rims), 0], np.int32))
+    plan.enqueue(plan.find_votes)
+    count = int(plan.read("rims_and_votes", np.int32)[1])
+    if 4 * VOTE * count > plan.buffers["votes"].size:
+        return _found(plan, rims, count)
+    return plan.read("votes", np.int32, VOTE * count).reshape(count, VOTE)

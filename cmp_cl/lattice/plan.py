@@ -5,6 +5,7 @@ A plan serves frames of one shape and pixel type, with up to `capacity` corners.
 
 import functools
 import threading
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,9 +13,10 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.image import GreyImage
-from cmp_cl.lattice import borders, links, nodes, parts, votes
+from cmp_cl.lattice import borders, kernels, parts
 from cmp_cl.lattice.arrays import Board, Units, Votes
 from cmp_cl.lattice.constants import LatticeConstants
+from cmp_cl.lattice.kernels import Kernel, Over
 from cmp_cl.opencl.device import Device, DeviceKind, check_process, is_forked
 from cmp_cl.opencl.launches import GROUP, Binder, Launch, multiple
 from cmp_cl.opencl.program import Programs, programs_of
@@ -28,7 +30,6 @@ from cmp_cl.stages.refine import (
     RESULT_HEAD,
 )
 
-FILES = ("bins", "links", "faces", "parts", "votes", "nodes", "borders")
 # That the host writes or reads.
 SHARED = (
     *("image", "corners", "layout", "nodes", "node_owner", "node_rough", "border"),
@@ -85,17 +86,17 @@ class LatticePlan(Binder):
         self.pad = LEAST_PAD if source is None else source.pad
         self.step = multiple(shape[1] + 2 * self.pad, GROUP) if source is None else source.step
         self.lock = threading.RLock()  # held by who uses the plan
-        self.kernels = programs.kernels(FILES, self._defines)
+        self.kernels = programs.kernels(kernels.FILES, self._defines)
         self._here: dict[str, NDArray[np.uint8]] = {}
         given = {} if source is None else {"image": source.image, "corners": source.corners}
         self.sizes = self._sizes(own=source is None)
         self.buffers = given | {name: self.buffer(name, n) for name, n in self.sizes.items()}
-        self.nats = self.constant(nodes.nats(self))
-        self.launches = [*links.launches(self), *parts.launches(self), *nodes.first_board(self)]
+        self.values = kernels.values(self)
+        self.launches = self.bound(kernels.PARTS_OF_CORNERS)
+        self.lay_only, self.lay = (
+            self.bound(kernels.board_of_numbers(most_parts)) for most_parts in ("one", "any")
+        )
         self.find_votes: list[Launch] = []
-        self.measure = [borders.measure(self)]
-        finish = [borders.cut(self), *self.measure]
-        self.lay_only, self.lay = ([*nodes.lay(self, most), *finish] for most in (1, nodes.ANY))
         self._likely = 0  # places of a board, as of the frame before
 
     def __del__(self) -> None:
@@ -177,11 +178,7 @@ class LatticePlan(Binder):
         }
         return {
             **(from_host if own else {}),
-            **links.sizes(self),
-            **parts.sizes(self),
-            **votes.sizes(self),
-            **nodes.sizes(self),
-            **borders.sizes(self),
+            **kernels.sizes(self),
         }
 
     def buffer(self, name: str, size: int) -> cl.Buffer:
@@ -197,52 +194,34 @@ class LatticePlan(Binder):
         """Return the places of the largest board: four for each corner, beside its margins."""
         return 4 * self.capacity + PLACES
 
-    # How kernels are bound
+    def bound(self, table: Iterable[Kernel]) -> list[Launch]:
+        """Bind kernels to their arguments.
 
-    @property
-    def size(self) -> dict[str, Any]:
-        """Return the rows and columns of the image, by argument."""
-        return {"rows": np.uint32(self.shape[0]), "columns": np.uint32(self.shape[1])}
-
-    @property
-    def levels(self) -> dict[str, Any]:
-        """Return the smoothed image, by argument."""
-        return {
-            "levels": self.buffers["levels"],
-            "level_step": np.uint32(self.step),
-            **self.size,
+        On a CPU a kernel over pixels has groups of whole rows, one over the places of a board some
+        rows for each work-item, and one work-group is one work-item. Groups of corners are small
+        there, because PoCL gives a thread 32 of them at a time.
+        """
+        cpu = self.device.kind is DeviceKind.CPU
+        items_and_group = {
+            Over.PIXELS: ((self.step, self.shape[0]), (self.step if cpu else GROUP, 1)),
+            Over.CORNERS: ((self.capacity,), (GROUP // 4 if cpu else GROUP,)),
+            Over.HALF_EDGES: ((4 * self.capacity,), (GROUP,)),
+            Over.PLACES: ((1, ROWS), (1, 1)) if cpu else ((GROUP, 4 * ROWS), (GROUP, 1)),
+            Over.GROUP: ((1,), (1,)) if cpu else ((ONE_GROUP,), (ONE_GROUP,)),
         }
+        given = {**self.values, **self.buffers}
+        return [
+            self.stage(
+                name, *items_and_group[over], **{each: given[each] for each in names.split()}
+            )
+            for name, over, names in table
+        ]
 
-    @property
-    def corners(self) -> dict[str, Any]:
-        """Return the corners in the layout of kernels/result.clh, by argument."""
-        return {"corners": self.buffers["corners"], "capacity": np.uint32(self.capacity)}
-
-    @property
-    def width(self) -> int:
-        """Return the work-items of a group of a kernel over pixels: on a CPU a whole row."""
-        return self.step if self.device.kind is DeviceKind.CPU else GROUP
-
-    def of_corners(self, name: str, **arguments: Any) -> Launch:
-        """Bind a kernel with one work-item per corner. On a CPU groups are small, because PoCL
-        gives a thread 32 of them at a time."""
-        group = GROUP // 4 if self.device.kind is DeviceKind.CPU else GROUP
-        return self.stage(name, (self.capacity,), (group,), **arguments)
-
-    def of_half_edges(self, name: str, **arguments: Any) -> Launch:
-        """Bind a kernel with one work-item per half-edge."""
-        return self.stage(name, (4 * self.capacity,), (GROUP,), **arguments)
-
-    def of_places(self, name: str, **arguments: Any) -> Launch:
-        """Bind a kernel over the places of a board; on a CPU a work-item takes some rows."""
-        if self.device.kind is DeviceKind.CPU:
-            return self.stage(name, (1, ROWS), (1, 1), **arguments)
-        return self.stage(name, (GROUP, 4 * ROWS), (GROUP, 1), **arguments)
-
-    def one_group(self, name: str, **arguments: Any) -> Launch:
-        """Bind a kernel that is one work-group; on a CPU it is one work-item."""
-        items = 1 if self.device.kind is DeviceKind.CPU else ONE_GROUP
-        return self.stage(name, (items,), (items,), **arguments)
+    def votes_in(self, room: int) -> list[Launch]:
+        """Return the launches that find the votes, with a buffer for so many."""
+        self.buffers["votes"] = self.buffer("votes", 4 * kernels.VOTE * room)
+        self.values["room"] = np.int32(room)
+        return self.bound(kernels.VOTES)
 
     # What happens in a frame
 
@@ -300,7 +279,7 @@ class LatticePlan(Binder):
         """Wait for the parts. Return the board if one part is large enough, (0, 0) without any,
         None if several are."""
         layout, board = self._board()
-        if layout[nodes.PARTS] > 1:
+        if layout[kernels.PARTS] > 1:
             return None
         return board
 
@@ -316,7 +295,7 @@ class LatticePlan(Binder):
 
     def votes(self, units: Units) -> Votes:
         """Return the ways across tears between the rims of parts."""
-        return votes.votes(self, units)
+        return parts.votes(self, units)
 
     def settle(self, numbers: NDArray[np.int32] | None = None) -> Board:
         """Return the board of numbered corners, its nodes settled, as `_board`.
@@ -337,8 +316,8 @@ class LatticePlan(Binder):
         while count < 0 or count > self._likely:
             self._likely = max(count, self._likely)
             layout, found, at, owner, rough = self.fetch(
-                ("layout", np.int32, nodes.LAYOUT),
-                ("border", np.int32, borders.FOUND),
+                ("layout", np.int32, kernels.LAYOUT),
+                ("border", np.int32, kernels.FOUND),
                 ("nodes", np.float32, 2 * self._likely),
                 ("node_owner", np.int32, self._likely),
                 ("node_rough", np.bool_, self._likely),

@@ -7,10 +7,9 @@ import pytest
 from lattice_plans import K, gel, plan_for
 
 from cmp_cl import detect
-from cmp_cl.lattice import borders
 from cmp_cl.lattice.arrays import NONE, Board
 from cmp_cl.lattice.borders import ROOM, UNSEEN, border_of
-from cmp_cl.lattice.nodes import LAYOUT
+from cmp_cl.lattice.kernels import CUT, LAYOUT, MEASURE
 from cmp_cl.reference.harmonic import smoothed
 from cmp_cl.reference.lattice import parts
 from cmp_cl.reference.lattice.borders import Sides, trimmed
@@ -33,7 +32,7 @@ def assert_equal_to_the_oracle(plan, board, image, corners):
     plan.write("nodes", np.stack([board.x, board.y], axis=2))
     plan.write("node_owner", board.owner.astype(np.int32))
     plan.write("used", np.isin(np.arange(len(corners)), board.owner))
-    plan.enqueue(plan.measure)
+    plan.enqueue(plan.bound([MEASURE]))
     found = plan.read("border", np.int32)
     plane = smoothed(image, plan.full_scale)[0]
     directed = parts.directed(plane, corners.xy, corners.edges, K)
@@ -102,7 +101,7 @@ def test_outer_lines_of_few_nodes_are_taken_off(device, seed):
     plan.write("result", np.stack([x, y], axis=2))
     plan.write("owner", owner.astype(np.int32))
     plan.write("rough", board.torn)
-    plan.enqueue([borders.cut(plan)])
+    plan.enqueue(plan.bound([CUT]))
     wanted = trimmed(board, shape, K)
     count = wanted.owner.size
     assert plan.read("border", np.int32, 3).tolist() == [*wanted.owner.shape, wanted.sign]

@@ -8,7 +8,7 @@ from lattices import keep
 from cmp_cl import detect
 from cmp_cl.lattice.arrays import LOOKED, NONE, Board
 from cmp_cl.lattice.borders import ROOM, upright
-from cmp_cl.lattice.nodes import ROUNDS
+from cmp_cl.lattice.kernels import ROUNDS
 from cmp_cl.reference import harmonic
 from cmp_cl.reference.lattice import borders
 from cmp_cl.reference.lattice import nodes as lattice_nodes

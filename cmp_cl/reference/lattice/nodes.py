@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.lattice.arrays import LOOKED, NONE, Board
 from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.lattice.nodes import ROUNDS
+from cmp_cl.lattice.kernels import ROUNDS
 from cmp_cl.reference.lattice.parts import (
     F,
     Mask,

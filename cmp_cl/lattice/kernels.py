@@ -1,0 +1,221 @@
+"""The kernels of the lattice, in order: over what each runs, and its arguments by their names.
+
+An argument is a buffer of the plan or one of `values`. What the kernels do stands in kernels/.
+"""
+
+import enum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from cmp_cl.lattice.plan import LatticePlan
+
+FILES = ("bins", "links", "faces", "parts", "votes", "nodes", "borders")
+DIRECTIONS = 1024  # unit vectors in a full turn
+PARTS, LAYOUT = 7, 8  # in the layout, see kernels/lattice.clh: the parts; numbers in all
+ROUNDS = 12  # times that nodes are looked for, three less than the margin in kernels/nodes.cl
+LISTS = 8  # of places, see `settle_nodes`
+FOUND = 23  # numbers of a border, see cmp_cl/lattice/borders.py
+VOTE = 6  # numbers of a vote
+
+
+class Over(enum.Enum):
+    """What the work-items of a kernel are."""
+
+    PIXELS = enum.auto()
+    CORNERS = enum.auto()
+    HALF_EDGES = enum.auto()
+    PLACES = enum.auto()
+    GROUP = enum.auto()  # one work-group does all
+
+
+Kernel = tuple[str, Over, str]
+
+AT = "corners capacity"
+LEVELS = "levels level_step rows columns"
+BINS = "layout starts binned"
+PRICE, SIDE = "least_cosine turn_price", "depth depth_px"
+NODES, CLAIMS = "seen owner torn used", "best_score best_place"
+POSITIONS, MEASURES = "at result rough predictions", "cell sides cells"
+
+PARTS_OF_CORNERS: tuple[Kernel, ...] = (
+    ("smooth_levels", Over.PIXELS, "image step full_scale rows columns levels"),
+    ("direct_corners", Over.CORNERS, f"{AT} {LEVELS} circle radius lines contrast"),
+    ("fill_bins", Over.GROUP, f"{AT} rows columns {BINS}"),
+    ("choose_near", Over.CORNERS, f"{AT} lines {BINS} rows columns rings {PRICE} first"),
+    ("choose_mutual", Over.HALF_EDGES, f"{AT} {LEVELS} {SIDE} first choice"),
+    (
+        "choose_far",
+        Over.CORNERS,
+        f"{AT} lines {BINS} {LEVELS} neighbours rings {PRICE} {SIDE} choice",
+    ),
+    ("keep_mutual", Over.HALF_EDGES, f"{AT} choice twin"),
+    ("close_faces", Over.HALF_EDGES, f"{AT} twin cuts face cut steps"),
+    ("compare_faces", Over.HALF_EDGES, f"{AT} twin face steps apart"),
+    (
+        "number_parts",
+        Over.GROUP,
+        f"{AT} twin face apart tolerances most_cuts cut beyond part waiting state faces_of_part",
+    ),
+    ("number_corners", Over.GROUP, f"{AT} part state faces_of_part least_part numbers layout"),
+)
+VOTES: tuple[Kernel, ...] = (
+    ("mean_steps", Over.CORNERS, f"{AT} twin step_of_corner"),
+    (
+        "find_votes",
+        Over.HALF_EDGES,
+        f"{AT} lines contrast {LEVELS} step_of_corner rims ways reach {SIDE} room "
+        "rims_and_votes votes",
+    ),
+)
+MEASURE: Kernel = (
+    "measure_border",
+    Over.GROUP,
+    f"image step rows columns {AT} lines {BINS} used passing least_line least_cosine beside "
+    "nodes node_owner border",
+)
+CUT: Kernel = (
+    "cut_board",
+    Over.GROUP,
+    "rows columns least_line radius layout result owner rough used "
+    "nodes node_owner node_rough border",
+)
+
+
+def board_of_numbers(most_parts: str) -> tuple[Kernel, ...]:
+    """Return what leads from the numbers of corners to a board; most_parts: the name of the number
+    of parts, of which more leave it empty."""
+    return (
+        (
+            "lay_board",
+            Over.GROUP,
+            f"{AT} numbers places {most_parts} nats layout {NODES} {CLAIMS} tried marks",
+        ),
+        ("blend_nodes", Over.PLACES, f"nats layout seen torn {POSITIONS}"),
+        ("measure_nodes", Over.PLACES, f"{LEVELS} nats layout at {MEASURES}"),
+        (
+            "score_nodes",
+            Over.PLACES,
+            f"{LEVELS} nats layout seen at predictions {MEASURES} score",
+        ),
+        (
+            "settle_nodes",
+            Over.GROUP,
+            f"{AT} {LEVELS} nats rounds starts binned layout {NODES} tried {POSITIONS} {MEASURES} "
+            f"score candidate found key listed asked {CLAIMS} marks lists places",
+        ),
+        CUT,
+        MEASURE,
+    )
+
+
+def sizes(plan: "LatticePlan") -> dict[str, int]:
+    """Return the bytes of the buffers. That of the votes is made for the first torn frame."""
+    corners, places, (rows, columns) = plan.capacity, plan.places, plan.shape
+    # A bin is as large as a quarter of the area of a corner, or larger, and 4 px wide or wider.
+    bins = 4 * corners + rows // 4 + columns // 4 + 2
+    of_corners = {
+        **dict.fromkeys(("contrast", "binned", "step_of_corner", *CLAIMS.split()), 4),
+        **dict.fromkeys(("lines", "first", "choice", "twin", "face", "beyond", "part"), 16),
+        **dict.fromkeys(("waiting", "faces_of_part", "numbers"), 16),
+        **{"used": 1, "cut": 4, "apart": 32, "rims": 32, "steps": 64, "state": 64},
+    }
+    of_places = {
+        **dict.fromkeys(("torn", "rough", "tried", "node_rough"), 1),
+        **dict.fromkeys(("owner", "cell", "score", "candidate", "key", "listed", "asked"), 4),
+        **dict.fromkeys(("marks", "node_owner"), 4),
+        **dict.fromkeys(("seen", "at", "result", "sides", "cells", "found", "nodes"), 8),
+        **{"predictions": 16, "lists": 4 * LISTS},
+    }
+    return {
+        **{name: size * corners for name, size in of_corners.items()},
+        **{name: size * places for name, size in of_places.items()},
+        "levels": 2 * rows * plan.step,
+        "starts": 4 * bins,
+        "layout": 4 * LAYOUT,
+        "border": 4 * FOUND,
+        "rims_and_votes": 8,
+    }
+
+
+def values(plan: "LatticePlan") -> dict[str, Any]:
+    """Return the arguments that are no buffers of a frame, by name."""
+    k = plan.constants
+    whole = {
+        "rings": k.link_rings,
+        "neighbours": k.link_neighbours,
+        "most_cuts": k.cuts,
+        "least_part": k.least_part,
+        "places": plan.places,
+        "rounds": ROUNDS,
+        "one": 1,
+        "any": 2**31 - 1,
+    }
+    real = {
+        "radius": k.contrast_radius_px,
+        "least_cosine": k.least_cosine,
+        "turn_price": k.turn_price,
+        "depth": k.side_depth_cells,
+        "depth_px": k.side_depth_px,
+        "reach": k.span + 0.5,
+        "passing": k.passing,
+        "least_line": k.least_line,
+        "beside": k.reach_cells,
+    }
+    count = {
+        "capacity": plan.capacity,
+        "step": plan.step,
+        "level_step": plan.step,
+        "full_scale": plan.full_scale,
+        "rows": plan.shape[0],
+        "columns": plan.shape[1],
+    }
+    tables = {
+        "circle": circle(),
+        "cuts": np.array(k.torn_cuts, np.int32),
+        "tolerances": k.face_tolerances(),
+        "ways": ways(plan),
+        "nats": nats(plan),
+    }
+    return {
+        **{name: np.int32(value) for name, value in whole.items()},
+        **{name: np.float32(value) for name, value in real.items()},
+        **{name: np.uint32(value) for name, value in count.items()},
+        **{name: plan.constant(table) for name, table in tables.items()},
+    }
+
+
+def circle() -> NDArray[np.float32]:
+    """Return the cosines of the directions, in steps of 2^-14."""
+    cosine = np.cos(np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS))
+    rounded: NDArray[np.float32] = (np.rint(16384 * cosine) / 16384).astype(np.float32)
+    return rounded
+
+
+def ways(plan: "LatticePlan") -> NDArray[np.float32]:
+    """Return what a way of so many steps must have, (span, 4), see kernels/votes.cl."""
+    k = plan.constants
+    m = np.arange(1, k.span + 1)
+    cosine = np.full(k.span, k.least_cosine)
+    share = 2 / (len(k.side_points) * m)
+    return np.stack([cosine, 1 / m, share, 1 / np.sqrt(m)], axis=1).astype(np.float32)
+
+
+def nats(plan: "LatticePlan") -> NDArray[np.float32]:
+    """Return the constants of the score, in the order of kernels/nodes.cl."""
+    k = plan.constants
+    firm = 0.5 / k.firm_sd_cells**2
+    return np.array(
+        [
+            *(k.side_depth_cells, k.side_depth_px, 1 / len(k.side_points)),
+            k.cell_depth,
+            k.rough_weight_per_px2,
+            *(k.side_nats, k.cells_nats, k.prior_nats),
+            *(firm, firm / 4),  # an extrapolation is half as good
+            *(k.stay_nats, 2 * k.stay_nats),
+            *(k.reach_cells, k.near_cells, k.contrast_radius_px),
+        ],
+        np.float32,
+    )
