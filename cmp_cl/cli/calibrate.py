@@ -18,7 +18,7 @@ from cmp_cl.cli.arguments import (
     grid_shape,
     positive_number,
 )
-from cmp_cl.cli.messages import Progress, counted, one_line, shown, tell
+from cmp_cl.cli.messages import counted, one_line, progress, shown, tell
 from cmp_cl.cli.window import add_window, through_window, view_of, window_files
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
 from cmp_cl.grid import Grid
@@ -186,7 +186,7 @@ def _boards(
     sizes: dict[str, tuple[int, int]] = {}
     left_out = []
     moments = list(zip(*files.values(), strict=True))
-    with Progress(len(moments), "views") as progress:
+    with progress(len(moments), "views") as bar:
         for paths in moments:
             for side, (name, path) in enumerate(zip(files, paths, strict=True)):
                 grid = None
@@ -203,7 +203,7 @@ def _boards(
                     which = f" ({name})" if arguments.stereo else ""
                     left_out.append(f"{shown(path)}{which}: {one_line(error)}")
                 grids[name].append(grid)
-            progress.step()
+            bar.update()
     for name in files:
         if name not in sizes:
             raise CalibrationError(_unseen(name, files, left_out, arguments))

@@ -1,12 +1,11 @@
 """What commands print: names, errors and counts in one line, and a progress bar."""
 
-import contextlib
 import os
 import sys
 from pathlib import Path
 from typing import Any
 
-from cmp_cl.closing import Closing
+from tqdm import tqdm
 
 _LONGEST = 1000  # characters of a message; a refused value may have any length
 
@@ -40,31 +39,9 @@ def tell(line: str) -> None:
     print(f"cmp-cl: {line}", file=sys.stderr, flush=True)
 
 
-class Progress(Closing):
-    """A progress bar if tqdm is installed and stderr is a terminal, else nothing.
+def progress(total: int | None, unit: str) -> Any:
+    """Return a bar of tqdm on stderr, if that is a terminal, for a with statement.
 
     total: number of steps, None if unknown. unit: what is counted.
     """
-
-    def __init__(self, total: int | None, unit: str) -> None:
-        self._bar: Any = None
-        with contextlib.suppress(ImportError):
-            from tqdm import tqdm
-
-            self._bar = tqdm(total=total, unit=f" {unit}", disable=None, leave=False)
-
-    def step(self, note: str = "") -> None:
-        """Count a step; note: what is told behind the rate."""
-        if self._bar is not None:
-            self._bar.set_postfix_str(note, refresh=False)
-            self._bar.update()
-
-    def tell(self, line: str) -> None:
-        """Print a line of this program on stderr, above the bar."""
-        if self._bar is not None:
-            self._bar.clear()
-        tell(line)
-
-    def close(self) -> None:
-        if self._bar is not None:
-            self._bar.close()
+    return tqdm(total=total, unit=f" {unit}", disable=None, leave=False)

@@ -3,7 +3,7 @@
 import argparse
 
 from cmp_cl.cli.arguments import check_files, check_suffix
-from cmp_cl.cli.messages import Progress, counted, shown
+from cmp_cl.cli.messages import counted, progress, shown
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.series import read_series
 from cmp_cl.viz import Quantity, map_figure, save_figure, sheet_figure
@@ -53,9 +53,9 @@ def run(arguments: argparse.Namespace) -> int:
     moments = moments_of(read_series(arguments.series, NEEDED))
     frames = counted(len(moments), "frame")
     if moving:
-        with Progress(None, "frames") as progress:
+        with progress(None, "frames") as bar:
             quantity = Quantity(arguments.what or Quantity.DISPLACEMENT.value)
-            count = animate(arguments.out, moments, quantity, step=progress.step)
+            count = animate(arguments.out, moments, quantity, step=bar.update)
         print(f"wrote {shown(arguments.out)}: {count} of {frames}")
         return 0
     summary = Summary(moments)

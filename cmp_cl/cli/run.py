@@ -17,7 +17,7 @@ from cmp_cl.cli.arguments import (
     positive_number,
     split_of,
 )
-from cmp_cl.cli.messages import Progress, counted, one_line, shown, tell
+from cmp_cl.cli.messages import counted, one_line, progress, shown, tell
 from cmp_cl.cli.running.pace import Pace
 from cmp_cl.cli.running.results import Results
 from cmp_cl.cli.running.sources import at_rest, opened, why_left_out
@@ -292,11 +292,12 @@ def _flow(
     with (
         Ahead(frames, _AHEAD) as decoded,
         Ahead(_measured(iter(decoded), rest, measure, pace, stop), _AHEAD) as results,
-        Progress(source.total, "frames") as progress,
+        progress(source.total, "frames") as bar,
     ):
         try:
             for frame, measured in results:
-                progress.step(pace.limit)
+                bar.set_postfix_str(pace.limit, refresh=False)
+                bar.update()
                 if measured is not None:
                     # The others have the numbers of the frame at rest.
                     ambiguous = measured.ambiguous and frame.index != rest_frame
@@ -305,7 +306,8 @@ def _flow(
                     continue
                 found.left_out += 1
                 if found.left_out <= _LINES_OF_BROKEN:
-                    progress.tell(why_left_out(frame, rest, live=source.live))
+                    bar.clear()
+                    tell(why_left_out(frame, rest, live=source.live))
         finally:
             ignore()  # no signal stops the end of what is written
 
