@@ -20,7 +20,7 @@ from cmp_cl.errors import ConfigError, GridError, ImageError
 from cmp_cl.files import csv_bytes, whole_file
 from cmp_cl.grid import Grid, NodeStatus, build_grid
 from cmp_cl.image import GreyImage
-from cmp_cl.measure.patterns import check_size
+from cmp_cl.measure.patterns import check_board
 from cmp_cl.media import Frame
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.viz import corner_overlay, grid_overlay
@@ -140,8 +140,10 @@ def _searched(
         grid, nodes, doubts = None, "", list[str]()
         if shape is not None:
             try:
-                grid = _numbered(corners, image, shape, device)
-                nodes, doubts = f", {grid.valid.sum()} of {grid.valid.size} nodes", grid.doubts
+                found = build_grid(corners, image, shape=shape, device=device)
+                check_board(found)
+                grid, doubts = found, found.doubts
+                nodes = f", {grid.valid.sum()} of {grid.valid.size} nodes"
             except GridError as error:
                 doubts = [f"not numbered: {one_line(error)}"]
         spent = 1e3 * (time.perf_counter() - start)
@@ -168,15 +170,6 @@ def _detector(
 ) -> Detector:
     """Return the detector, which is kept as long as images are alike."""
     return Detector(shape=shape, dtype=dtype, config=config, device=device)
-
-
-def _numbered(corners: Corners, image: GreyImage, shape: tuple[int, int], device: Device) -> Grid:
-    """Return the grid of the corners; raises GridError if it is not the whole board's."""
-    grid = build_grid(corners, image, shape=shape, device=device)
-    check_size(grid)
-    if not grid.valid.any():
-        raise GridError(grid.doubts[0])
-    return grid
 
 
 def _corner_rows(corners: Corners) -> list[Sequence[object]]:

@@ -49,7 +49,7 @@ def find_pattern(
     if not cell >= 4:
         size = "" if shape is None else f" of {' x '.join(map(str, shape))} corners"
         raise GridError(f"no pattern{size} is found: {why}{advice and '; '}{advice}")
-    check_size(grid)
+    check_board(grid)
     return cell, grid
 
 
@@ -93,10 +93,10 @@ def find_board(
     return filter_positions(kept, device=device)
 
 
-def check_size(grid: Grid) -> None:
-    """Raise GridError if the pattern seems to have another number of corners."""
-    if grid.seen_shape is not None:
-        raise GridError(grid.doubts[0])
+def check_board(grid: Grid) -> None:
+    """Raise GridError if no board is seen, or it seems to have another number of corners."""
+    if grid.seen_shape is not None or not grid.valid.any():
+        raise GridError("; ".join(grid.doubts))
 
 
 def align_views(left: Grid, right: Grid, rotation: NDArray[np.float64]) -> Grid:

@@ -11,7 +11,7 @@ from cmp_cl.errors import GridError
 from cmp_cl.grid import Grid, build_grid
 from cmp_cl.grid.grid import empty_grid
 from cmp_cl.image import GreyImage
-from cmp_cl.measure.patterns import check_size
+from cmp_cl.measure.patterns import check_board
 
 # Frames without a grid over which numbers are continued. After more of them, a motion of half a
 # cell per frame could reach the next position that looks the same.
@@ -36,9 +36,7 @@ class View:
     ) -> None:
         self.corners, self.rest = detector.grid(view, shape=shape)
         self._device = detector.device
-        if not self.rest.valid.any():
-            raise GridError("no pattern is seen")
-        check_size(self.rest)
+        check_board(self.rest)
         self.sure = dataclasses.replace(self.rest, confidence=math.inf, rival=None)
         self.track = track
         self._previous: Callable[[], Grid] | None = None
