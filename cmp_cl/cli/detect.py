@@ -93,13 +93,6 @@ def run(arguments: argparse.Namespace) -> int:
         for path in paths:
             try:
                 for index, image, corners, grid in _searched(path, config, shape, device):
-                    if shape is not None and grid is None:
-                        failed = True
-                        continue
-                    rows = _corner_rows(corners) if grid is None else _node_rows(grid)
-                    count += len(rows)
-                    if table is not None:
-                        table.write(csv_bytes([(str(path), index, *row) for row in rows]))
                     if overlay is not None and not index:
                         picture = (
                             corner_overlay(image, corners)
@@ -108,6 +101,13 @@ def run(arguments: argparse.Namespace) -> int:
                         )
                         media.write_image(overlay, picture)
                         print(f"wrote {shown(overlay)}")
+                    if shape is not None and grid is None:
+                        failed = True
+                        continue
+                    rows = _corner_rows(corners) if grid is None else _node_rows(grid)
+                    count += len(rows)
+                    if table is not None:
+                        table.write(csv_bytes([(str(path), index, *row) for row in rows]))
             except ImageError as error:
                 tell(one_line(error))
                 failed = True
@@ -151,11 +151,11 @@ def _searched(
         for doubt in doubts:
             tell(f"{name}: {doubt}")
         yield frame.index, image, corners, grid
-        seen = True
-        if not advice:
+        if not advice and not (seen and len(corners)):  # of the first frame, and of empty ones
             advice = corners.advice(image, config.full_scale)
             if advice:
                 tell(f"{name}: {advice}")
+        seen = True
     if not seen:
         raise ImageError(f"{str(path)!r} has no frame that can be read")
     if broken:

@@ -83,8 +83,8 @@ def test_a_board_that_a_bar_parts_is_told_to_be_one_beside_which_corners_are(run
     bar = np.where(abs(u - 2) < 0.5, 120.0, np.nan)
     view = boards.drawn(camera, (300, 400), (6, 9), front=bar)
     cv2.imwrite(str(tmp_path / "bar.png"), view.image)
-    status, _, err = run("detect", tmp_path / "bar.png", "--grid", "6x9")
-    assert status == 2
+    status, out, err = run("detect", "bar.png", "--grid", "6x9", "--overlay", "o.png")
+    assert (status, "wrote o.png" in out) == (2, True)  # the corners
     assert "the board looks like 6 x 6 corners; 6 x 9 were asked for; another pattern of 6" in err
 
 
