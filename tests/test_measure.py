@@ -290,7 +290,7 @@ def test_a_board_without_a_sure_corner_is_refused():
     image = boards.drawn(camera, (240, 300), (6, 9)).image
     assert measure.find_board(grainy(image, 10), (6, 9)).valid.sum() > 40
     with pytest.raises(GridError, match=r"no corner has a sigma of at most 0.2 px"):
-        measure.find_board(grainy(image, 30), (6, 9))
+        measure.find_board(grainy(image, 40), (6, 9))
 
 
 # a moving pattern without a border in view
