@@ -73,6 +73,20 @@ def test_frames_of_two_recordings_are_side_by_side_and_those_left_over_are_count
         assert pairs.alone == alone
 
 
+def test_frames_of_a_pair_are_at_most_half_an_interval_apart(tmp_path, monkeypatch):
+    image, times = np.zeros((48, 64), np.uint8), {"a": [0, 40, 80], "b": [5, 61, 85]}
+    for name in times:
+        write_video(tmp_path / f"{name}.avi", [image] * 3)
+    pairs = Pairs(*(Source(str(tmp_path / f"{name}.avi")) for name in times))
+
+    def timed(source):
+        yield from (Frame(0, image, time) for time in times[source.paths[0].stem])
+
+    monkeypatch.setattr(Source, "timed", timed)
+    assert [frame.time_ms for frame in pairs.frames()] == [0, 80]
+    assert pairs.alone == [1, 1]
+
+
 class Capture:
     """A camera that gives ten frames and rejects an exposure."""
 
