@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from stereo_data import grid_of
 
 from cmp_cl.grid import Grid, NodeStatus
 from cmp_cl.grid.grid import Rival
@@ -12,21 +13,9 @@ from cmp_cl.opencl.device import select_device
 from cmp_cl.reference.field import markers as oracle
 
 
-def grid_at(xy: np.ndarray, parity: int = 0) -> Grid:
-    shape = xy.shape[:2]
-    status = np.where(np.isnan(xy[..., 0]), NodeStatus.MISSING, NodeStatus.DETECTED)
-    return Grid(
-        xy=xy.astype(np.float32),
-        status=status.astype(np.uint8),
-        image_sigma=np.full(shape, 0.1, np.float32),
-        index=np.argwhere(~np.isnan(xy[..., 0])).astype(np.int32),
-        parity=parity,
-    )
-
-
 def regular(rows: int, columns: int) -> Grid:
     row, column = np.mgrid[:rows, :columns] * 10.0
-    return grid_at(np.stack([column + 0.1 * row, row], axis=2))
+    return grid_of(np.stack([column + 0.1 * row, row], axis=2), 0.1)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5])
@@ -58,7 +47,7 @@ def test_markers_lie_on_a_parabola_through_the_nodes():
     row, column = np.mgrid[0:7, 0:7].astype(float)
     x = 20 * column + 0.4 * column**2 - 0.2 * row**2
     y = 15 * row + 0.3 * row**2 + 0.5 * column**2
-    dense = grid_at(np.stack([x, y], -1)).with_virtual_markers(3)
+    dense = grid_of(np.stack([x, y], -1)).with_virtual_markers(3)
     row, column = np.mgrid[0:25, 0:25] / 4
     x = 20 * column + 0.4 * column**2 - 0.2 * row**2
     y = 15 * row + 0.3 * row**2 + 0.5 * column**2
@@ -70,7 +59,7 @@ def test_an_edge_without_one_of_its_nodes_has_no_markers():
     row, column = np.mgrid[0:5, 0:5] * 10.0
     xy = np.stack([column, row], -1)
     xy[2, 2] = np.nan
-    dense = grid_at(xy).with_virtual_markers(3)
+    dense = grid_of(xy).with_virtual_markers(3)
     assert not dense.valid[8, 5:12].any()
     assert not dense.valid[5:12, 8].any()
     assert dense.valid.sum() == 24 + 3 * (40 - 4)
@@ -88,7 +77,7 @@ def checkerboard(dtype: type, parity: int) -> tuple[np.ndarray, Grid]:
     row, column = np.mgrid[0:8, 0:11]
     xy = np.stack([10.3 + 16.0 * column, 20.6 + 16 * row], -1)
     scale = 200 if dtype == np.uint16 else 1
-    return np.rint(grey * scale).astype(dtype), grid_at(xy, parity)
+    return np.rint(grey * scale).astype(dtype), dataclasses.replace(grid_of(xy), parity=parity)
 
 
 @pytest.mark.parametrize("parity", [0, 1])
