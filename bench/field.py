@@ -87,40 +87,52 @@ def film_of(scene: Scene, severities: Sequence[float], cases: Sequence[str]) -> 
 
 
 def films(count: int) -> list[Film]:
-    """Render as many films of each kind: presses, then those that jump."""
-    scenes = [random_scene(seed, markers=MARKERS, shape=VIEW) for seed in range(SEED, SEED + count)]
+    """Render as many films of each kind, each of a scene of its own: presses, then those that
+    jump."""
+    seeds = itertools.count(SEED)
     cases = [next(case for case, most in BOUNDS.items() if level <= most) for level in STEPS]
-    made = [film_of(scene, STEPS, cases) for scene in scenes]
+    made = [film_of(scene_of(next(seeds)), STEPS, cases) for _ in range(count)]
     for case, levels in JUMPS.items():
-        for scene in scenes:
+        named = [*[LIGHT] * (len(levels) - AFTER), *[case] * AFTER]
+        for _ in range(count):
+            scene = scene_of(next(seeds))
             moved = dataclasses.replace(scene, mode=Mode.SHEAR) if case == "slip" else scene
-            before = [LIGHT] * (len(levels) - AFTER)
-            made.append(film_of(moved, levels, [*before, *[case] * AFTER]))
+            made.append(film_of(moved, levels, named))
     return made
 
 
+def scene_of(seed: int) -> Scene:
+    return random_scene(seed, markers=MARKERS, shape=VIEW)
+
+
 def errors(made: Sequence[Film]) -> list[Row]:
-    """Measure the films in their order; return what the fields err by, and what sigma covers."""
+    """Measure the films in their order; return what the fields err by, and what sigma covers.
+
+    All frames of a film have the error of its frame at rest, so strains count by film.
+    """
     found: dict[str, list[np.ndarray]] = {}
+    of_films = []
     for film in made:
         with TwoViews(film[0].frame, RIG, SPLIT, shape=(MARKERS, MARKERS), strain=True) as measure:
-            for shot in film[1:]:
-                answer = error_of(measure(shot.frame), film[0], shot)
-                found.setdefault(shot.case, []).append(answer)
+            answers = [error_of(measure(shot.frame), film[0], shot) for shot in film[1:]]
+        for shot, answer in zip(film[1:], answers, strict=True):
+            found.setdefault(shot.case, []).append(answer)
+        of_films.append(np.mean(answers, axis=0))
     rows: list[Row] = []
     for case in [*BOUNDS, *JUMPS]:
         count, (square, within, *_) = len(found[case]), np.mean(found[case], axis=0)
         rows.append(("displacement, RMS error", case, count, np.sqrt(square), "um", ""))
         rows.append(("displacement within 2 sigma", case, count, 100 * within, "%", "90 to 98"))
     every = np.concatenate(list(found.values()))
-    _, _, strain, low, nodes, wrong = np.mean(every, axis=0)
-    for what, value, unit, goal in (
-        ("strain within 2 sigma", 100 * strain, "%", "93 to 97"),
-        ("the same, lowest 5 % of sigma", 100 * low, "%", "93 to 97"),
-        ("nodes with a displacement", 100 * nodes, "%", ""),
-        ("nodes with a wrong number", wrong * len(every), "", "0"),
+    _, _, _, _, nodes, wrong = np.mean(every, axis=0)
+    _, _, strain, low, _, _ = np.mean(of_films, axis=0)
+    for what, case, value, unit, goal in (
+        ("strain within 2 sigma", "mean of the films", 100 * strain, "%", "93 to 97"),
+        ("the same, lowest 5 % of sigma", "mean of the films", 100 * low, "%", "93 to 97"),
+        ("nodes with a displacement", "all", 100 * nodes, "%", ""),
+        ("nodes with a wrong number", "all", wrong * len(every), "", "0"),
     ):
-        rows.append((what, "all", len(every), value, unit, goal))
+        rows.append((what, case, len(every), value, unit, goal))
     return rows
 
 
