@@ -85,11 +85,6 @@ __kernel void rapid_criteria(__global const uchar *restrict binary, const uint r
 
 #endif
 
-/* The ring bits of a pixel: bit i is sample i. */
-#define RING_BIT(i, dx, dy) \
-  | ((uint)binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)] << (i))
-#define ROTATE(v, k) ((((v) >> (k)) | ((v) << (16 - (k)))) & 0xffffu)
-
 /* d2 of Eq. 21; 255 if there are not four runs. */
 uint run_difference(const uint mask) {
   uint left = mask ^ ROTATE(mask, 1), end[4];
@@ -117,8 +112,6 @@ __kernel void ring_maps(__global const uchar *restrict binary, const uint rows,
   const size_t i = ROW(p, y) + x;
   const uint g2 = 0 INNER_RING(RING_BIT);
   const uint g1 = 0 OUTER_RING(RING_BIT);
-  const int nr = (int)popcount(0u REGION(RING_BIT));
-  const int n1 = (int)popcount(g1);
 
   inner[i] = (ushort)g2;
   outer[i] = (ushort)g1;
@@ -126,5 +119,5 @@ __kernel void ring_maps(__global const uchar *restrict binary, const uint rows,
   outer_transitions[i] = (uchar)popcount((g1 ^ ROTATE(g1, 1)) & (g1 ^ ROTATE(g1, 2)));
   sector_difference[i] = (uchar)run_difference(g2);
   ring_difference[i] = (uchar)popcount(g1 ^ g2);
-  corrosion[i] = (char)max(n1 - nr, nr - n1 - 5);
+  corrosion[i] = (char)corrosion_of(g1, 0u REGION(RING_BIT));
 }

@@ -13,10 +13,8 @@
 #define WORD_OF(bits) (bits + (p * rows + index / step) * (step / 32) + index % step / 32)
 
 /* Clear the histograms. One work-item per bin. */
-__kernel void clear_bins(__global uint *restrict counted, __global uint *restrict bins) {
-  const size_t p = get_global_id(1);
-  if (get_global_id(0) == 0) counted[p] = 0;
-  bins[p * BINS + get_global_id(0)] = 0;
+__kernel void clear_bins(__global uint *restrict bins) {
+  bins[get_global_id(1) * BINS + get_global_id(0)] = 0;
 }
 
 /* The contrast of the inner ring, the smaller contrast of the two rings, and the difference of the
@@ -32,14 +30,13 @@ __kernel void sector_contrast(__global const PIXEL *restrict image,
                               __global CONTRAST *restrict inner_contrast,
                               __global CONTRAST *restrict contrast,
                               __global CONTRAST *restrict mean_difference,
-                              __global uint *restrict counted, __global uint *restrict bins) {
+                              __global uint *restrict bins) {
   const size_t n = get_global_id(0), p = get_global_id(1);
   if (n >= min(counts[p], capacity)) return;
   const uint index = list[p * capacity + n];
   const int x = index % step, y = index / step;
   contrast[p * capacity + n] = inner_contrast[p * capacity + n] = (CONTRAST)NO_CONTRAST;
   if (!(*WORD_OF(maxima) >> index % 32 & 1)) return;
-  atomic_inc(counted + p);
 #define GREY_AT(i, dx, dy) image[NEAR_ROW(p, y + (dy)) + x + (dx)],
 #define COLOUR_AT(i, dx, dy) binary[NEAR_ROW(p, y + (dy)) + x + (dx)],
   const int inner[] = {INNER_RING(GREY_AT)}, outer[] = {OUTER_RING(GREY_AT)};
@@ -100,17 +97,16 @@ __kernel void histogram(__global const CONTRAST *restrict inner_contrast,
 
 /* Find the next eight bits, and after the last eight the bounds of the gate:
  * contrast >= limit[P90] and 2 N sm >= F A. One work-item per plane. */
-__kernel void percentile(__global const uint *restrict counted,
-                         __global const ulong *restrict noise_sums,
+__kernel void percentile(__global const ulong *restrict noise_sums,
                          __global const int *restrict limit, const uint rows, const uint columns,
                          const uint bands, const uint shift, const uint noise_factor,
                          __global uint *restrict bins, __global uint2 *restrict found,
                          __global int2 *restrict bounds) {
   const size_t p = get_global_id(0);
-  const uint n = counted[p];
   const bool first = shift + 8 == PIXEL_BITS;
+  uint n = 0, bin = 0, count = 0, below = 0;
+  for (uint b = 0; b < BINS; ++b) n += bins[p * BINS + b];
   const uint rank = first ? (9 * n + 9) / 10 : found[p].y;
-  uint bin = 0, count = 0, below = 0;
   for (uint b = 0; b < BINS; ++b) { /* no early end, so the reads need not wait for one another */
     count += bins[p * BINS + b];
     if (count < rank) {

@@ -87,10 +87,8 @@ __kernel void maximum(__global const uint *restrict list, __global const uint *r
   }
   const uint bit = 1u << index % 32;
   __global uint *word = maxima + (p * rows + y) * (step / 32) + index % step / 32;
-#if GATE /* the gate counts the maxima that pass */
   atomic_or(word, bit);
-#else
-  atomic_or(word, bit);
+#if !GATE /* which counts the maxima that pass */
   atomic_inc(row_counts + p * rows + y);
 #endif
 }

@@ -4,12 +4,7 @@
 /* Double-layer sampling and the spectral criteria (section 3.3, Eqs. 13 and 17).
  *
  * The tables have an entry for each of the 65 536 rings. That of an inner ring is its response if
- * |F2| exceeds |F1| and |F3|, and 0 if not; that of an outer ring says whether it does. Bit i is
- * sample i. */
-
-#define RING_BIT(i, dx, dy) \
-  | ((uint)binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)] << (i))
-#define ROTATE(v, k) ((((v) >> (k)) | ((v) << (16 - (k)))) & 0xffffu)
+ * |F2| exceeds |F1| and |F3|, and 0 if not; that of an outer ring says whether it does. */
 
 /* The largest correlation of the two rings over all rotations, and the smallest |centre| of the
  * runs of rotations that reach it, in half samples; 0 if all do. */
@@ -52,8 +47,7 @@ __kernel void spectral_criteria(__global const uchar *restrict binary,
   const uint g1 = 0 OUTER_RING(RING_BIT);
   if (!outer_passes[g1]) return;
 #if CORROSION
-  const int n1 = (int)popcount(g1), nr = (int)popcount(0u REGION(RING_BIT));
-  if (max(n1 - nr, nr - n1 - 5) >= corrosion_threshold) return;
+  if (corrosion_of(g1, 0u REGION(RING_BIT)) >= corrosion_threshold) return;
 #endif
   const uint2 best = best_rotation(g1, g2);
   if (best.x < least_correlation[popcount(g1) * popcount(g2)]) return;
@@ -71,11 +65,10 @@ __kernel void spectral_maps(__global const uchar *restrict binary, const uint ro
   const size_t i = ROW(p, y) + x;
   const uint g2 = 0 INNER_RING(RING_BIT);
   const uint g1 = 0 OUTER_RING(RING_BIT);
-  const int n1 = (int)popcount(g1), nr = (int)popcount(0u REGION(RING_BIT));
   const uint2 best = best_rotation(g1, g2);
   inner[i] = (ushort)g2;
   outer[i] = (ushort)g1;
-  corrosion[i] = (char)max(n1 - nr, nr - n1 - 5);
+  corrosion[i] = (char)corrosion_of(g1, 0u REGION(RING_BIT));
   correlation[i] = (uchar)best.x;
   phase[i] = (uchar)best.y;
 }

@@ -21,7 +21,6 @@ def sizes(plan: PlanBase) -> dict[str, int]:
         "noise": 8 * plan.frames * noise.bands(plan),
         "found": 8 * plan.frames,
         "bounds": 8 * plan.frames,
-        "counted": 4 * plan.frames,
         "bins": 4 * plan.frames * BINS,
         "passed": plan.frames * plan.working[0] * plan.step // 8,
     }
@@ -38,12 +37,11 @@ def launches(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
     """Return the launches from the maxima to a bit for every maximum that passes."""
     b = plan.arrays
     contrasts = {name: b[name] for name in CONTRASTS}
-    counted = {"counted": b["counted"]}
     given = listed(plan)
     limits = {name: given.pop(name) for name in ("rows", "step", "capacity")}
     return [
         *noise.launches(plan),
-        plan.stage("clear_bins", (BINS, plan.frames), (GROUP, 1), **counted, bins=b["bins"]),
+        plan.stage("clear_bins", (BINS, plan.frames), (GROUP, 1), bins=b["bins"]),
         of_candidates(
             plan,
             "sector_contrast",
@@ -53,7 +51,6 @@ def launches(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
             **limits,
             maxima=b["maxima"],
             **contrasts,
-            **counted,
             bins=b["bins"],
         ),
         *_percentile(plan, gate),
@@ -78,7 +75,6 @@ def _percentile(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
     floor = math.ceil(gate.minimum * plan.config.grey_levels(plan.dtype) / 255)
     limit = np.maximum(np.ceil(np.float64(gate.relative) * levels), floor).astype(np.int32)
     given = {
-        "counted": b["counted"],
         "noise_sums": b["noise"],
         "limit": plan.constant(limit),
         "rows": plan.size["rows"],
