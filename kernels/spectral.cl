@@ -17,7 +17,8 @@ uint2 best_rotation(const uint g1, const uint g2) {
   }
   if (rotations == 0xffffu) return (uint2)(best, 0);
   uint smallest = 16;
-  for (uint left = rotations & ~((rotations << 1 | rotations >> 15) & 0xffffu); left; left &= left - 1) {
+  const uint starts = rotations & ~((rotations << 1 | rotations >> 15) & 0xffffu);
+  for (uint left = starts; left; left &= left - 1) {
     const uint first = 31 - clz(left & (0u - left));
     uint length = 1;
     while (rotations >> ((first + length) & 15) & 1) ++length;

@@ -100,6 +100,22 @@ def test_a_window_behind_the_right_camera_is_refused():
         rig_behind(Window((1.0, 0, 0.1), 2.0, (), 1.4))
 
 
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"normal": (0.0, 0.0, 0.0)}, "normal must point ahead of the left camera"),
+        ({"normal": (0.0, 0.1, -1.0)}, "normal must point ahead of the left camera"),
+        ({"distance": 0.0}, "lies behind the left camera"),
+        ({"layers": ((-1.0, 1.49),)}, "layer 1 of the window has thickness -1"),
+        ({"index": 0.9}, "the medium behind the window has index 0.9"),
+    ],
+)
+def test_an_impossible_window_is_refused_in_one_line(changes, words):
+    with pytest.raises(CalibrationError, match=words) as refusal:
+        dataclasses.replace(GEL, **changes)
+    assert "\n" not in str(refusal.value)
+
+
 @pytest.mark.parametrize("layers", [(), ((5.0, 1.49),), ((5.0, 1.49), (0.1, 1.33))])
 def test_a_window_survives_the_file_of_its_rig(tmp_path, layers):
     window = dataclasses.replace(GEL, layers=layers)

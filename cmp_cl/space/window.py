@@ -87,16 +87,10 @@ class Window:
 
     def __post_init__(self) -> None:
         normal = checked_array("the window's normal", self.normal, (3,))
-        length = float(np.linalg.norm(normal))
-        if not length > 0:
-            raise CalibrationError(
-                "the window's normal has length 0; give its direction, from the camera to the "
-                "pattern, such as (0, 0, 1)"
-            )
         if not normal[2] > 0:
             raise CalibrationError(
-                "the window's normal points behind the left camera; give its direction from the "
-                f"camera to the pattern, such as (0, 0, 1), not {normal.tolist()}"
+                "the window's normal must point ahead of the left camera, to the pattern, as "
+                f"(0, 0, 1) does, not {normal.tolist()}"
             )
         distance = float(checked_array("the window's distance", self.distance, ()))
         if not distance > 0:
@@ -120,7 +114,7 @@ class Window:
                     f"{name} has index {refraction:g}; it must be from 1, that of air, to "
                     f"{_LARGEST_INDEX:g}"
                 )
-        normal /= length
+        normal /= np.linalg.norm(normal)
         normal.flags.writeable = False
         for field, value in (
             ("normal", normal), ("distance", distance), ("layers", tuple(layers)), ("index", index)

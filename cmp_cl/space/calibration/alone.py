@@ -16,8 +16,8 @@ from cmp_cl.space.lens import Lens, camera_of
 
 # Share of the focal length; a larger sigma means that the views do not determine it.
 _MAX_FOCAL_SIGMA = 0.05
-# Focal lengths from which a fisheye is sought, in image widths per radian; None: OpenCV's own.
-_FISHEYE_STARTS = (None, 1.0, 1.25, 1.6, 0.8, 2.0)
+# Focal lengths from which a fisheye is sought, in image widths per half turn.
+_FISHEYE_STARTS = (1.0, 1.25, 1.6, 0.8, 2.0)
 _FOUND = 1.0  # px; a fisheye that misses by less needs no other start
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
 Array = NDArray[np.float64]
@@ -81,15 +81,13 @@ def _fisheye(nodes: Sequence[Any], points: Sequence[Any], size: tuple[int, int])
     A start far from the truth ends in an error or in a wrong minimum.
     """
     best, failure = None, None
+    names = "CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW", "CALIB_USE_INTRINSIC_GUESS"
+    # OpenCV 5 moved these flags out of cv2.fisheye.
+    flags = sum(getattr(cv2.fisheye, name, getattr(cv2, name, 0)) for name in names)
     for start in _FISHEYE_STARTS:
-        names = ["CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW"]
-        matrix = np.eye(3)
-        if start is not None:
-            names.append("CALIB_USE_INTRINSIC_GUESS")
-            matrix[[0, 1], [0, 1]] = start * max(size) / math.pi
-            matrix[:2, 2] = size[0] / 2 - 0.5, size[1] / 2 - 0.5
-        # OpenCV 5 moved these flags out of cv2.fisheye.
-        flags = sum(getattr(cv2.fisheye, name, getattr(cv2, name, 0)) for name in names)
+        focal = start * max(size) / math.pi
+        centre = size[0] / 2 - 0.5, size[1] / 2 - 0.5
+        matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]])
         try:
             found = cv2.fisheye.calibrate(
                 [each.astype(np.float64).reshape(1, -1, 3) for each in nodes],
