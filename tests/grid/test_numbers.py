@@ -282,6 +282,18 @@ def test_a_part_of_a_board_beside_a_bar_is_not_taken_for_the_whole_in_silence(mi
     assert scored(grid, view).wrong == 0
 
 
+@pytest.mark.parametrize("shape", [None, (10, 13)])
+def test_a_gap_inside_a_board_is_told(shape):
+    camera = plane(cell=22, middle=(200, 150), about=(6, 4.5), turn=2)
+    u, v = camera(*samples(SIZE))
+    hidden = (abs(u - 6) < 2.4) & (abs(v - 5) < 1.4)
+    view = drawn(camera, SIZE, (10, 13), front=np.where(hidden, 120.0, np.nan))
+    grid = grid_of(view, shape=shape)
+    assert scored(grid, view).right == 10 * 13 - 15
+    assert grid.others == 15
+    assert grid.doubts
+
+
 def test_corners_that_lie_anywhere_beside_a_board_are_not_told_as_its():
     view = drawn(plane(cell=20, middle=(200, 150)), SIZE, BOARD)
     image, rng = view.image.copy(), np.random.default_rng(4)
