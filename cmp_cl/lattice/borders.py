@@ -1,8 +1,7 @@
 """The sides of a board: from its nodes to what is seen at its sides, see kernels/borders.cl.
 
-A side is read along squares that share the last two lines of nodes. Where the pattern ends, how far
-its last squares reach, tell one end of a pattern from another, and from the edge of an object
-before it.
+A side is read along squares that share the last two lines of nodes. Where the pattern ends, and how
+far its last squares reach, tell one end of a pattern from another, and from an object before it.
 """
 
 import cmath
