@@ -11,6 +11,7 @@ from stereo_data import gel, grid_of, points
 
 from cmp_cl.errors import FieldError
 from cmp_cl.field import DisplacementField, green_lagrange, surface_normals
+from cmp_cl.field.strain import principal_of
 from cmp_cl.grid import NodeStatus
 from cmp_cl.motion import PlaneScale, contact_of, displacement
 from cmp_cl.space import PointStatus
@@ -128,6 +129,22 @@ def test_strain_is_right_within_its_sigma(strain, wear, space):
         off = field.direction - math.atan2(axes[1, 1], axes[0, 1])
         off = (off + math.pi / 2) % math.pi - math.pi / 2
         assert np.mean(np.abs(off / field.direction_sigma) < 1.96) >= 0.9
+
+
+def test_the_sigma_of_principal_strains_and_of_their_direction_follows_from_the_derivatives():
+    """By differences, for drawn strains and covariances."""
+    rng, step = np.random.default_rng(5), 1e-6
+    strain, factor = rng.normal(0, 0.1, (8, 9, 3)), rng.normal(0, 1e-4, (8, 9, 3, 3))
+    covariance = factor @ factor.swapaxes(2, 3)
+
+    def principal(strain):
+        values, deviations, direction, turn = principal_of(strain, covariance)
+        return np.dstack([values, direction]), np.dstack([deviations, turn])
+
+    ends = [[principal(strain + way * step * axis)[0] for way in (1, -1)] for axis in np.eye(3)]
+    slopes = np.stack([(one - other) / (2 * step) for one, other in ends], axis=3)
+    variance = np.einsum("rcni,rcij,rcnj->rcn", slopes, covariance, slopes)
+    np.testing.assert_allclose(principal(strain)[1], np.sqrt(variance), rtol=1e-4)
 
 
 def test_the_sigma_of_a_strain_counts_the_errors_that_neighbours_share():

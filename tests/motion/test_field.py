@@ -220,7 +220,7 @@ def test_the_field_is_the_oracles(run, case, views, lens, window):
 )
 def test_the_strain_is_the_oracles(run, device, case, views, at_once):
     rig = rig_with()
-    seen = seen_by(views, rig, *pressed(case, rig, 4, shared=0.2))
+    seen = seen_by(views, rig, *pressed(case, rig, 7, shared=0.2))
     wanted = expected(*seen)
     moved, found = wanted.moved, wanted.found
     moment = moment_of(seen[0], seen[1])
