@@ -7,7 +7,7 @@ import threading
 import cv2
 import numpy as np
 import pytest
-from videos import write_video
+from videos import camera_of, write_video
 
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.media import Frame
@@ -87,30 +87,12 @@ def test_frames_of_a_pair_are_at_most_half_an_interval_apart(tmp_path, monkeypat
     assert pairs.alone == [1, 1]
 
 
-class Capture:
-    """A camera that gives ten frames and rejects an exposure."""
-
-    def __init__(self, _):
-        self.left, self.set_to = 10, {}
-
-    def isOpened(self):
-        return True
-
-    def set(self, key, value):
-        self.set_to[key] = value
-        return key != cv2.CAP_PROP_EXPOSURE
-
-    def read(self):
-        self.left -= 1
-        return (self.left >= 0), np.full((4, 6, 3), max(10 - self.left, 0) % 256, np.uint8)
-
-    def release(self):
-        pass
+SHADES = [np.full((4, 6, 3), level, np.uint8) for level in range(1, 11)]
 
 
 @pytest.mark.parametrize("name", ["7", "/dev/video3", "rtsp://camera/stream"])
 def test_cameras_and_addresses_are_live_and_lose_no_frame(monkeypatch, name):
-    monkeypatch.setattr("cmp_cl.media.cameras.cv2.VideoCapture", Capture)
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of(SHADES))
     source = Source(name, {"frame_width": 6, "frame_height": 4, "fps": "50"})
     frames = list(source.frames())
     assert source.live
@@ -121,12 +103,8 @@ def test_cameras_and_addresses_are_live_and_lose_no_frame(monkeypatch, name):
 
 
 def test_frames_that_a_camera_misses_are_counted_and_have_no_image(monkeypatch):
-    class Missing(Capture):
-        def read(self):
-            read, image = super().read()
-            return read and self.left not in (9, 6, 5), image
-
-    monkeypatch.setattr("cmp_cl.media.cameras.cv2.VideoCapture", Missing)
+    images = [None if number in (0, 3, 4) else each for number, each in enumerate(SHADES)]
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of(images))
     frames = list(Source("7").frames())
     assert [frame.index for frame in frames] == list(range(10))
     missed = [frame.index for frame in frames if frame.image is None]
@@ -137,19 +115,12 @@ def test_frames_that_a_camera_misses_are_counted_and_have_no_image(monkeypatch):
 
 
 def test_frames_that_come_faster_than_they_are_taken_are_counted(monkeypatch):
-    class Fast(Capture):
-        def __init__(self, _):
-            super().__init__(_)
-            self.left = 300
-
-        def read(self):
-            read, image = super().read()
-            if not read:
-                over.set()
-            return read, image
+    def images():
+        yield from SHADES * 30
+        over.set()
 
     over = threading.Event()
-    monkeypatch.setattr("cmp_cl.media.cameras.cv2.VideoCapture", Fast)
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of(images()))
     coming = Source("0").frames()
     first = next(coming)
     assert over.wait(10)
@@ -189,7 +160,7 @@ def test_what_a_thread_has_made_comes_before_its_error_and_closing_ends_it():
 
 
 def test_what_a_camera_does_not_do_is_reported(monkeypatch):
-    monkeypatch.setattr("cmp_cl.media.cameras.cv2.VideoCapture", Capture)
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of(SHADES))
     with pytest.raises(ImageError, match="exposure"):
         next(Source("0", {"exposure": 3}).frames())
     with pytest.raises(ConfigError, match="not a camera"):
@@ -199,13 +170,12 @@ def test_what_a_camera_does_not_do_is_reported(monkeypatch):
             Source("0", wrong)
     with pytest.raises(FileNotFoundError):
         Source("gone.mp4")
-    packed = np.zeros((4, 6, 2), np.uint8)
-    monkeypatch.setattr(Capture, "read", lambda _: (True, packed))
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of([np.zeros((4, 6, 2), np.uint8)]))
     with pytest.raises(ImageError, match=r"\(4, 6, 2\), neither grey nor BGR"):
         list(Source("0").frames())
-    monkeypatch.setattr(Capture, "read", lambda _: (False, None))
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of([None]))
     assert list(Source("0").frames()) == []
-    monkeypatch.setattr(Capture, "isOpened", lambda _: False)
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of([]))
     with pytest.raises(ImageError, match=r"no stream .*; check the address"):
         next(Source("rtsp://a/b").frames())
 

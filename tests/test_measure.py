@@ -264,6 +264,12 @@ def test_views_that_may_show_different_parts_of_a_pattern_are_refused():
             measure.TwoViews(inside, rig, split, shape=shape)
 
 
+def test_a_frame_of_one_view_is_refused_as_one_of_two():
+    view = pressed(0.0).left.image
+    with pytest.raises(GridError, match="no node in common; check the split"):
+        measure.TwoViews(view, RIG, cmp_cl.BinocularSplit.halves(*view.shape[::-1]), shape=NODES)
+
+
 def test_a_pattern_is_found_without_its_cell():
     view = pressed(0.0).left.image
     cell, grid = measure.find_pattern(view, shape=(12, 12))

@@ -79,7 +79,9 @@ class TwoViews(Measurement):
                 "lie in front of its last face; check its distance, its layers, and which view is "
                 "the left one"
             )
-        if not fitting >= _LEAST_FITTING * both or not both:
+        if not both:
+            raise GridError("the two views show no node in common; check the split")
+        if not fitting >= _LEAST_FITTING * both:
             glass = ", a window or gel that the calibration does not know (calibrate --window)"
             raise GridError(
                 f"the rig fits {fitting} of the {both} nodes that both views show to "

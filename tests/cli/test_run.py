@@ -17,7 +17,7 @@ from disks import full_after
 from gels import RIG, VIEW, pressed
 from lattices import drawn
 from messages import fails_in_one_line
-from videos import write_deep_video, write_video
+from videos import camera_of, write_deep_video, write_video
 
 from cmp_cl import (
     Detector,
@@ -266,37 +266,13 @@ def test_a_stopped_run_measures_few_more_frames(run, recording, press, monkeypat
             time.sleep(0.02)
             yield press[number % 2].frame
 
-    monkeypatch.setattr(cv2, "VideoCapture", camera_of(images(), []))
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of(images()))
     monkeypatch.setattr(SeriesWriter, "append", stopped)
     assert run("run", "7", *STEREO)[0] == 0
     assert 0 < len(np.load("press.npz")["index"]) < 30
 
 
 # Cameras and pairs
-
-
-def camera_of(images, opened):
-    """Return a stand-in for cv2.VideoCapture that delivers these images, None for a missed one."""
-
-    class Camera:
-        def __init__(self, number):
-            opened.append(number)
-            self.left = iter(images)
-
-        def isOpened(self):
-            return bool(images)
-
-        def set(self, *_):
-            return True
-
-        def read(self):
-            image = next(self.left, None)
-            return image is not None, image
-
-        def release(self):
-            opened.append("released")
-
-    return Camera
 
 
 @pytest.mark.parametrize(
@@ -347,7 +323,7 @@ def test_a_frame_of_a_camera_is_written_before_the_next_one_comes(
         written.wait(30)  # longer than a run waits for a camera
         yield press[1].frame
 
-    monkeypatch.setattr(cv2, "VideoCapture", camera_of(images(), []))
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of(images()))
     monkeypatch.setattr(SeriesWriter, "append", tell)
     assert run("run", "7", *STEREO)[0] == 0
     assert np.load("press.npz")["index"].tolist() == [0, 1]
@@ -357,7 +333,7 @@ def test_a_frame_of_a_camera_is_written_before_the_next_one_comes(
     ("images", "why"), [([], "no camera 7"), ([None], "no frame comes from '7'")]
 )
 def test_a_camera_without_frames_is_an_error(run, recording, monkeypatch, images, why):
-    monkeypatch.setattr(cv2, "VideoCapture", camera_of(images, []))
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of(images))
     fails_in_one_line(run("run", "7", *STEREO), why)
 
 

@@ -35,3 +35,32 @@ def write_deep_video(path: object, image: NDArray) -> None:
             frame.pts, frame.time_base = time_ms, Fraction(1, 1000)
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
+
+
+def camera_of(images, opened=None):
+    """Return a stand-in for cv2.VideoCapture, which has no exposure to set.
+
+    images: what it delivers, None for a read without one. opened: a list that gets the number of
+    the camera, and a word when it is released.
+    """
+    notes = [] if opened is None else opened
+
+    class Camera:
+        def __init__(self, number):
+            notes.append(number)
+            self.left = iter(images)
+
+        def isOpened(self):
+            return bool(images)
+
+        def set(self, key, _):
+            return key != cv2.CAP_PROP_EXPOSURE
+
+        def read(self):
+            image = next(self.left, None)
+            return image is not None, image
+
+        def release(self):
+            notes.append("released")
+
+    return Camera
