@@ -63,10 +63,10 @@ def test_a_part_runs_and_the_report_takes_its_table(
         assert report.SECTIONS[name](tmp_path).startswith("## ")
 
 
-@pytest.mark.parametrize("name", ["fit_octaves", "fit_sigma"])
-def test_a_search_for_constants_runs(name, script, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", [name, "1"])
-    script(name).main()
+@pytest.mark.parametrize("constants", ["octaves", "sigma"])
+def test_a_search_for_constants_runs(constants, script, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["fit", constants, "1"])
+    script("fit").main()
     assert capsys.readouterr().out
 
 

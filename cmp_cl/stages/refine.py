@@ -26,7 +26,7 @@ STEP_RADIUS = (0.75, 4.5, 9.0)  # of EDGE_STEP's disc: cells, and its least and 
 DOUBTFUL_EXCESS = 0.010  # excess of the residual's autocorrelation over the frame's median
 VARIANCE_OF_EXCESS = 1000  # px^2 per squared excess, fitted on rendered scenes and on boards
 # px^2 per squared range of the lesser autocorrelations, and their range in a good frame; then by
-# what the part by noise grows, per median grain. All were fitted on boards by bench/fit_sigma.py.
+# what the part by noise grows, per median grain. All were fitted on boards by bench/fit.py.
 VARIANCE_OF_RANGE = np.float32(3000)
 LEAST_RANGE = np.float32(0.0025)
 VARIANCE_OF_GRAIN = np.float32(2.2)
