@@ -244,13 +244,12 @@ __kernel void clear_lists(__global uint *restrict counts) { counts[get_global_id
 
 /* Clear the maps of bits. One work-item per word of a map; dimension 1 is a row. */
 __kernel void clear_maxima(const uint rows, const uint step, SEEN_ARGUMENT
-                           __global uint *restrict row_counts, __global uint *restrict maxima,
-                           __global uint *restrict taken) {
+                           __global uint *restrict row_counts, __global uint *restrict maxima) {
   const size_t row = get_global_id(2) * rows + get_global_id(1);
   const size_t word = row * (step / 32) + get_global_id(0);
   if (get_global_id(0) >= step / 32) return;
   if (get_global_id(0) == 0) row_counts[row] = 0;
-  maxima[word] = taken[word] = 0;
+  maxima[word] = 0;
 #if OCTAVES
   seen[word] = 0;
 #endif
@@ -422,13 +421,13 @@ bool is_lone(__global const int *lists, __global const uint *counts, __global co
 #endif
 
 /* Keep the coarse corners: their response is above the noise bound and not below a share of the
- * reference, or half of that share if it is clean, and they are not lone. Each marks the window
- * around it as taken. One work-item per maximum. */
+ * reference, or half of that share if it is clean, and they are not lone. One work-item per
+ * maximum. */
 __kernel void keep_coarse(__global int *lists, __global const uint *restrict counts,
                           __global const Decision *restrict found, const uint rows,
                           const uint step, const uint capacity, const int coarse_share,
                           const int fine_share, SEEN_ARGUMENT __global uint *restrict row_counts,
-                          __global uint *restrict maxima, __global uint *restrict taken) {
+                          __global uint *restrict maxima) {
   OF_FRAME
   ENTRY(0)
   const Decision decision = DECISION(p, 0);
@@ -437,29 +436,22 @@ __kernel void keep_coarse(__global int *lists, __global const uint *restrict cou
   entry[3 * capacity] |= KEPT;
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);
-  const int left = x - NMS_RADIUS;
-  const ulong reach = ((2ul << 2 * NMS_RADIUS) - 1) << left % 32;
-  for (int j = max(y - NMS_RADIUS, 0); j <= min(y + NMS_RADIUS, (int)rows - 1); ++j) {
-    __global uint *own = taken + (p * rows + j) * (step / 32) + left / 32;
-    atomic_or(own, (uint)reach);
-    if (reach >> 32) atomic_or(own + 1, (uint)(reach >> 32));
-  }
 }
 
 #if FINE
 
-/* Keep the fine corners where no coarse corner has taken the pixel. One work-item per maximum. */
+/* Keep the fine corners where no coarse corner is within NMS_RADIUS. The others that mark theirs
+ * meanwhile are farther. One work-item per maximum. */
 __kernel void keep_fine(__global int *lists, __global const uint *restrict counts,
-                        __global const Decision *restrict found,
-                        __global const uint *restrict taken, const uint rows, const uint step,
-                        const uint capacity, const int coarse_share, const int fine_share,
-                        SEEN_ARGUMENT __global uint *restrict row_counts,
-                        __global uint *restrict maxima) {
+                        __global const Decision *restrict found, const uint rows,
+                        const uint step, const uint capacity, const int coarse_share,
+                        const int fine_share, SEEN_ARGUMENT __global uint *restrict row_counts,
+                        __global uint *maxima) {
   OF_FRAME
   ENTRY(1)
   const Decision decision = DECISION(p, 0);
   const int r = entry[2 * capacity], marks = entry[3 * capacity];
-  if (taken[word] >> x % 32 & 1) return;
+  if (any_bit(maxima, p, x, y, NMS_RADIUS, NMS_RADIUS, rows, step)) return;
   if (!is_candidate(decision, true, r, marks, coarse_share, fine_share) || IS_LONE) return;
   entry[3 * capacity] |= KEPT;
   atomic_or(maxima + word, 1u << x % 32);

@@ -59,7 +59,6 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
     plane = 2 * (rows + 2) * plan.step
     decided = {
         "maxima": _bits(plan),
-        "taken": _bits(plan),
         **({"seen": _bits(plan)} if plan.octaves else {}),
         "row_counts": 4 * rows,
         "row_starts": 4 * rows,
@@ -177,7 +176,7 @@ def _decide(plan: PlanBase) -> list[Launch]:
     capacity, rows, step = np.uint32(plan.list_capacity), size["rows"], size["step"]
     lists = {"lists": b["lists"], "counts": b["counts"]}
     listed = {"counts": b["counts"], "lists": b["lists"]}
-    row_counts, maxima, taken = b["row_counts"], b["maxima"], b["taken"]
+    row_counts, maxima = b["row_counts"], b["maxima"]
     kept = {"row_counts": row_counts, "maxima": maxima}
     seen = {"seen": b["seen"]} if plan.octaves else {}
     stages = [
@@ -189,7 +188,6 @@ def _decide(plan: PlanBase) -> list[Launch]:
             step=step,
             **seen,
             **kept,
-            taken=taken,
         )
     ]
     for octave in range(1 + plan.octaves):
@@ -223,9 +221,9 @@ def _decide(plan: PlanBase) -> list[Launch]:
     shares = {**coarse, "fine_share": np.int32(rule.fine_share)}
     if plan.octaves:
         stages.append(of_maxima("see_octave", **limits, **coarse, **seen))
-    stages.append(of_maxima("keep_coarse", **limits, **shares, **seen, **kept, taken=taken))
+    stages.append(of_maxima("keep_coarse", **limits, **shares, **seen, **kept))
     if rule.fine:
-        stages.append(of_maxima("keep_fine", taken=taken, **limits, **shares, **seen, **kept))
+        stages.append(of_maxima("keep_fine", **limits, **shares, **seen, **kept))
     items = (plan.list_capacity, plan.frames)
     for octave in range(1, plan.octaves + 1):
         number = {"number": np.uint32(octave)}

@@ -346,24 +346,20 @@ int reference_of(__global const int *lists, __global const uint2 *spans, const u
   return reference;
 }
 
-#if FINE
-
-/* True if a bit is set within NMS_RADIUS of a pixel. The nearest rows come first: most bits are
- * within one or two rows. */
-int any_near(__global const uint *bits, const int x, const int y, const int height,
-             const uint width) {
-  const uint first = (uint)(x - NMS_RADIUS);
-  for (int line = 0; line <= 2 * NMS_RADIUS; ++line) {
-    const int dy = line % 2 ? line / 2 + 1 : -(line / 2);
-    if (y + dy < 0 || y + dy >= height) continue;
-    __global const uint *word = bits + (uint)(y + dy) * width + first / 32;
+/* Whether a mark is within x - before .. x + behind, and in such rows; behind is before, or one more.
+ * The nearest rows come first: most marks are within one or two rows. */
+int is_marked(__global const uint *marks, const int x, const int y, const int before,
+              const int behind, const int last, const uint width) {
+  const uint first = (uint)(PAD + x - before);
+  for (int line = 0; line <= before + behind; ++line) {
+    const int row = y + (line % 2 ? line / 2 + 1 : -(line / 2));
+    if (row < 0 || row > last) continue;
+    __global const uint *word = marks + (uint)row * width + first / 32;
     const ulong both = (ulong)word[1] << 32 | word[0];
-    if (both >> first % 32 & ((2ul << 2 * NMS_RADIUS) - 1)) return 1;
+    if (both >> first % 32 & ((2ul << (before + behind)) - 1)) return 1;
   }
   return 0;
 }
-
-#endif
 
 /* Copy entries of a list to another one, whose columns lie `length` apart. */
 void copy_entries(__global const int *from, const uint capacity, const uint count,
@@ -395,21 +391,6 @@ int bound_of_octave(__global const ulong *noise, const uint n, const uint rows,
  * x - 4 .. x + 5. */
 #define LEAST_SHARE 48 /* of the reference, in 1/128 */
 #define MARK_AT(x, n) (((x) + (1 << (n) >> 1)) >> (n))
-
-/* Whether a mark is within x - before .. x + behind, and in such rows; behind is before, or one more.
- * The nearest rows come first. */
-int is_marked(__global const uint *marks, const int x, const int y, const int before,
-              const int behind, const int last, const uint width) {
-  const uint first = (uint)(PAD + x - before);
-  for (int line = 0; line <= before + behind; ++line) {
-    const int row = y + (line % 2 ? line / 2 + 1 : -(line / 2));
-    if (row < 0 || row > last) continue;
-    __global const uint *word = marks + (uint)row * width + first / 32;
-    const ulong both = (ulong)word[1] << 32 | word[0];
-    if (both >> first % 32 & ((2ul << (before + behind)) - 1)) return 1;
-  }
-  return 0;
-}
 
 /* Mark the maxima of octave 1 that are above a bound and at least a share of the reference. */
 void mark_octave(const Octave octave, __global const int *lists, __global const uint2 *spans,
@@ -629,7 +610,8 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
   for (uint band = 0; band < bands; ++band) {
     __global int *list = LIST_OF(band, 1);
     for (uint n = 0; n < SPAN_OF(band, 1).y; ++n)
-      if (any_near(maxima, list[n] + PAD, list[capacity + n], (int)rows, width) ||
+      if (is_marked(maxima, list[n], list[capacity + n], NMS_RADIUS, NMS_RADIUS, (int)rows - 1,
+                    width) ||
           IS_LONE(list, n))
         list[3 * capacity + n] |= LONE;
   }
