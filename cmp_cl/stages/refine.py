@@ -2,7 +2,7 @@
 
 import functools
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -23,6 +23,7 @@ SHARES = 32  # shares of the corners for each unit of the device
 RADII = (3, 4, 5)  # of the rings, px of the working image
 RING_SAMPLES = 32
 STEP_RADIUS = (0.75, 4.5, 9.0)  # of EDGE_STEP's disc: cells, and its least and largest px
+STEP_SHIFT = 2.0  # px of the working image: EDGE_STEP's largest distance from its start
 DOUBTFUL_EXCESS = 0.010  # excess of the residual's autocorrelation over the frame's median
 VARIANCE_OF_EXCESS = 1000  # px^2 per squared excess, fitted on rendered scenes and on boards
 # px^2 per squared range of the lesser autocorrelations, and their range in a good frame; then by
@@ -76,96 +77,72 @@ def result_size(plan: PlanBase) -> int:
 
 def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the list of corners to positions."""
-    refinement = plan.config.refinement
-    if refinement is None:
-        return [_centroids(plan)]
-    arrays = plan.arrays
-    places = _Places(arrays["corners"], arrays["counts"], arrays["result"], plan.corner_capacity)
-    return [_refined(plan, refinement, places)]
+    arrays, size = plan.arrays, _full_size(plan)
+    if plan.config.refinement is not None:
+        given = {name: arrays[name] for name in ("corners", "counts", "result")}
+        return looks(plan, room=plan.corner_capacity, **given)
+    return [
+        plan.of_corners(
+            "centroids",
+            corners=arrays["corners"],
+            counts=arrays["counts"],
+            rows=size["rows"],
+            columns=size["columns"],
+            **plan.corner_list,
+            scale=np.float32(plan.scale or 1),
+            result=arrays["result"],
+        )
+    ]
 
 
 def looks(
     plan: PlanBase, *, corners: cl.Buffer, counts: cl.Buffer, result: cl.Buffer, room: int
 ) -> list[Launch]:
-    """Return the launch that refines corners at other places of the plan's frames.
+    """Return the launch that refines corners at some places of the plan's frames.
 
     corners, counts, result: as those of the plan, see kernels/result.clh, with room for so many
     corners in each frame, a multiple of the work-items in a group.
     """
-    refinement = plan.config.refinement
+    refinement, factor = plan.config.refinement, plan.scale or 1.0
     if refinement is None:
         return []
-    places = _Places(corners, counts, result, room)
-    return [_refined(plan, refinement, places)]
-
-
-class _Places(NamedTuple):
-    """The places that are refined, and the result, see `looks`."""
-
-    corners: cl.Buffer
-    counts: cl.Buffer
-    result: cl.Buffer
-    room: int
-
-
-def _of_corners(plan: PlanBase, name: str, room: int, **arguments: Any) -> Launch:
-    """Bind a kernel over the corners: one work-item each, or one for a share of them."""
-    if plan.lanes == 1:
-        return plan.stage(name, (room, plan.frames), (GROUP, 1), **arguments)
+    eight = plan.lanes == LANES
+    rings: dict[str, Any] = {}
+    if plan.scale is not None:
+        if eight:
+            rings["ring_reach"] = np.uint32(math.ceil(RADII[-1] / plan.scale) + 1)
+        rings["ring_samples"] = _ring_samples(plan, plan.scale)
+    disc: dict[str, Any] = {}
+    shift = STEP_SHIFT
+    if isinstance(refinement, EdgeStep):
+        radius = _step_radius(refinement, factor)
+        disc = {"radius": np.float32(radius), "moments": plan.constant(moments(radius))}
+    else:
+        shift = refinement.max_shift
     shares = min(SHARES * plan.device.handle.max_compute_units, room // LANES)
-    return plan.stage(name, (shares, plan.frames), (1, 1), **arguments)
+    launch = plan.stage(
+        f"{_name(refinement)}_eight" if eight else _name(refinement),
+        (shares if eight else room, plan.frames),
+        (1 if eight else GROUP, 1),
+        image=plan.arrays["image"],
+        corners=corners,
+        counts=counts,
+        **_full_size(plan),
+        capacity=np.uint32(room),
+        count_offset=np.uint32(plan.frames * plan.lists),
+        length=np.uint32(plan.frames * room),
+        max_shift=np.float32(shift / factor),
+        scale=np.float32(factor),
+        **rings,
+        **disc,
+        result=result,
+    )
+    return [launch]
 
 
 def _full_size(plan: PlanBase) -> dict[str, Any]:
     rows, columns = (np.uint32(n) for n in plan.shape)
     return {"rows": rows, "columns": columns, "step": np.uint32(plan.full_step)}
-
-
-def _centroids(plan: PlanBase) -> Launch:
-    size = _full_size(plan)
-    return plan.of_corners(
-        "centroids",
-        corners=plan.arrays["corners"],
-        counts=plan.arrays["counts"],
-        rows=size["rows"],
-        columns=size["columns"],
-        **plan.corner_list,
-        scale=np.float32(plan.scale or 1),
-        result=plan.arrays["result"],
-    )
-
-
-def _refined(
-    plan: PlanBase, refinement: EdgeLines | EdgeStep | Midlines, places: _Places
-) -> Launch:
-    """Return the launch from the corners to their refined positions."""
-    name, factor, room = _name(refinement), plan.scale or 1.0, places.room
-    rings: dict[str, Any] = {}
-    if plan.scale is not None:
-        if plan.lanes == LANES:
-            rings["ring_reach"] = np.uint32(math.ceil(RADII[-1] / plan.scale) + 1)
-        rings["ring_samples"] = _ring_samples(plan, plan.scale)
-    disc: dict[str, Any] = {}
-    if isinstance(refinement, EdgeStep):
-        radius = _step_radius(refinement, factor)
-        disc = {"radius": np.float32(radius), "moments": plan.constant(moments(radius))}
-    return _of_corners(
-        plan,
-        f"{name}_eight" if plan.lanes == LANES else name,
-        room,
-        image=plan.arrays["image"],
-        corners=places.corners,
-        counts=places.counts,
-        **_full_size(plan),
-        capacity=np.uint32(room),
-        count_offset=np.uint32(plan.frames * plan.lists),
-        length=np.uint32(plan.frames * room),
-        max_shift=_largest_shift(plan),
-        scale=np.float32(factor),
-        **rings,
-        **disc,
-        result=places.result,
-    )
 
 
 def _ring_samples(plan: PlanBase, scale: float) -> cl.Buffer:
@@ -182,13 +159,6 @@ def _step_radius(refinement: EdgeStep, scale: float) -> float:
     """Return the radius of EDGE_STEP's disc, px of the image."""
     share, least, most = STEP_RADIUS
     return min(max(share * refinement.cell * scale, least), most) / scale
-
-
-def _largest_shift(plan: PlanBase) -> np.float32:
-    """Return the largest distance of a refined position from its start, px of the image."""
-    refinement = plan.config.refinement
-    shift = refinement.max_shift if isinstance(refinement, EdgeLines | Midlines) else 2.0
-    return np.float32(shift / (plan.scale or 1.0))
 
 
 class Found:
