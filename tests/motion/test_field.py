@@ -117,10 +117,12 @@ SCALE = PlaneScale(np.array([[0.05, 0.002, 3], [-0.001, 0.06, 1], [1e-4, -5e-5, 
 @dataclasses.dataclass
 class Expected:
     """What the oracles make of the same grids: the status of the nodes, the displacement before the
-    filter, the filter's result, and the displacement that is free of the shift by bent edges."""
+    filter, its covariance from the images, the filter's result, and the displacement that is free
+    of the shift by bent edges."""
 
     status: np.ndarray
     moved: np.ndarray
+    by_images: np.ndarray
     found: lattice_filter.Filtered
     displaced: np.ndarray
 
@@ -147,7 +149,8 @@ def expected(rig, rest, now):
         moved, measured, np.sqrt(before.own + after.own + worn)
     )
     displaced = np.where(valid, found.values - (after.bend - before.bend), np.nan)
-    return Expected(status, moved, found, displaced)
+    by_images = before.covariance + after.covariance
+    return Expected(status, moved, by_images, found, displaced)
 
 
 USUAL = 18, 16  # nodes; each other shape is compiled anew
@@ -158,6 +161,7 @@ CASES = {  # shape, holes, wrong nodes
     "two parts": (USUAL, [(r, c) for r in range(18) for c in range(6, 10)], []),
     "outliers": (USUAL, [(3, 3)], [(8, 8), (15, 4)]),
     "narrow": ((3, 9), [], []),
+    "too small to filter": ((4, 4), [], []),
     "wide": ((7, 40), [(3, 20)], []),
 }
 
@@ -200,13 +204,16 @@ def test_the_field_is_the_oracles(run, case, views, lens, window):
     np.testing.assert_array_equal(field.status, wanted.status)
     np.testing.assert_array_equal(np.isnan(field.displacement), np.isnan(wanted.displaced))
     np.testing.assert_allclose(field.raw.displacement, wanted.moved, rtol=0, atol=2e-6)
-    noise = np.nanmedian(found.noise) if np.isfinite(found.noise).any() else 1e-3
+    of_images = np.sqrt(np.diagonal(wanted.by_images, axis1=2, axis2=3).mean(axis=2))
+    noise = np.nanmedian(found.noise if np.isfinite(found.noise).any() else of_images)
     np.testing.assert_allclose(field.displacement, wanted.displaced, rtol=0, atol=FEW * noise)
     known = np.isfinite(found.sigma) & field.valid
     common = found.common if views == 2 else np.eye(2)  # in the plane one sigma holds for both axes
     covariance = (common * found.sigma[..., None, None] ** 2)[known]
     largest = np.max(covariance, initial=0)
     np.testing.assert_allclose(field.covariance[known], covariance, rtol=0, atol=3e-3 * largest)
+    alone = ~np.isfinite(found.sigma) & field.valid  # in a lattice too small for the filter
+    np.testing.assert_allclose(field.covariance[alone], wanted.by_images[alone], rtol=1e-3)
     assert bool(CASES[case][2]) == found.refused.any()
 
 
