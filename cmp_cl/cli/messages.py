@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
+from cmp_cl.closing import Closing
 
 _LONGEST = 1000  # characters of a message; a refused value may have any length
 
@@ -39,9 +39,23 @@ def tell(line: str) -> None:
     print(f"cmp-cl: {line}", file=sys.stderr, flush=True)
 
 
+class _NoBar(Closing):
+    """In the place of a bar where tqdm is not installed."""
+
+    def update(self, *_: Any) -> None: ...
+    def set_postfix_str(self, *_: Any, **__: Any) -> None: ...
+    def clear(self) -> None: ...
+    def close(self) -> None: ...
+
+
 def progress(total: int | None, unit: str) -> Any:
-    """Return a bar of tqdm on stderr, if that is a terminal, for a with statement.
+    """Return a bar of tqdm on stderr, if that is installed and stderr a terminal, for a with
+    statement.
 
     total: number of steps, None if unknown. unit: what is counted.
     """
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        return _NoBar()
     return tqdm(total=total, unit=f" {unit}", disable=None, leave=False)
