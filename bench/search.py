@@ -1,7 +1,7 @@
 """The settings that suit each peer best, found once on scenes that the report does not use.
 
     python bench/search.py              all peers, about half an hour
-    python bench/search.py harris       only this one, the others stay as they are
+    python bench/search.py good_features   only this one, the others stay as they are
 
 For each density, one setting is varied at a time through its list in peers.py, in two passes from
 the usual value. Best is fewest failed frames, then fewest missed and false corners, then least
