@@ -121,7 +121,11 @@ def test_a_changed_frame_is_the_same_tracked_or_numbered(at_rest, now, seen):
     with measure.OneView(rest, shape=NODES) as alone:
         anew = alone(frame)
     assert (tracked.tracked, anew.tracked) == (True, False)
-    assert seen(tracked.grids[0])
+    grid, corners = tracked.grids[0], tracked.corners[0]
+    assert seen(grid)
+    known = grid.index[:, 0] >= 0
+    own = grid.image_sigma[tuple(grid.index[known].T)]
+    np.testing.assert_array_equal(own, corners.sigma[known])  # the kernel's, and the host's
     for name in ("xy", "status", "image_sigma"):
         one, other = (getattr(each.grids[0], name) for each in (tracked, anew))
         np.testing.assert_array_equal(one, other, name)
