@@ -196,6 +196,21 @@ def test_a_frame_that_does_not_fit_is_refused_and_the_next_one_is_measured(film)
         np.testing.assert_array_equal(following(film[2]).field.displacement, expected)
 
 
+def test_a_frame_with_more_corners_than_there_is_room_for_is_measured_and_so_is_the_next():
+    images = [np.pad(pressed(severity).left.image, ((0, 0), (0, 260))) for severity in FILM[:4]]
+    y, x = np.indices((len(images[2]), 240)) // 12 % 2
+    images[2][:, -240:] = np.where(x == y, 200, 40)  # a board beside the pattern
+    config = cmp_cl.DetectorConfig.for_cell(12).replace(max_corners=1)
+    with measure.OneView(images[0], shape=NODES, config=config) as following:
+        _, few, crowded, after = map(following, images)
+    assert len(crowded.corners[0]) > 2 * len(few.corners[0])
+    assert few.tracked
+    assert crowded.nodes == after.nodes == 144
+    assert after.tracked
+    with measure.OneView(images[0], shape=NODES, config=config) as alone:
+        np.testing.assert_array_equal(after.field.displacement, alone(images[3]).field.displacement)
+
+
 def test_a_frame_after_one_that_failed_is_numbered_anew(film, monkeypatch):
     def fails(*_):
         raise cmp_cl.DeviceError("the device is lost")
