@@ -12,7 +12,7 @@ import pyopencl as cl
 import pytest
 from cases import some
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
-from configs import all_settings
+from configs import all_settings, settings_of
 from corner_images import board, to_nearest
 
 import cmp_cl
@@ -431,12 +431,14 @@ QUICK = [each for each in SETTINGS if each.name in ("fine", "nms_radius", "outer
 
 
 def values_of(setting):
-    """Yield the bounds of a number, or every other value of a setting."""
+    """Yield the bounds of a number, every other value of a setting, or parts of each kind."""
     for kind in setting.kinds:
         if kind is NoneType:
             yield None
         elif dataclasses.is_dataclass(kind):
             yield kind()
+            for inner in settings_of(kind):
+                yield from (kind(**{inner.name: value}) for value in values_of(inner))
         elif kind is bool:
             yield from (False, True)
         else:
