@@ -1,6 +1,7 @@
 """Measuring from Python: fields from a video of two views, a pattern in one view, aligned views."""
 
 import dataclasses
+import inspect
 import re
 import textwrap
 
@@ -133,19 +134,30 @@ def test_a_changed_frame_is_the_same_tracked_or_numbered(at_rest, now, seen):
         np.testing.assert_array_equal(values, anew.arrays[name], name)
 
 
-def test_a_call_within_a_stream_changes_no_result_of_it(film):
+def test_a_stream_is_measured_as_calls_are_and_refuses_them_until_it_ends(film):
     with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
         alone = [following(frame).field.displacement for frame in film]
         for each, expected in zip(following.stream(film), alone, strict=True):
             np.testing.assert_array_equal(each.field.displacement, expected)
-            between = following(film[5]).field.displacement
-            np.testing.assert_array_equal(between, alone[5])
         left = following.stream(film)
         next(left)
+        within = [lambda: following(film[5]), following.skip, lambda: next(following.stream(film))]
+        for call in within:
+            with pytest.raises(cmp_cl.FieldError, match="has not ended: take its frames, or"):
+                call()
         left.close()  # the second frame runs, and nobody checks its nodes
         after = following(film[4])
     assert not after.tracked
     np.testing.assert_array_equal(after.field.displacement, alone[4])
+
+
+def test_help_shows_the_settings_by_name():
+    settings = set(measure.Settings.__annotations__)
+    for kind, own in (
+        (measure.OneView, {"rest", "cell"}),
+        (measure.TwoViews, {"rest", "rig", "split"}),
+    ):
+        assert set(inspect.signature(kind).parameters) == settings | own
 
 
 def test_an_audit_tells_the_nodes_that_tracking_numbered_otherwise(film, monkeypatch):

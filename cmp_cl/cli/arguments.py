@@ -12,6 +12,8 @@ from cmp_cl.cli.messages import shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.files import check_target
 from cmp_cl.grid.grid import MOST_NODES
+from cmp_cl.image import GreyImage
+from cmp_cl.media import read_image
 from cmp_cl.space import BinocularSplit
 
 _BOX = r"\d+,\d+,\d+,\d+"
@@ -128,3 +130,9 @@ def split_of(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Binocular
     left, right = arguments.split or (halves.left, halves.right)
     mirror = arguments.mirror
     return BinocularSplit(left, right, mirror in ("left", "both"), mirror in ("right", "both"))
+
+
+def views_of(path: str | Path, arguments: argparse.Namespace) -> tuple[GreyImage, ...]:
+    """Return the image of a file, or with --stereo the two views that it shows."""
+    image = read_image(path)
+    return split_of(arguments, image.shape)(image) if arguments.stereo else (image,)

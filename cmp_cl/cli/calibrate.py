@@ -17,11 +17,13 @@ from cmp_cl.cli.arguments import (
     check_suffix,
     grid_shape,
     positive_number,
+    views_of,
 )
 from cmp_cl.cli.messages import counted, one_line, progress, shown, tell
-from cmp_cl.cli.window import add_window, through_window, view_of, window_files
+from cmp_cl.cli.window import add_window, through_window, window_files
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
 from cmp_cl.grid import Grid
+from cmp_cl.image import GreyImage
 from cmp_cl.measure import find_board
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.points import sides
@@ -188,10 +190,13 @@ def _boards(
     moments = list(zip(*files.values(), strict=True))
     with progress(len(moments), "views") as bar:
         for paths in moments:
+            read: dict[Path, tuple[GreyImage, ...]] = {}  # a file with two views is read once
             for side, (name, path) in enumerate(zip(files, paths, strict=True)):
                 grid = None
                 try:
-                    image = view_of(path, side, arguments)
+                    if path not in read:
+                        read[path] = views_of(path, arguments)
+                    image = read[path][side if arguments.stereo else 0]
                     size = (image.shape[1], image.shape[0])
                     if sizes.get(name, size) != size:
                         raise ImageError(f"it has {size} px, earlier views {sizes[name]}")

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import functools
+import statistics
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 
 from cmp_cl import media
 from cmp_cl.cli.arguments import add_device, add_full_scale, check_files, check_suffix, grid_shape
-from cmp_cl.cli.messages import counted, one_line, shown, tell
+from cmp_cl.cli.messages import counted, one_line, progress, shown, tell
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners, Method, Refusal
 from cmp_cl.detector import Detector
@@ -34,10 +35,10 @@ _NODE_COLUMNS = ("row", "column", "x_px", "y_px", "sigma_px", "status")
 
 HELP = "find the corners in images, folders of images and videos"
 DESCRIPTION = """\
-Finds the corners of checkerboard-like patterns. Colour becomes grey. One line for each image says
-how many corners were found, on which device, and in how many milliseconds: from the image in host
-memory to the corners, or with --grid the nodes, in host memory, with the making of the detector
-for the first image of a size.
+Finds the corners of checkerboard-like patterns. Colour becomes grey. One line for each image or
+video says how many corners were found, on which device, and in how many milliseconds: from the
+image in host memory to the corners, or with --grid the nodes, in host memory, with the making of
+the detector for the first image of a size; of a video the median.
 """
 
 
@@ -121,47 +122,71 @@ def run(arguments: argparse.Namespace) -> int:
 def _searched(
     path: Path, config: DetectorConfig, shape: tuple[int, int] | None, device: Device
 ) -> Iterator[tuple[int, GreyImage, Corners, Grid | None]]:
-    """Yield each frame of a file that can be read, and tell what is found in it: its number, its
-    image, its corners, and their grid if that is one of the shape.
+    """Yield each frame of a file that can be read: its number, its image, its corners, and their
+    grid if that is one of the shape. Tell what is found in an image, and in all frames of a video.
 
     Raises ImageError if there is no such frame.
     """
+    info, video = media.video_info(path), media.is_video(path)
     if config.full_scale is None:
-        config = config.replace(full_scale=media.video_info(path).full_scale)
-    seen, broken, advice = False, list[Frame](), ""
-    for frame in media.read_frames(path):
-        image = frame.image
-        if image is None:
-            broken.append(frame)
-            continue
-        name = shown(path) if not frame.index else f"{shown(path)}, frame {frame.index}"
-        start = time.perf_counter()
-        corners = _detector(image.shape, image.dtype, config, device)(image)
-        grid, nodes, doubts = None, "", list[str]()
-        if shape is not None:
-            try:
-                found = build_grid(corners, image, shape=shape, device=device)
-                check_board(found)
-                grid, doubts = found, found.doubts
-                nodes = f", {grid.valid.sum()} of {grid.valid.size} nodes"
-            except GridError as error:
-                doubts = [f"not numbered: {one_line(error)}"]
-        spent = 1e3 * (time.perf_counter() - start)
-        print(f"{name}: {len(corners)} corners{nodes} in {spent:.2f} ms on {device}", flush=True)
-        for doubt in doubts:
-            tell(f"{name}: {doubt}")
-        yield frame.index, image, corners, grid
-        if not advice and not (seen and len(corners)):  # of the first frame, and of empty ones
-            advice = corners.advice(image, config.full_scale)
-            if advice:
-                tell(f"{name}: {advice}")
-        seen = True
-    if not seen:
+        config = config.replace(full_scale=info.full_scale)
+    broken, advice, doubtful = list[Frame](), "", 0
+    counts, times = list[int](), list[float]()  # corners or nodes of each frame, and ms
+    with progress(info.frames, "frames") as bar:
+        for frame in media.read_frames(path):
+            bar.update()
+            image = frame.image
+            if image is None:
+                broken.append(frame)
+                continue
+            name = shown(path) if not frame.index else f"{shown(path)}, frame {frame.index}"
+            start = time.perf_counter()
+            corners = _detector(image.shape, image.dtype, config, device)(image)
+            grid, doubts = None, list[str]()
+            if shape is not None:
+                grid, doubts = _numbered(corners, image, shape, device)
+            times.append(1e3 * (time.perf_counter() - start))
+            nodes = 0 if grid is None else int(grid.valid.sum())
+            counts.append(len(corners) if shape is None else nodes)
+            if not video:
+                said = f"{len(corners)} corners"
+                said += "" if grid is None else f", {nodes} of {grid.valid.size} nodes"
+                print(f"{name}: {said} in {times[-1]:.2f} ms on {device}", flush=True)
+            if not advice and (len(counts) == 1 or not len(corners)):
+                advice = corners.advice(image, config.full_scale)
+                doubts += [advice] if advice else []
+            if not (video and doubtful):
+                for doubt in doubts:
+                    tell(f"{name}: {doubt}")
+            doubtful += bool(doubts)
+            yield frame.index, image, corners, grid
+    if not counts:
         raise ImageError(f"{str(path)!r} has no frame that can be read")
+    if video:
+        mean = f"{statistics.fmean(counts):.1f} {'corners' if shape is None else 'nodes'}"
+        print(
+            f"{shown(path)}: {counted(len(counts), 'frame')}, {mean} on average, at least "
+            f"{min(counts)}, in {statistics.median(times):.2f} ms a frame on {device}"
+        )
+    if video and doubtful > 1:
+        further = counted(doubtful - 1, "further frame")
+        tell(f"{shown(path)}: there are doubts about {further} too")
     if broken:
         left_out = f"{counted(len(broken), 'frame')} left out, the first is {broken[0].index}"
         why = next((f": {frame.why}" for frame in broken if frame.why), "")
         tell(f"{shown(path)}: {left_out}{why}")
+
+
+def _numbered(
+    corners: Corners, image: GreyImage, shape: tuple[int, int], device: Device
+) -> tuple[Grid | None, list[str]]:
+    """Return the grid of the corners, None if they are no pattern of the shape, and the doubts."""
+    try:
+        grid = build_grid(corners, image, shape=shape, device=device)
+        check_board(grid)
+    except GridError as error:
+        return None, [f"not numbered: {one_line(error)}"]
+    return grid, grid.doubts
 
 
 @functools.lru_cache(maxsize=1)

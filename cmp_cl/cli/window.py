@@ -7,14 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from cmp_cl.cli.arguments import grid_shape, positive_number, split_of
+from cmp_cl.cli.arguments import grid_shape, positive_number, views_of
 from cmp_cl.cli.messages import one_line, shown
 from cmp_cl.errors import CalibrationError, ConfigError, GridError
 from cmp_cl.grid import Grid, align
-from cmp_cl.image import GreyImage
 from cmp_cl.measure import find_pattern
 from cmp_cl.measure.patterns import align_views
-from cmp_cl.media import read_image
 from cmp_cl.opencl.device import Device
 from cmp_cl.points import sides
 from cmp_cl.space import Lens, StereoRig, calibrate_window
@@ -105,12 +103,6 @@ def window_files(arguments: argparse.Namespace, cameras: Sequence[str]) -> list[
     return [Path(path) for path in itertools.chain(*images)]
 
 
-def view_of(path: str | Path, side: int, arguments: argparse.Namespace) -> GreyImage:
-    """Return the view of a camera in a file; side: its number among the cameras."""
-    image = read_image(path)
-    return split_of(arguments, image.shape)(image)[side] if arguments.stereo else image
-
-
 def through_window(rig: StereoRig, arguments: argparse.Namespace, device: Device) -> StereoRig:
     """Return a rig with the window of the options. device: that finds the corners.
 
@@ -119,17 +111,18 @@ def through_window(rig: StereoRig, arguments: argparse.Namespace, device: Device
 
     def seen(paths: list[str]) -> list[Grid]:
         grids = []
-        for side, path in enumerate(paths * 2 if arguments.stereo else paths):
-            try:
-                _, grid = find_pattern(
-                    view_of(path, side, arguments),
-                    shape=arguments.grid,
-                    full_scale=arguments.full_scale,
-                    device=device,
-                )
-            except GridError as error:
-                raise CalibrationError(f"{shown(path)}: {one_line(error)}") from error
-            grids.append(grid)
+        for path in paths:
+            for view in views_of(path, arguments):
+                try:
+                    _, grid = find_pattern(
+                        view,
+                        shape=arguments.grid,
+                        full_scale=arguments.full_scale,
+                        device=device,
+                    )
+                except GridError as error:
+                    raise CalibrationError(f"{shown(path)}: {one_line(error)}") from error
+                grids.append(grid)
         return grids
 
     left, right = seen(arguments.rest)

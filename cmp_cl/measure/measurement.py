@@ -3,9 +3,10 @@
 import contextlib
 import dataclasses
 import functools
+import inspect
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, TypedDict
+from typing import Any, ClassVar, TypedDict
 
 import numpy as np
 import pyopencl as cl
@@ -15,7 +16,7 @@ from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
-from cmp_cl.errors import ConfigError, DeviceError, check_kind
+from cmp_cl.errors import ConfigError, DeviceError, FieldError, check_kind
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.measure.measured import Measured, Tally
@@ -64,13 +65,11 @@ class Settings(TypedDict, total=False):
 
 @dataclasses.dataclass(eq=False)
 class _Begun:
-    """A frame whose kernels run. tracked: whether those that track its nodes do. settled: what has
-    been read of it."""
+    """A frame whose kernels run. tracked: whether those that track its nodes do."""
 
     views: tuple[GreyImage, ...]
     plan: Plan
     tracked: bool = False
-    settled: Measured | None = None
 
 
 class Measurement(Closing):
@@ -90,8 +89,17 @@ class Measurement(Closing):
     and if a node then has another corner, that counts. The numbers that were found anew hold.
     """
 
+    __signature__: ClassVar[inspect.Signature]
     _rig: StereoRig | None = None
     _bias: Bias | None = None
+
+    def __init_subclass__(cls) -> None:
+        """Let `help` show the settings by name, in the place of **settings."""
+        own = inspect.signature(cls.__init__)
+        common = inspect.signature(Measurement.__init__).parameters
+        known = [p for p in own.parameters.values() if p.kind is not p.VAR_KEYWORD]
+        settings = [common[name] for name in Settings.__annotations__]
+        cls.__signature__ = own.replace(parameters=[*known[1:], *settings])
 
     def __init__(
         self,
@@ -107,10 +115,9 @@ class Measurement(Closing):
     ) -> None:
         self.tally = Tally()
         self._profile = profile
-        # One frame at a time; a stream may be collected, and so end, within a call.
-        self._lock = threading.RLock()
+        self._lock = threading.RLock()  # one frame at a time
+        self._streams = False
         self._events: list[tuple[str, cl.Event]] = []  # of the last frame, but of the detector
-        self._running: _Begun | None = None  # whose results have not been read
         self._follows = False  # whether the tracker has the nodes of the frame before
         chosen, images = select_device(device), [check_image(view) for view in at_rest]
         if config is None:
@@ -175,7 +182,7 @@ class Measurement(Closing):
             self._follow(begun)
             self._detector.finish(begun.plan)
             self._tracker.know_rest(self._plan.read())
-        self._running, self._follows = None, False
+        self._follows = False
 
     def close(self) -> None:
         """Release the device's memory, once a call of another thread has ended."""
@@ -208,9 +215,11 @@ class Measurement(Closing):
         """Measure one frame, of the size and the type of the frame at rest.
 
         frame: (H, W). Nodes that are not found are NaN; in a frame without the pattern all are.
-        Raises ImageError, CapacityError and DeviceError as a `Detector` does.
+        Raises ImageError, CapacityError and DeviceError as a `Detector` does; FieldError within a
+        stream that has not ended.
         """
         with self._lock:
+            self._check_free()
             begun = self._begin(self._views_of(frame))
             self._follow(begun)
             return _with_field(self._settled(begun))
@@ -222,6 +231,9 @@ class Measurement(Closing):
         change before the frame after the next one is requested. Raises the errors of a call, and
         what making a frame raises, after the results before it.
         """
+        with self._lock:
+            self._check_free()
+            self._streams = True
         waiting: _Begun | None = None
         try:
             for begun in self._each_begun(frames):
@@ -244,8 +256,11 @@ class Measurement(Closing):
                     last = _with_field(self._settled(ready))
                 yield last
         finally:
-            if waiting is not None:
-                self._abandon(waiting)
+            with self._lock, contextlib.suppress(DeviceError):  # closed
+                self._streams = False
+                if waiting is not None:
+                    self._follows = False  # nobody has checked the nodes that it tracks
+                    self._detector.finish(waiting.plan)
 
     def _each_begun(
         self, frames: Iterable[GreyImage | None]
@@ -260,17 +275,18 @@ class Measurement(Closing):
         except Exception as error:
             yield error
 
-    def _abandon(self, begun: _Begun) -> None:
-        """Forget a frame whose kernels run: nobody has checked the nodes that it tracks."""
-        with self._lock, contextlib.suppress(DeviceError):  # closed
-            if begun.settled is None:
-                self._running, self._follows = None, False
-                self._detector.finish(begun.plan)
+    def _check_free(self) -> None:
+        """Raise FieldError within a stream: each frame is measured after the one before it."""
+        if self._streams:
+            raise FieldError(
+                "a stream of this measurement has not ended: take its frames, or close it"
+            )
 
     def skip(self) -> None:
         """Note that a frame is missing here; `track` continues numbers over few missing frames
         only."""
         with self._lock:
+            self._check_free()
             self._skip()
 
     def _skip(self) -> None:
@@ -292,9 +308,6 @@ class Measurement(Closing):
 
     def _follow(self, begun: _Begun) -> None:
         """Enqueue those that track the nodes and compute the field, if the tracker can go on."""
-        if self._running is not None:  # of a stream
-            self._settled(self._running)
-        self._running = begun
         if self._tracker is None or not self._follows:
             return
         self._track(self._tracker, begun.plan)
@@ -307,15 +320,11 @@ class Measurement(Closing):
 
     def _settled(self, begun: _Begun) -> Measured:
         """Return what becomes of a frame, once its kernels are done."""
-        if self._running is begun:
-            self._running = None
-        if begun.settled is None:
-            try:
-                begun.settled = self._settle(begun)
-            except BaseException:
-                self._follows = False  # nobody has checked the nodes that it tracks
-                raise
-        return begun.settled
+        try:
+            return self._settle(begun)
+        except BaseException:
+            self._follows = False  # nobody has checked the nodes that it tracks
+            raise
 
     def _settle(self, begun: _Begun) -> Measured:
         """Wait for a frame. Number it anew where tracking does not hold, or is audited."""

@@ -125,13 +125,17 @@ def test_a_video_is_searched_frame_by_frame_and_broken_frames_are_left_out(run):
     write_video("press.avi", [np.zeros_like(grey), grey, grey[::-1].copy(), grey])
     status, out, err = run("detect", "press.avi", "--out", "c.csv")
     assert (status, err) == (0, "")
-    assert "press.avi: 0 corners in " in out
-    assert "press.avi, frame 3: 54 corners in " in out
+    assert "press.avi: 4 frames, 40.5 corners on average, at least 0, in " in out
+    assert len(out.splitlines()) == 2
     rows = rows_of("c.csv")
     assert Counter(row["frame"] for row in rows) == {"1": 54, "2": 54, "3": 54}
     second = list(media.read_frames("press.avi"))[1].image
     xy = xy_of([row for row in rows if row["frame"] == "1"])
     np.testing.assert_array_equal(xy, cmp_cl.detect(second).xy)  # the black frame set no cell
+    status, out, err = run("detect", "press.avi", "--grid", "5x5")
+    assert (status, err.count("not numbered")) == (2, 1)
+    assert "0.0 nodes on average" in out
+    assert err.endswith("cmp-cl: press.avi: there are doubts about 3 further frames too\n")
     write_video("whole.avi", [grey] * 12)
     whole = Path("whole.avi").read_bytes()
     Path("cut.avi").write_bytes(whole[: len(whole) // 2])
