@@ -11,6 +11,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import threading
 import time
 import tracemalloc
 import warnings
@@ -143,6 +144,21 @@ def test_what_is_written_is_read_again(tmp_path, suffix):
     np.testing.assert_array_equal(found["rest"], rest())
     assert str(found["unit"]) == "mm"
     assert sorted(read_series(tmp_path / f"press{suffix}", ["rest", "none"])) == ["index", "rest"]
+
+
+def test_a_part_that_grows_can_be_read_at_any_moment(tmp_path):
+    with SeriesWriter(tmp_path / "a.npz", rest=rest(), unit="mm") as series:
+
+        def append(*numbers):
+            for number in numbers:
+                series.append(index=number, time_ms=0.0, **frame(number))
+
+        append(0)
+        growing = threading.Thread(target=append, args=range(1, 500))
+        growing.start()
+        while growing.is_alive():
+            found = read_series(tmp_path / "a.npz.part")
+            assert len({len(found[name]) for name in (*frame(0), "index", "time_ms")}) == 1
 
 
 def test_numpy_reads_an_npz_and_its_parts(tmp_path):

@@ -163,10 +163,11 @@ def _searched(
     if not counts:
         raise ImageError(f"{str(path)!r} has no frame that can be read")
     if video:
-        mean = f"{statistics.fmean(counts):.1f} {'corners' if shape is None else 'nodes'}"
+        what = "corners" if shape is None else f"of {shape[0] * shape[1]} nodes"
         print(
-            f"{shown(path)}: {counted(len(counts), 'frame')}, {mean} on average, at least "
-            f"{min(counts)}, in {statistics.median(times):.2f} ms a frame on {device}"
+            f"{shown(path)}: {counted(len(counts), 'frame')}, {statistics.fmean(counts):.1f} {what}"
+            f" on average, at least {min(counts)}, in {statistics.median(times):.2f} ms a frame on "
+            f"{device}"
         )
     if video and doubtful > 1:
         further = counted(doubtful - 1, "further frame")

@@ -131,7 +131,8 @@ def _container(path: str | PathLike[str]) -> Iterator[tuple[Any, Any]]:
         container = av.open(os.path.abspath(path), options=options)
     except (av.FFmpegError, OSError, ValueError) as error:
         raise ImageError(
-            f"{str(path)!r} is not a video that PyAV can read; a list of other files is none"
+            f"{str(path)!r} is no video that PyAV can read: it is damaged, not yet complete, or a "
+            "list of other files"
         ) from error
     with container:
         if not container.streams.video:

@@ -101,10 +101,9 @@ class Stored(NamedTuple):
 
     @classmethod
     def of(cls, path: Path) -> Self:
-        """Open a part; `index` counts its whole frames."""
-        constants = _opened(path / _CONSTANTS)
-        arrays = _opened(path)
-        count = len(arrays["index"])
+        """Open a part, which may grow; `index`, opened before the others, counts whole frames."""
+        count = len(np.load(path / "index.npy", mmap_mode="r"))
+        constants, arrays = _opened(path / _CONSTANTS), _opened(path)
         about = json.loads(str(constants["about"]))
         return cls(about, constants, {name: each[:count] for name, each in arrays.items()})
 
