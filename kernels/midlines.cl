@@ -2,6 +2,8 @@
 
 /* MIDLINE (section 3.5, Fig. 9), the paper's refinement. */
 
+#define LEAST_SINE 0.17f /* of the angle between two lines that meet */
+
 typedef struct {
   float2 mean, direction, normal;
 } Line;
@@ -34,6 +36,11 @@ float2 solve(const float2 a, const float h, const float2 b, const float k) {
   return (float2)(h * b.y - k * a.y, k * a.x - h * b.x) / cross_product(a, b);
 }
 
+int is_open(const float2 a, const float2 b) {
+  const float sine = cross_product(a, b);
+  return sine * sine > LEAST_SINE * LEAST_SINE * dot(a, a) * dot(b, b);
+}
+
 float2 intersection(const Line *a, const Line *b) {
   return solve(a->normal, dot(a->normal, a->mean), b->normal, dot(b->normal, b->mean));
 }
@@ -62,8 +69,8 @@ float2 on_parabola(const float3 fit, const Line *line, const float u, float2 *ta
 #endif
 
 /* MIDLINE: the intersection of the centrelines of the black sectors e0 e1 and e2 e3. If they are
- * nearly one line or meet too far away, CUSP: the two edge lines of each black sector meet in a
- * cusp, and the result is the midpoint of the two cusps. */
+ * nearly one line, at any of Newton's steps too, or meet too far away, CUSP: the two edge lines of
+ * each black sector meet in a cusp, and the result is the midpoint of the two cusps. */
 __kernel void midlines(__global const PIXEL *restrict image, __global const int *restrict corners,
                        __global const uint *restrict counts, const uint rows,
                        const uint columns, const uint step, const uint capacity,
@@ -90,6 +97,7 @@ __kernel void midlines(__global const PIXEL *restrict image, __global const int 
     centre[s] = fit_line(middle[s], valid);
   }
   float2 position = intersection(&centre[0], &centre[1]);
+  int meet = is_open(centre[0].direction, centre[1].direction);
 #if QUADRATIC
   if (valid_rings == RINGS) {
     const float3 first = fit_parabola(middle[0], &centre[0]);
@@ -101,6 +109,7 @@ __kernel void midlines(__global const PIXEL *restrict image, __global const int 
       const float2 from = on_parabola(first, &centre[0], u, &a);
       const float2 gap = on_parabola(second, &centre[1], v, &b) - from;
       const float sine = cross_product(a, b);
+      meet &= is_open(a, b);
       u += cross_product(gap, b) / sine;
       v += cross_product(gap, a) / sine;
     }
@@ -108,14 +117,13 @@ __kernel void midlines(__global const PIXEL *restrict image, __global const int 
   }
 #endif
   int method = METHOD_MIDLINE, refused = REFUSED_NONE;
-  const int meet = fabs(cross_product(centre[0].direction, centre[1].direction)) > 0.17f;
   if (!(meet && dot(position, position) <= max_shift * max_shift)) {
     refused = meet ? REFUSED_SHIFT : REFUSED_ANGLE;
     STORE_DECISION(METHOD_KEPT, refused)
     for (int e = 0; e < 4; ++e) side[e] = fit_line(edge[e], valid);
     position = (intersection(&side[0], &side[1]) + intersection(&side[2], &side[3])) / 2;
-    const int open = fabs(cross_product(side[0].direction, side[1].direction)) > 0.17f &&
-                     fabs(cross_product(side[2].direction, side[3].direction)) > 0.17f;
+    const int open = is_open(side[0].direction, side[1].direction) &&
+                     is_open(side[2].direction, side[3].direction);
     if (!(open && dot(position, position) <= max_shift * max_shift)) return;
     method = METHOD_CUSP;
   }

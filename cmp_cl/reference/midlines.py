@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from cmp_cl.config import Fit
 from cmp_cl.corners import Method, Refusal
 from cmp_cl.reference.edges import (
+    LEAST_SIN,
     EdgePoints,
     Lines,
     Meeting,
@@ -32,7 +33,6 @@ def midlines(
     middle = (points.point[:, :, 0::2] + points.point[:, :, 1::2]) / 2
     first, second = (fit_lines(middle[:, :, sector], points.valid) for sector in (0, 1))
     meeting = intersect(first, second)
-    open_ = meeting.accepted
     if fit is Fit.QUADRATIC:
         three = points.valid.all(axis=1) & meeting.accepted
         curved = _intersect_curves(first, second, middle, meeting.position)
@@ -46,7 +46,7 @@ def midlines(
     method = np.where(straight.accepted, Method.MIDLINE, Method.CUSP)
     method = np.where(straight.accepted | cusp.accepted, method, Method.KEPT).astype(np.uint8)
     refusal = np.select(
-        [straight.accepted, open_], [Refusal.NONE, Refusal.SHIFT], Refusal.ANGLE
+        [straight.accepted, meeting.accepted], [Refusal.NONE, Refusal.SHIFT], Refusal.ANGLE
     ).astype(np.uint8)
     position = np.where(straight.accepted[:, None], straight.position, cusp.position)
     margin = np.where(straight.accepted, straight.margin, np.minimum(straight.margin, cusp.margin))
@@ -68,7 +68,8 @@ def _intersect_curves(first: Lines, second: Lines, middle: Floats, begin: Floats
     """Intersect the parabolas v = a + b u + c u^2 through three points each.
 
     u runs along a line, v across it, both from its centre. Four Newton steps in the two u start
-    where the lines meet.
+    where the lines meet. Curves that are nearly parallel at one of them are not accepted: where
+    they meet depends on every digit.
     """
     lines = (first, second)
     along = [along_of(line) for line in lines]
@@ -91,8 +92,8 @@ def _intersect_curves(first: Lines, second: Lines, middle: Floats, begin: Floats
             u = [u[0] + cross(gap, tangent[1]) / sine, u[1] + cross(gap, tangent[0]) / sine]
             least_sin = np.minimum(least_sin, np.abs(sine) / norm(tangent[0]) / norm(tangent[1]))
         position = _on_curve(first, along[0], across[0], curves[0], u[0])
-    accepted = np.isfinite(position.sum(axis=1))
-    margin = np.where(accepted, least_sin, 0.0)
+        accepted = least_sin > LEAST_SIN
+        margin = np.nan_to_num(np.abs(least_sin - LEAST_SIN) / LEAST_SIN)
     return Meeting(
         position=np.where(accepted[:, None], position, 0), accepted=accepted, margin=margin
     )

@@ -83,7 +83,7 @@ def test_positions_are_the_oracles(detector_in_form, name, kind):
     assert np.isfinite(corners.xy).all()
 
 
-@pytest.mark.parametrize("name", [name for name in REFINEMENTS if "quadratic" not in name])
+@refinements
 def test_most_maxima_in_texture_are_refused_for_the_oracles_reasons(detector_in_form, name):
     image = np.vstack([images.texture((400, 83)), EIGHT["noise"], EIGHT["worn scene"]])
     config = rings(refinement=REFINEMENTS[name][0], **DENSE)
