@@ -5,8 +5,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.points import largest_deviation
-from cmp_cl.space.rig import StereoRig
-from cmp_cl.space.triangulation import points_by_image
+from cmp_cl.space.rig import StereoRig, points_by_image
 
 Array = NDArray[np.float64]
 

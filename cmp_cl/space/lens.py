@@ -1,4 +1,4 @@
-"""The lens models, and the projection through them with its derivatives.
+"""The lens models: the projection through them with its derivatives, and the rays of pixels.
 
 The parameters of a camera are one vector: fx, fy, cx, cy, the coefficients of distortion, then its
 pose, a rotation vector and a translation: X = R X_first + T.
@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 POSE = 6  # rotation vector, translation
 _LARGEST = 1e12  # px, or of a unit of length; the squares of larger numbers may overflow
 ESTIMATED = 8  # parameters of a pinhole that are estimated: fx fy cx cy k1 k2 p1 p2
+_MAX_ROUND_TRIP = 0.01  # px, of a pixel from itself after undistortion and distortion
+_UNDISTORT = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 
 
 class Lens(enum.Enum):
@@ -84,6 +86,22 @@ def projected(points: Array, camera: Array) -> tuple[Array, Array]:
         by_camera = np.hstack([slopes[:, POSE:], slopes[:, :POSE]])
     by_camera = np.asarray(by_camera, np.float64).reshape(len(points), 2, -1)
     return np.asarray(seen, np.float64).reshape(-1, 2), by_camera
+
+
+def rays_of(pixels: Array, matrix: Array, distortion: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the rays of pixels (N, 2), through points of the plane at distance 1: (N, 3), z = 1.
+
+    matrix, distortion: of the camera, as in `cmp_cl.space.StereoRig`. The mask (N,) is True where
+    distortion of the result leads back to the pixel. If it does not, the lens model cannot be
+    inverted there.
+    """
+    if not len(pixels):
+        return np.empty((0, 3)), np.empty(0, bool)
+    straight = cv2.undistortImagePoints(pixels[:, None], matrix, distortion, None, _UNDISTORT)
+    ideal = (straight.reshape(-1, 2) - matrix[:2, 2]) / matrix[[0, 1], [0, 1]]
+    rays = np.column_stack([ideal, np.ones(len(ideal))])
+    back, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, distortion)
+    return rays, np.linalg.norm(back.reshape(-1, 2) - pixels, axis=1) < _MAX_ROUND_TRIP
 
 
 def checked_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:

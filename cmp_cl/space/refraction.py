@@ -18,8 +18,7 @@ from cmp_cl.errors import CalibrationError, check_kind, check_positive, listed
 from cmp_cl.grid.grid import Grid
 from cmp_cl.points import sides
 from cmp_cl.space.lens import ESTIMATED, POSE
-from cmp_cl.space.rig import StereoRig
-from cmp_cl.space.triangulation import points_by_image
+from cmp_cl.space.rig import StereoRig, points_by_image
 from cmp_cl.space.window import WINDOW, Window
 
 Array = NDArray[np.float64]

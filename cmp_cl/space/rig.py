@@ -19,10 +19,10 @@ from cmp_cl.space.lens import (
     checked_array,
     checked_distortion,
     projected,
+    rays_of,
     rotation_of,
 )
 from cmp_cl.space.storage import read_rig, save_storage, window_entries
-from cmp_cl.space.triangulation import between, rays_through, undistort
 from cmp_cl.space.window import WINDOW, Window
 
 MIN_PARALLAX = 1.0  # px; with less parallax, depth is only noise
@@ -196,9 +196,9 @@ class StereoRig:
     def _first_order(self, seen: Array) -> tuple[Array, NDArray[np.uint8]]:
         """Triangulate (N, 4) px, left and right: the middles between their rays, (N, 3), and the
         status, (N,)."""
-        left, left_in_model = undistort(seen[:, :2], self.K1, self.D1)
-        right, right_in_model = undistort(seen[:, 2:], self.K2, self.D2)
-        one, two = rays_through(left), rays_through(right) @ self.R
+        one, left_in_model = rays_of(seen[:, :2], self.K1, self.D1)
+        two, right_in_model = rays_of(seen[:, 2:], self.K2, self.D2)
+        two = two @ self.R
         sine = np.linalg.norm(np.cross(one, two), axis=1)
         sine /= np.linalg.norm(one, axis=1) * np.linalg.norm(two, axis=1)
         if self.window is None:
@@ -310,6 +310,32 @@ class StereoRig:
             own = slice(k * ESTIMATED, (k + 1) * ESTIMATED)
             by_lens[:, 2 * k : 2 * k + 2, own] = by_camera[..., :ESTIMATED]
         return np.hstack(seen), np.concatenate(slopes, axis=1), by_lens
+
+
+def between(one: Array, two: Array, centre: Array) -> Array:
+    """Return the middle of the shortest segment between two rays, (N, 3), NaN where parallel.
+
+    one, two: their directions, (N, 3). The first ray begins at the origin, the second at `centre`,
+    (3,) or (N, 3). The middle has nearly the least reprojection error.
+    """
+    own, both, other, ahead_one, ahead_two = (
+        (first * second).sum(axis=1)
+        for first, second in ((one, one), (one, two), (two, two), (one, centre), (two, centre))
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shared = own * other - np.square(both)
+        depth_one = (ahead_one * other - both * ahead_two) / shared
+        depth_two = (both * ahead_one - own * ahead_two) / shared
+        points = (depth_one[:, None] * one + depth_two[:, None] * two + centre) / 2
+    return np.where(np.isfinite(points), points, np.nan)
+
+
+def points_by_image(slopes: Array) -> Array:
+    """Return the derivatives of points by the pixels of both views, (N, 3, 4), for the least
+    squares of the reprojection; slopes: those of the pixels by the points, (N, 4, 3)."""
+    turned = slopes.transpose(0, 2, 1)
+    by_image: Array = np.linalg.inv(turned @ slopes) @ turned
+    return by_image
 
 
 def spread(where: NDArray[np.bool_], values: NDArray[Any]) -> Array:

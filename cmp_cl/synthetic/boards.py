@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.image import GreyImage
-from cmp_cl.synthetic.raster import Array, Image
+from cmp_cl.synthetic.raster import Array, Image, samples
 from cmp_cl.synthetic.rendering import render
 from cmp_cl.synthetic.scene import Scene
 
@@ -74,13 +74,6 @@ def plane(
 
 
 # pictures
-
-
-def samples(size: tuple[int, int], count: int = 1) -> tuple[Array, Array]:
-    """Return x and y of `count` samples a pixel along each axis of an image (H, W), px."""
-    across, down = ((np.arange(n * count) + 0.5) / count - 0.5 for n in size[::-1])
-    x, y = np.meshgrid(across, down)
-    return x, y
 
 
 def covered(u: Array, v: Array, shape: tuple[int, int], margin: float = 0.0) -> Mask:

@@ -8,6 +8,7 @@ import numpy as np
 
 from cmp_cl.errors import ConfigError, check_shape
 from cmp_cl.space import StereoRig, Window
+from cmp_cl.space.rig import between
 from cmp_cl.synthetic.raster import Array
 from cmp_cl.synthetic.scene import Scene
 
@@ -74,14 +75,8 @@ class PinholeCamera:
                 x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
                 y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
             )
-        matrix = self.matrix
-        return np.stack(
-            [
-                matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2],
-                matrix[1, 1] * y + matrix[1, 2],
-            ],
-            axis=-1,
-        )
+        (fx, _, cx), (_, fy, cy), _ = self.matrix
+        return np.stack([fx * x + cx, fy * y + cy], axis=-1)
 
 
 def straightened(window: Window, centre: Array, points: Array) -> Array:
@@ -140,12 +135,8 @@ def facing_both(R: Array, T: Array) -> tuple[Array, Array]:
     ahead, other = np.array([0.0, 0.0, 1.0]), R[2]
     normal = ahead + other
     normal /= np.linalg.norm(normal)
-    cosine = float(ahead @ other)
-    spread = 1 - cosine**2
-    first = float((eye @ ahead) - cosine * (eye @ other)) / max(spread, 1e-9)
-    second = float(cosine * (eye @ ahead) - (eye @ other)) / max(spread, 1e-9)
-    centre = (first * ahead + eye + second * other) / 2
-    if spread < 1e-6 or min(first, second) <= 0:
+    centre = between(ahead[None], other[None], eye)[0]
+    if 1 - (ahead @ other) ** 2 < 1e-6 or min(centre[2], (centre - eye) @ other) <= 0:
         centre = eye / 2 + DISTANCE * normal
     across = np.array([1.0, 0.0, 0.0])
     across -= (across @ normal) * normal

@@ -6,7 +6,7 @@ import math
 import cv2
 import numpy as np
 
-from cmp_cl.synthetic.raster import Array, Image, pixel_centres, resized
+from cmp_cl.synthetic.raster import Array, Image, samples
 from cmp_cl.synthetic.scene import Scene, Surround
 from cmp_cl.synthetic.surface import derivatives, surface
 
@@ -93,14 +93,14 @@ def _strain(scene: Scene) -> tuple[Image, Image]:
     """Return the magnitude of the strain and the change of area, over the material's texels."""
     coarse = _TEXTURE // 8
     texel = 8 * scene.side / _TEXTURE
-    points = (pixel_centres(coarse, coarse) - (coarse - 1) / 2) * texel
+    points = (np.dstack(samples((coarse, coarse))) - (coarse - 1) / 2) * texel
     by_u, by_v = derivatives(lambda at: surface(scene, at), points, 1e-4 * scene.side)
     stretches = np.linalg.svd(np.stack([by_u, by_v], axis=-1), compute_uv=False)
     size = np.hypot(stretches[..., 0] - 1, stretches[..., 1] - 1)
     area = stretches[..., 0] * stretches[..., 1] - 1
     fields = np.stack([size, area], axis=-1).astype(np.float32)
-    fields = resized(fields, _TEXTURE, _TEXTURE)
-    return fields[..., 0], fields[..., 1]
+    fine: Image = cv2.resize(fields, (_TEXTURE, _TEXTURE))
+    return fine[..., 0], fine[..., 1]
 
 
 def illumination(scene: Scene, points: Array, pixel: float) -> Image:
@@ -120,5 +120,6 @@ def illumination(scene: Scene, points: Array, pixel: float) -> Image:
     shading = 1 - scene.light * 0.45 * np.tanh(x * by_x + y * by_y)
     reach = (across**2 + down**2) / (rows**2 + columns**2) * max(rows, columns) ** 2
     fall = 1 / (1 + (scene.vignetting - 1) * reach)
-    light = (scene.exposure * uneven * shading * fall).astype(np.float32)
-    return resized(light, rows, columns)
+    coarse = (scene.exposure * uneven * shading * fall).astype(np.float32)
+    light: Image = cv2.resize(coarse, (columns, rows))
+    return light

@@ -1,8 +1,7 @@
-"""Pixel centres, and images at another size."""
+"""The samples of an image, and the types of arrays that scenes are made of."""
 
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,13 +9,8 @@ Array = NDArray[np.float64]
 Image = NDArray[Any]  # float32 unless said otherwise
 
 
-def pixel_centres(rows: int, columns: int) -> Array:
-    """Return (x, y) of every pixel, (rows, columns, 2), px."""
-    x, y = np.meshgrid(np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64))
-    return np.stack([x, y], axis=-1)
-
-
-def resized(image: Image, rows: int, columns: int) -> Image:
-    """Resample an image to (rows, columns) by bilinear interpolation."""
-    result: Image = cv2.resize(image, (columns, rows), interpolation=cv2.INTER_LINEAR)
-    return result
+def samples(size: tuple[int, int], count: int = 1) -> tuple[Array, Array]:
+    """Return x and y of `count` samples a pixel along each axis of an image (H, W), px."""
+    across, down = ((np.arange(n * count) + 0.5) / count - 0.5 for n in size[::-1])
+    x, y = np.meshgrid(across, down)
+    return x, y

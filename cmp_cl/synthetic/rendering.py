@@ -21,7 +21,7 @@ from cmp_cl.synthetic.camera import (
     facing_both,
 )
 from cmp_cl.synthetic.material import SAMPLES, illumination, reflectance
-from cmp_cl.synthetic.raster import Array, Image, pixel_centres, resized
+from cmp_cl.synthetic.raster import Array, Image, samples
 from cmp_cl.synthetic.scene import Scene
 from cmp_cl.synthetic.surface import (
     Forward,
@@ -128,10 +128,10 @@ def _inverse(scene: Scene, forward: Forward) -> Array:
     at all pixels, with the gradient of the inverse map as the inverse Jacobian.
     """
     rows, columns = (-(-size // _STEP) * _STEP + 2 * _PAD for size in scene.shape)
-    coarse = pixel_centres(rows // _STEP, columns // _STEP) * _STEP + (_STEP - 1) / 2 - _PAD
+    pixels = np.dstack(samples((rows, columns))) - _PAD
+    coarse = np.dstack(samples((rows // _STEP, columns // _STEP))) * _STEP + (_STEP - 1) / 2 - _PAD
     points = _newton(forward, coarse, _flat_start(scene, forward, coarse))
-    points = resized(points, rows, columns)
-    pixels = pixel_centres(rows, columns) - _PAD
+    points = np.asarray(cv2.resize(points, (columns, rows)), np.float64)
     for _ in range(6):
         residual = forward(points) - pixels
         inside = residual[_STEP:-_STEP, _STEP:-_STEP]
