@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners, HarmonicMaps, Maps
-from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError, check_shape
+from cmp_cl.errors import (
+    CapacityError,
+    ConfigError,
+    DeviceError,
+    ImageError,
+    check_shape,
+    errors_last,
+)
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage, check_dtype, check_image, check_mask
 from cmp_cl.lattice.plan import LatticePlan
@@ -143,7 +150,8 @@ class Detector(Closing):
         """
         waiting: Plan | None = None
         try:
-            for begun in self._each_begun(frames):
+            each = (self.begin([frame]) for frame in _iterated("frames", frames))
+            for begun in errors_last(each):
                 ready, waiting = waiting, begun if isinstance(begun, Plan) else None
                 done = [] if ready is None else self.finish(ready)[0].corners
                 if waiting is not None and waiting.uploads:
@@ -157,14 +165,6 @@ class Detector(Closing):
         finally:
             if waiting is not None:
                 self._plans.take_back(waiting)
-
-    def _each_begun(self, frames: Iterable[GreyImage]) -> Iterator[Plan | Exception]:
-        """Begin each frame; an error is the last."""
-        try:
-            for frame in _iterated("frames", frames):
-                yield self.begin([frame])
-        except Exception as error:
-            yield error
 
     @property
     def queue(self) -> cl.CommandQueue:

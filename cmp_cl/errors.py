@@ -2,12 +2,14 @@
 
 import contextlib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from numbers import Integral, Real
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+T = TypeVar("T")
 
 
 class CmpClError(Exception):
@@ -126,6 +128,14 @@ def check_positive(name: str, value: object, error: type[CmpClError]) -> None:
     """Raise the error if an argument of that name is not a finite number above 0."""
     if not (isinstance(value, Real) and 0 < cast(float, value) < math.inf):
         raise error(f"{name} must be a positive number, not {value!r}")
+
+
+def errors_last(items: Iterable[T]) -> Iterator[T | Exception]:
+    """Yield the items; an error in making one is the last, so that those before it can be used."""
+    try:
+        yield from items
+    except Exception as error:
+        yield error
 
 
 @contextlib.contextmanager

@@ -199,12 +199,16 @@ def _boards(
                     image = read[path][side if arguments.stereo else 0]
                     size = (image.shape[1], image.shape[0])
                     if sizes.get(name, size) != size:
-                        raise ImageError(f"it has {size} px, earlier views {sizes[name]}")
+                        raise ImageError(
+                            f"{shown(path)} has {size} px, earlier views {sizes[name]}"
+                        )
                     grid = find_board(
                         image, arguments.board, full_scale=arguments.full_scale, device=device
                     )
                     sizes[name] = size
-                except (GridError, ImageError) as error:
+                except ImageError as error:
+                    left_out.append(one_line(error))
+                except GridError as error:
                     which = f" ({name})" if arguments.stereo else ""
                     left_out.append(f"{shown(path)}{which}: {one_line(error)}")
                 grids[name].append(grid)

@@ -43,7 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             how = {"choices": [each.value for each in type(getattr(Scene(), name))]}
         elif name == "shape":
             how = {"type": int, "nargs": 2, "metavar": ("ROWS", "COLUMNS")}
-        parser.add_argument(f"--{name}", default=usual, help=f"{what}; default: {usual}", **how)
+        said = " ".join(map(str, usual)) if isinstance(usual, tuple) else usual
+        parser.add_argument(f"--{name}", default=usual, help=f"{what}; default: {said}", **how)
 
 
 def run(arguments: argparse.Namespace) -> int:

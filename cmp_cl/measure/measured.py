@@ -14,7 +14,7 @@ from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
 from cmp_cl.motion.nodes import positions_of
 from cmp_cl.motion.plan import FieldPlan
-from cmp_cl.space import Bias, Points3D, StereoRig
+from cmp_cl.space import Bias
 from cmp_cl.stages.refine import Found
 
 
@@ -27,15 +27,13 @@ class Measured:
     ambiguous: whether the numbering of a grid is ambiguous, see `Grid.ambiguous`.
     differing: the nodes for which tracking had another corner than the numbers that were found
         anew, which hold; 0 where none were looked for.
-    rig: the cameras of two views; None from one view.
-    bias: of the rig, where it has a window and a covariance.
+    bias: of the rig of two views, where it has a window and a covariance.
     """
 
     views: tuple[GreyImage, ...]
     tracked: bool = False
     ambiguous: bool = False
     differing: int = 0
-    rig: StereoRig | None = None
     bias: Bias | None = None
     _plan: FieldPlan
     _found: Found
@@ -57,12 +55,6 @@ class Measured:
     def grids(self) -> tuple[Grid, ...]:
         """Return the grid of the one view, or those of the left and of the right one."""
         return tuple(grid() for grid in self._numbered)
-
-    @functools.cached_property
-    def points(self) -> Points3D | None:
-        """Return the positions of the nodes now, in space, triangulated when they are asked for;
-        None from one view."""
-        return None if self.rig is None else self.rig.triangulate(*self.grids)
 
     @functools.cached_property
     def bias_sigma(self) -> NDArray[np.float64] | None:
@@ -102,7 +94,7 @@ class Measured:
             arrays |= {"raw_displacement": field.raw.displacement, "raw_sigma": field.raw.sigma}
         if self.bias_sigma is not None:
             arrays["bias_sigma"] = self.bias_sigma
-        names = ("xy",) if self.rig is None else ("left", "right")
+        names = ("xy",) if len(self.views) == 1 else ("left", "right")
         seen = {name: positions_of(self._arrays, view) for view, name in enumerate(names)}
         return arrays | seen
 

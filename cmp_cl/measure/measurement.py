@@ -16,7 +16,7 @@ from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
-from cmp_cl.errors import ConfigError, DeviceError, FieldError, check_kind
+from cmp_cl.errors import ConfigError, DeviceError, FieldError, check_kind, errors_last
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.measure.measured import Measured, Tally
@@ -30,7 +30,7 @@ from cmp_cl.motion.track import Tracker, can_track, differing
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.opencl.launches import sum_times
 from cmp_cl.opencl.program import programs_of
-from cmp_cl.space import Bias, StereoRig
+from cmp_cl.space import Bias
 from cmp_cl.stages.plan import Plan
 from cmp_cl.stages.refine import Found
 
@@ -90,7 +90,6 @@ class Measurement(Closing):
     """
 
     __signature__: ClassVar[inspect.Signature]
-    _rig: StereoRig | None = None
     _bias: Bias | None = None
 
     def __init_subclass__(cls) -> None:
@@ -236,7 +235,7 @@ class Measurement(Closing):
             self._streams = True
         waiting: _Begun | None = None
         try:
-            for begun in self._each_begun(frames):
+            for begun in errors_last(map(self._begun, frames)):
                 ready, waiting = waiting, begun if isinstance(begun, _Begun) else None
                 with self._lock:
                     settled = [] if ready is None else [self._settled(ready)]
@@ -262,18 +261,10 @@ class Measurement(Closing):
                     self._follows = False  # nobody has checked the nodes that it tracks
                     self._detector.finish(waiting.plan)
 
-    def _each_begun(
-        self, frames: Iterable[GreyImage | None]
-    ) -> Iterator[_Begun | Exception | None]:
-        """Enqueue the kernels that find the corners of each frame; None is a missing one, and an
-        error is the last."""
-        try:
-            for frame in frames:
-                with self._lock:
-                    begun = None if frame is None else self._begin(self._views_of(frame))
-                yield begun
-        except Exception as error:
-            yield error
+    def _begun(self, frame: GreyImage | None) -> _Begun | None:
+        """Enqueue the kernels that find the corners of a frame; None is a missing one."""
+        with self._lock:
+            return None if frame is None else self._begin(self._views_of(frame))
 
     def _check_free(self) -> None:
         """Raise FieldError within a stream: each frame is measured after the one before it."""
@@ -337,7 +328,6 @@ class Measurement(Closing):
         settled = Measured(
             views=begun.views,
             tracked=bool(tracked),
-            rig=self._rig,
             bias=self._bias,
             _plan=self._plan,
             _found=found,

@@ -51,8 +51,7 @@ class TwoViews(Measurement):
         check_kind("rig", rig, StereoRig, ConfigError)
         check_kind("split", split, BinocularSplit, ConfigError)
         views = split(rest)
-        self._rig: StereoRig = rig
-        self._split, self._size = split, rest.shape
+        self._rig, self._split, self._size = rig, split, rest.shape
         super().__init__(views, **settings)
         if rig.window is not None and rig.covariance is not None:
             self._bias = Bias(rig, self.rest.xyz)
