@@ -2,11 +2,7 @@
 
 /* Parts (13.3): connected faces that agree, and numbers in them. A part in which a corner has two
  * numbers is divided: its faces must agree more closely, and all is done again.
- *
- * States are (x, y, d): the number of the corner of a half-edge, column and row, and the direction
- * of the half-edge, 0 to 3 along (1, 0) (0, 1) (-1, 0) (0, -1). */
-#define TO_X(d) (((d) == 0) - ((d) == 2))
-#define TO_Y(d) (((d) == 1) - ((d) == 3))
+ */
 #define STEP(state, turn) \
   (int4)((state).x + TO_X((state).z), (state).y + TO_Y((state).z), ((state).z + (turn)) & 3, 0)
 #define WAITING (-1) /* in the fourth place: the face has no number yet */

@@ -1,14 +1,11 @@
 #include "lattice.clh"
 
-/* Ways across tears (13.4): from a node at the rim of a part to one of another, of some steps after
- * each of which the colours on both sides change places. They vote for where the parts lie. */
+/* Votes for where a part lies beside another (13.4): corners that are in both, and ways across
+ * tears, from a node at the rim of one to the rim of the other, of some steps after each of which
+ * the colours on both sides change places. */
 
-/* The mean length of the links of a corner, px; 0 without one. One work-item per corner. */
-__kernel void mean_steps(__global const float *restrict corners, const uint capacity,
-                         __global const int *restrict twin, __global float *restrict step) {
-  const int i = get_global_id(0);
-  if (i >= (int)COUNT(corners)) return;
-  __global const float2 *at = POSITIONS(corners);
+/* The mean length of the links of a corner, px; 0 without one. */
+float mean_step(__global const float2 *at, __global const int *twin, const int i) {
   float total = 0;
   int count = 0;
   for (int h = 4 * i; h < 4 * i + 4; ++h) {
@@ -19,7 +16,20 @@ __kernel void mean_steps(__global const float *restrict corners, const uint capa
     ++count;
   }
   const float root = inverse_root((float)LARGER(count, 1));
-  step[i] = total * (root * root);
+  return total * (root * root);
+}
+
+/* Whether a half-edge is the first of its corner in a part that is large enough. */
+bool is_node(__global const int *part, __global const int *size, const int least_part, const int h) {
+  bool found = part[h] != NONE && size[part[h]] >= least_part;
+  for (int k = h & ~3; k < h; ++k) found &= part[k] != part[h];
+  return found;
+}
+
+/* Whether the faces around a corner are not all of one part. */
+bool is_at_rim(__global const int *part, const int i) {
+  const int4 around = vload4(i, part);
+  return around.x != around.y || around.x != around.z || around.x != around.w;
 }
 
 /* For each number m of steps: the least cosine, 1 / m, the factor of a sum of differences, and
@@ -28,62 +38,104 @@ typedef struct {
   float cosine, part, factor, weight;
 } Way;
 
-/* List the votes, in any order: both places in the list of rim nodes, both boundaries, the number
- * of steps, and the weight as the bits of a float. rims: the corner of each node, part by part, and the
- * place of the first node of the next part.
- * rims_and_votes: the numbers of both; that of votes may exceed `room`. One work-item per node of a
- * rim. */
+/* The difference of both sides of a way of m steps, summed over points of each, with the sign that
+ * it has if colours change after every step. */
+int difference_of_way(LEVELS_OF_IMAGE, const float2 from, const float x, const float y, const int m,
+                      const float depth, const float depth_px) {
+  const float share = LARGER(depth, depth_px * inverse_root(LARGER(x * x + y * y, 1.0f)));
+  const float across_x = -(share * y), across_y = share * x;
+  int sum = 0;
+  for (int e = 0; e < 8 * m; e += 8)
+    for (int f = 2; f <= 6; f += SIDE_STEP) { /* eighths of a step */
+      const float t = 0.125f * (float)(e + f);
+      const float on_x = from.x + t * x, on_y = from.y + t * y;
+      const int here = level_at(LEVELS, on_x - across_x, on_y - across_y) -
+                       level_at(LEVELS, on_x + across_x, on_y + across_y);
+      sum += e & 8 ? -here : here;
+    }
+  return sum;
+}
+
+/* A vote: both parts, by their roots, the larger one first; the quarter turns, column and row of the
+ * second one's numbers in those of the first; and the weight as the bits of a float. `number` is
+ * that of the half-edge `other` in the first part. */
+#define VOTE 6
+void add_vote(__global const int *part, __global const int4 *state, const int one, const int other,
+              const int quarter, const int2 number, const float weight, const int room,
+              __global int *layout, __global int *votes) {
+  const int k = atomic_inc(layout + VOTES), x = TO_X(quarter), y = TO_Y(quarter);
+  if (k >= room) return;
+  const int4 own = state[other];
+  votes[VOTE * k] = part[one];
+  votes[VOTE * k + 1] = part[other];
+  votes[VOTE * k + 2] = quarter;
+  votes[VOTE * k + 3] = number.x - (own.x * x - own.y * y);
+  votes[VOTE * k + 4] = number.y - (own.x * y + own.y * x);
+  votes[VOTE * k + 5] = as_int(weight);
+}
+
+/* List the votes of a frame of several parts, in any order; layout[VOTES], their number, may exceed
+ * `room`. A pair of nodes is listed by one that has the other in its reach, by the one of the larger
+ * part if both have. One work-item per half-edge. */
+#define ROTATION(h) (state[h].z - (h))
+#define IS_LARGER(one, other) \
+  (size[one] > size[other] || (size[one] == size[other] && (one) < (other)))
 __kernel void find_votes(__global const float *restrict corners, const uint capacity,
                          __global const float4 *restrict lines,
                          __global const int *restrict contrast, LEVELS_OF_IMAGE,
-                         __global const float *restrict step, __global const int2 *restrict rims,
-                         __constant Way *ways, const float reach,
-                         const float depth, const float depth_px, const int room,
-                         __global int *restrict rims_and_votes, __global int *restrict votes) {
-  const int n = get_global_id(0), count = rims_and_votes[0];
-  if (n >= count) return;
+                         __global const int *restrict twin, __global const int *restrict part,
+                         __global const int4 *restrict state, __global const int *restrict size,
+                         const int least_part, __global const int *restrict starts,
+                         __global const int *restrict binned, __constant Way *ways,
+                         const float reach, const float depth, const float depth_px, const int room,
+                         __global int *restrict layout, __global int *restrict votes) {
+  const int h = get_global_id(0), i = h >> 2;
+  if (layout[PARTS] < 2 || h >= 4 * (int)COUNT(corners)) return;
+  if (!is_node(part, size, least_part, h) || !is_at_rim(part, i)) return;
   __global const float2 *at = POSITIONS(corners);
-  const int i = rims[n].x;
-  const float own_reach = reach * step[i];
-  for (int k = rims[n].y; k < count; ++k) {
-    const int j = rims[k].x;
-    const float dx = at[j].x - at[i].x, dy = at[j].y - at[i].y, squared = dx * dx + dy * dy;
-    const float other_reach = reach * step[j];
-    const float one = own_reach * own_reach, two = other_reach * other_reach;
-    if (!(squared < LARGER(one, two)) || i == j) continue;
-    const float held = LARGER(squared, 1.0f), length = held * inverse_root(held);
-    const Boundary near = boundary_along(lines[i], dx, dy);
-    const Boundary far = boundary_along(lines[j], -dx, -dy);
-    const float along = SMALLER(near.length, far.length), mean = 0.5f * (step[i] + step[j]);
-    const float product = (float)contrast[i] * (float)contrast[j];
-    for (int m = 1; m <= SPAN; ++m) {
-      const Way way = ways[m - 1];
-      if (!(along > way.cosine * length) || (near.side + far.side - m) & 1) continue;
-      if (!(MAGNITUDE(length - (float)m * mean) < mean)) continue; /* a step off at most */
-      const float x = dx * way.part, y = dy * way.part, of_step = x * x + y * y;
-      const float share = LARGER(depth, depth_px * inverse_root(LARGER(of_step, 1.0f)));
-      const float across_x = -(share * y), across_y = share * x;
-      int sum = 0;
-      for (int e = 8; e < 8 * m + 8; e += 8)
-        for (int f = 2; f <= 6; f += SIDE_STEP) { /* eighths of a step */
-          const float t = 0.125f * (float)(e - 8 + f);
-          const float on_x = at[i].x + t * x, on_y = at[i].y + t * y;
-          const int here = level_at(LEVELS, on_x - across_x, on_y - across_y) -
-                           level_at(LEVELS, on_x + across_x, on_y + across_y);
-          sum += e / 8 & 1 ? here : -here;
+  const float own_step = mean_step(at, twin, i), own_reach = reach * own_step;
+  const int shift = layout[BIN_SHIFT], across = layout[BINS_ACROSS];
+  const float2 low = at[i] - own_reach, high = at[i] + own_reach;
+  const int top = BIN_ROW(low), bottom = BIN_ROW(high);
+  const int left = BIN_COLUMN(low), right = BIN_COLUMN(high);
+  for (int k = top; k <= bottom; ++k)
+    for (int n = starts[k * across + left]; n < starts[k * across + right + 1]; ++n) {
+      const int j = binned[n];
+      const float2 apart = at[j] - at[i];
+      const float squared = apart.x * apart.x + apart.y * apart.y;
+      if (!(squared < own_reach * own_reach) || !is_at_rim(part, j)) continue;
+      for (int g = 4 * j; g < 4 * j + 4; ++g) {
+        if (part[g] == part[h] || !is_node(part, size, least_part, g)) continue;
+        const float step = mean_step(at, twin, j), its_reach = reach * step;
+        const bool is_first = IS_LARGER(part[h], part[g]);
+        if (!is_first && squared < its_reach * its_reach) continue;
+        const int one = is_first ? h : g, other = is_first ? g : h, a = one >> 2, b = other >> 2;
+        if (i == j) {
+          add_vote(part, state, one, other, (ROTATION(one) - ROTATION(other)) & 3, state[one].xy,
+                   1.0f, room, layout, votes);
+          continue;
         }
-      if (near.side & 1) sum = -sum;
-      const float seen = ((float)sum * way.factor) * inverse_root(product);
-      if (sum <= 0) continue;
-      const int vote = atomic_inc(rims_and_votes + 1);
-      if (vote >= room) continue;
-      const float weight = SMALLER(seen, 1.0f) * way.weight;
-      votes[6 * vote] = n;
-      votes[6 * vote + 1] = k;
-      votes[6 * vote + 2] = near.side;
-      votes[6 * vote + 3] = far.side;
-      votes[6 * vote + 4] = m;
-      votes[6 * vote + 5] = as_int(weight);
+        const float dx = at[b].x - at[a].x, dy = at[b].y - at[a].y;
+        const float held = LARGER(squared, 1.0f), length = held * inverse_root(held);
+        const Boundary near = boundary_along(lines[a], dx, dy);
+        const Boundary far = boundary_along(lines[b], -dx, -dy);
+        const float along = SMALLER(near.length, far.length), mean = 0.5f * (own_step + step);
+        const int direction = (near.side + ROTATION(one)) & 3;
+        const int quarter = (direction - far.side + 2 - ROTATION(other)) & 3;
+        for (int m = 1; m <= SPAN; ++m) {
+          const Way way = ways[m - 1];
+          if (!(along > way.cosine * length) || (near.side + far.side - m) & 1) continue;
+          if (!(MAGNITUDE(length - (float)m * mean) < mean)) continue; /* a step off at most */
+          const int sum = difference_of_way(LEVELS, at[a], dx * way.part, dy * way.part, m, depth,
+                                            depth_px);
+          const int seen = near.side & 1 ? -sum : sum;
+          if (seen <= 0) continue;
+          const float product = (float)contrast[a] * (float)contrast[b];
+          const float share = ((float)seen * way.factor) * inverse_root(product);
+          const int2 number = state[one].xy + m * (int2)(TO_X(direction), TO_Y(direction));
+          add_vote(part, state, one, other, quarter, number, SMALLER(share, 1.0f) * way.weight, room,
+                   layout, votes);
+        }
+      }
     }
-  }
 }

@@ -128,11 +128,12 @@ def _corners_beyond(board: Board, corners: Corners) -> int:
     if len(corners) - len(nodes) < K.join_votes or len(nodes) < K.least_board:
         return 0
     beside = (K.span + 0.5) * max(map(abs, board.steps))
-    x, y = board.x[mine], board.y[mine]
-    low, high = (np.array([each(x), each(y)]) for each in (np.min, np.max))
-    free = np.delete(corners.xy, nodes, axis=0).astype(np.float64)
-    free = free[((free > low - beside) & (free < high + beside)).all(axis=1)]
-    if len(free) < K.join_votes:
+    near = np.ones(len(corners), np.bool_)
+    near[nodes] = False
+    for line, of_board in zip(corners.xy.T, (board.x[mine], board.y[mine]), strict=True):
+        near &= (line > of_board.min() - beside) & (line < of_board.max() + beside)
+    free = corners.xy[near].astype(np.float64)
+    if len(free) < max(K.join_votes, K.gap * len(nodes)):
         return 0
     number = np.argwhere(mine)[:, ::-1].astype(np.float64)
     some = np.random.default_rng(0).permutation(len(nodes))[: K.tear_most]  # not all of one line

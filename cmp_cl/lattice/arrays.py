@@ -32,17 +32,17 @@ class Units(NamedTuple):
 
 
 class Votes(NamedTuple):
-    """Ways between units of two parts along which the colours change after every step.
+    """Placements of one part beside another that have votes, each once.
 
-    first, second: (V,) units. boundary, other: the boundaries at both ends. steps: of the way.
-    weight: of the vote.
+    first, second: (V,) ranks of the parts, the larger one first. quarter, offset: the numbers of
+    the second times so many quarter turns, plus the offset, are numbers of the first. weight: of
+    all votes for it.
     """
 
     first: Whole
     second: Whole
-    boundary: Whole
-    other: Whole
-    steps: Whole
+    quarter: Whole
+    offset: Numbers
     weight: Float
 
 

@@ -9,26 +9,22 @@ from cmp_cl.lattice.arrays import Board, Mask
 from cmp_cl.lattice.joins import Joining, Placed
 from cmp_cl.lattice.plan import LatticePlan
 
-LEAST_FACES = 4  # of a part where no other is larger
-
 
 def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
     """Yield the boards of a frame that was started, upright, with their borders, the largest part's
     first.
 
     xy: (N, 2), the corners of the plan, px. A corner is a node of one board at most. If no part has
-    `least_part` faces, four are enough, which 3 x 3 corners have.
+    `least_part` faces, the largest one is enough.
     """
     k = plan.constants
     alone = plan.alone()
-    if alone is not None and alone.owner.size:
+    if alone is not None:
         if np.count_nonzero(alone.there) >= k.least_board:
             yield alone
         return
-    units = plan.units(xy, k.least_part)
-    if not len(units.part):
-        units = plan.units(xy, LEAST_FACES)
-    joining = Joining(units, plan.votes(units), len(xy), k)
+    units, votes = plan.parts(xy)
+    joining = Joining(units, votes, len(xy), k)
     taken = np.zeros(len(xy), np.bool_)
     left = list(range(int(units.part.max(initial=-1)) + 1))
     while left:

@@ -18,11 +18,10 @@ import numpy as np
 from cmp_cl.lattice.arrays import Float, Mask, Numbers, Units, Votes, Whole
 from cmp_cl.lattice.constants import LatticeConstants
 
-DIRECTIONS = np.array([1, 1j, -1, -1j])
+TURNS = np.array([1, 1j, -1, -1j])
 # Shifts that keep the colours, of which the one of least bending is looked for.
 SHIFTS = np.array([0, 1 + 1j, 1 - 1j, -1 + 1j, -1 - 1j, 2, -2, 2j, -2j])
 TREND = 6  # terms of a quadratic
-MOST_PARTS = 4  # of a corner, which has four faces
 FAR = 1 << 20  # farther than any number
 
 
@@ -51,61 +50,49 @@ class Joining:
     """Joins the parts of a frame. units, votes: of its parts; corners: their number."""
 
     def __init__(self, units: Units, votes: Votes, corners: int, k: LatticeConstants) -> None:
-        self.units, self.votes, self.k = units, votes, k
-        bounds = np.searchsorted(units.part, np.arange(units.part.max(initial=-1) + 2))
+        self.units, self.k, self.corners = units, k, corners
+        parts = int(units.part.max(initial=-1)) + 1
+        bounds = np.searchsorted(units.part, np.arange(parts + 1))
         self.members = [slice(*each) for each in itertools.pairwise(bounds.tolist())]
-        self.corners, self.beside = corners, _neighbours(units, votes)
+        self.votes = _from_both_sides(votes)
+        bounds = np.searchsorted(self.votes.second, np.arange(parts + 1))
+        self.rows = [slice(*each) for each in itertools.pairwise(bounds.tolist())]
+        self.beside = [set(self.votes.first[rows].tolist()) for rows in self.rows]
 
     def run(self, main: int, others: Iterable[int]) -> Placed:
         """Return the main part with each of the others, in their order, that is sure where it
-        belongs."""
+        belongs. One that is not is looked at again once another part beside it is placed."""
         self.placed = Placed(
             np.full(self.corners, -1),
             np.zeros(self.corners, np.complex128),
             np.zeros(self.corners, np.int64),
         )
-        order = [self.place(main, Placement(0, 0j))]
-        near, left = set(self.beside[main]), list(others)
-        while found := next(((p, at) for p in left if p in near and (at := self.sure(p))), None):
-            order.append(self.place(*found))
-            near |= self.beside[found[0]]
-            left.remove(found[0])
+        self.places = {main: Placement(0, 0j)}
+        order = [self.place(main)]
+        left = set(others)
+        asked = self.beside[main] & left
+        while asked:
+            part = min(asked)
+            asked.remove(part)
+            if at := self.sure(part):
+                self.places[part] = at
+                order.append(self.place(part))
+                left.remove(part)
+                asked |= self.beside[part] & left
         corner = np.concatenate(order)
         _, first = np.unique(_keys(self.placed.number[corner]), return_index=True)
         self.placed.unit[np.delete(corner, first)] = -1  # a number goes to the part placed first
         return self.placed
 
-    def place(self, part: int, at: Placement) -> Whole:
+    def place(self, part: int) -> Whole:
         """Number the corners of a part that have no number. Return these corners."""
-        some, placed = self.members[part], self.placed
+        some, placed, at = self.members[part], self.placed, self.places[part]
         unit = some.start + np.flatnonzero(~placed.there[self.units.corner[some]])
         corner: Whole = self.units.corner[unit]
         placed.unit[corner] = unit
-        placed.number[corner] = self.units.number[unit] * DIRECTIONS[at.quarter] + at.offset
+        placed.number[corner] = self.units.number[unit] * TURNS[at.quarter] + at.offset
         placed.rotation[corner] = (self.units.rotation[unit] + at.quarter) % 4
         return corner
-
-    def ballots(self, part: int) -> tuple[Whole, Numbers, Float]:
-        """Return the votes for placements of a part: quarter, offset, weight."""
-        units, votes, placed = self.units, self.votes, self.placed
-        rows = []
-        for a, b, s, t in (
-            (votes.first, votes.second, votes.boundary, votes.other),
-            (votes.second, votes.first, votes.other, votes.boundary),
-        ):
-            here = np.flatnonzero((units.part[b] == part) & (placed.unit[units.corner[a]] == a))
-            corner, unit = units.corner[a[here]], b[here]
-            turn = s[here] + placed.rotation[corner]
-            number = placed.number[corner] + votes.steps[here] * DIRECTIONS[turn % 4]
-            quarter = (turn - t[here] + 2 - units.rotation[unit]) % 4
-            rows.append((quarter, number, votes.weight[here], unit))
-        some = self.members[part]
-        unit = some.start + np.flatnonzero(placed.there[units.corner[some]])
-        corner = units.corner[unit]  # of both parts
-        quarter = (placed.rotation[corner] - units.rotation[unit]) % 4
-        rows.append((quarter, placed.number[corner], np.ones(len(unit)), unit))
-        quarter, number, weight, unit = (np.concatenate(each) for each in zip(*rows, strict=True))
-        return quarter, number - units.number[unit] * DIRECTIONS[quarter], weight
 
     def sure(self, part: int) -> Placement | None:
         """Return the placement of a part if it is sure.
@@ -114,13 +101,23 @@ class Joining:
         cells can get lost between the parts, which makes counts too short; and where cells are long
         the surface expects more of them.
         """
-        quarter, offset, weight = self.ballots(part)
-        _, first, which = np.unique(_keys(offset) + quarter * FAR * FAR, True, True)
-        votes = np.bincount(which, weight)
-        if not len(votes) or votes.max() < self.k.join_votes:
+        ballots: dict[Placement, float] = defaultdict(float)
+        votes, rows = self.votes, self.rows[part]
+        for first, quarter, offset, weight in zip(
+            votes.first[rows].tolist(),
+            votes.quarter[rows].tolist(),
+            votes.offset[rows].tolist(),
+            votes.weight[rows].tolist(),
+            strict=True,
+        ):
+            if place := self.places.get(first):
+                turned = Placement(
+                    (quarter + place.quarter) % 4, offset * TURNS[place.quarter] + place.offset
+                )
+                ballots[turned] += weight
+        if not ballots or max(ballots.values()) < self.k.join_votes:
             return None
-        best = first[votes.argmax()]
-        at = Placement(int(quarter[best]), complex(np.rint(offset[best])))
+        at = max(ballots, key=lambda each: ballots[each])
         return at if self.ratio(part, at) >= self.k.join_bend else None
 
     def ratio(self, part: int, at: Placement) -> float:
@@ -130,7 +127,7 @@ class Joining:
         there[units.corner[some]] = False
         others = self.placed.unit[there]
         fixed = Side(units.at[others], self.placed.number[there], units.rim[others])
-        moved = Side(units.at[some], units.number[some] * DIRECTIONS[at.quarter], units.rim[some])
+        moved = Side(units.at[some], units.number[some] * TURNS[at.quarter], units.rim[some])
         energy = bending(fixed, moved, at.offset + SHIFTS, self.k)
         energy = np.where(energy > 0, energy, np.inf)
         first, second = np.sort(energy)[:2]
@@ -138,21 +135,13 @@ class Joining:
         return float(second / first) if best else 0.0
 
 
-def _neighbours(units: Units, votes: Votes) -> dict[int, set[int]]:
-    """Return the parts beside each part: they have votes for each other, or corners in common."""
-    order = np.argsort(units.corner, kind="stable")
-    corner, part = units.corner[order], units.part[order]
-    ones, others = [units.part[votes.first]], [units.part[votes.second]]
-    for apart in range(1, MOST_PARTS):
-        same = corner[apart:] == corner[:-apart]
-        ones.append(part[apart:][same])
-        others.append(part[:-apart][same])
-    found = defaultdict[int, set[int]](set)
-    for pair in np.unique(np.concatenate(ones) * FAR + np.concatenate(others)).tolist():
-        one, other = divmod(pair, FAR)
-        found[one].add(other)
-        found[other].add(one)
-    return found
+def _from_both_sides(votes: Votes) -> Votes:
+    """Return the votes, and the same for the first part beside the second, by the second part."""
+    back = (-votes.quarter) % 4
+    other = Votes(votes.second, votes.first, back, -votes.offset * TURNS[back], votes.weight)
+    both = [np.concatenate(each) for each in zip(votes, other, strict=True)]
+    order = np.argsort(both[1], kind="stable")
+    return Votes(*(each[order] for each in both))
 
 
 def _keys(number: Numbers) -> Whole:

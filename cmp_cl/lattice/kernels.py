@@ -14,11 +14,12 @@ if TYPE_CHECKING:
 
 FILES = ("bins", "links", "faces", "parts", "votes", "nodes", "borders")
 DIRECTIONS = 1024  # unit vectors in a full turn
-PARTS, LAYOUT = 7, 8  # in the layout, see kernels/lattice.clh: the parts; numbers in all
+PARTS, VOTES, LAYOUT = 7, 8, 9  # in the layout, see kernels/lattice.clh; numbers in all
 ROUNDS = 12  # times that nodes are looked for, three less than the margin in kernels/nodes.cl
 LISTS = 8  # of places, see `settle_nodes`
 FOUND = 23  # numbers of a border, see cmp_cl/lattice/borders.py
 VOTE = 6  # numbers of a vote
+ROOM = 8  # votes for each corner, more than there are even if all parts are small
 
 
 class Over(enum.Enum):
@@ -60,14 +61,11 @@ PARTS_OF_CORNERS: tuple[Kernel, ...] = (
         f"{AT} twin face apart tolerances most_cuts cut beyond part waiting state faces_of_part",
     ),
     ("number_corners", Over.GROUP, f"{AT} part state faces_of_part least_part numbers layout"),
-)
-VOTES: tuple[Kernel, ...] = (
-    ("mean_steps", Over.CORNERS, f"{AT} twin step_of_corner"),
     (
         "find_votes",
         Over.HALF_EDGES,
-        f"{AT} lines contrast {LEVELS} step_of_corner rims ways reach {SIDE} room "
-        "rims_and_votes votes",
+        f"{AT} lines contrast {LEVELS} twin part state faces_of_part least_part starts binned ways "
+        f"reach {SIDE} room layout votes",
     ),
 )
 MEASURE: Kernel = (
@@ -112,15 +110,16 @@ def board_of_numbers(most_parts: str) -> tuple[Kernel, ...]:
 
 
 def sizes(plan: "LatticePlan") -> dict[str, int]:
-    """Return the bytes of the buffers. That of the votes is made for the first torn frame."""
+    """Return the bytes of the buffers."""
     corners, places, (rows, columns) = plan.capacity, plan.places, plan.shape
     # A bin is as large as a quarter of the area of a corner, or larger, and 4 px wide or wider.
     bins = 4 * corners + rows // 4 + columns // 4 + 2
     of_corners = {
-        **dict.fromkeys(("contrast", "binned", "step_of_corner", *CLAIMS.split()), 4),
+        **dict.fromkeys(("contrast", "binned", *CLAIMS.split()), 4),
         **dict.fromkeys(("lines", "first", "choice", "twin", "face", "beyond", "part"), 16),
         **dict.fromkeys(("waiting", "faces_of_part", "numbers"), 16),
-        **{"used": 1, "cut": 4, "apart": 32, "rims": 32, "steps": 64, "state": 64},
+        **{"used": 1, "cut": 4, "apart": 32, "steps": 64, "state": 64},
+        "votes": 4 * VOTE * ROOM,
     }
     of_places = {
         **dict.fromkeys(("torn", "rough", "tried", "node_rough"), 1),
@@ -136,7 +135,6 @@ def sizes(plan: "LatticePlan") -> dict[str, int]:
         "starts": 4 * bins,
         "layout": 4 * LAYOUT,
         "border": 4 * FOUND,
-        "rims_and_votes": 8,
     }
 
 
@@ -150,6 +148,7 @@ def values(plan: "LatticePlan") -> dict[str, Any]:
         "least_part": k.least_part,
         "places": plan.places,
         "rounds": ROUNDS,
+        "room": ROOM * plan.capacity,
         "one": 1,
         "any": 2**31 - 1,
     }

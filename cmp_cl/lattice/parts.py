@@ -1,31 +1,35 @@
-"""What the host reads of the parts of a frame: nodes, and the ways across tears between them."""
-
-from typing import TYPE_CHECKING
+"""What the host reads of the parts of a frame: their nodes, and the votes for where they lie."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.lattice.arrays import Units, Votes
+from cmp_cl.lattice.arrays import Units, Votes, Whole
 from cmp_cl.lattice.kernels import VOTE
 
-if TYPE_CHECKING:
-    from cmp_cl.lattice.plan import LatticePlan
-
 FULL = 4  # faces around a corner inside its part
-ROOM = 16  # votes for each node of a rim, more than most tears have
 
 
-def units_of(numbered: list[NDArray[np.int32]], xy: NDArray[np.float32], least: int) -> Units:
-    """Return the nodes of all parts of at least so many faces, part after part.
+def parts_of(
+    root: NDArray[np.int32],
+    state: NDArray[np.int32],
+    faces: NDArray[np.int32],
+    votes: NDArray[np.int32],
+    xy: NDArray[np.float32],
+    least: int,
+) -> tuple[Units, Votes]:
+    """Return the nodes of all parts of at least so many faces, part after part, and their votes.
 
-    numbered: parts, (4 N,), states, (16 N,), and faces, (4 N,), of `number_parts` in
-        kernels/parts.cl. xy: (N, 2), px.
+    root: (4 N,), state: (16 N,), faces: (4 N,), of `number_parts` in kernels/parts.cl. votes:
+        (6 V,), of `find_votes` in kernels/votes.cl, in any order. xy: (N, 2), px.
     """
-    root, state, faces = numbered
     roots = np.flatnonzero(faces >= least)
     rank = np.full(len(faces) + 1, -1)  # the last one is of half-edges without a part
     rank[roots[np.argsort(-faces[roots], kind="stable")]] = np.arange(len(roots))
-    part = np.ascontiguousarray(rank[root].reshape(-1, FULL).T)
+    return _units_of(rank[root], state, xy), _votes_of(rank, votes)
+
+
+def _units_of(rank: Whole, state: NDArray[np.int32], xy: NDArray[np.float32]) -> Units:
+    part = np.ascontiguousarray(rank.reshape(-1, FULL).T)
     fresh = part >= 0  # at the first boundary of a corner in its part
     for s in range(1, FULL):
         fresh[s] &= (part[s] != part[:s]).all(axis=0)
@@ -43,30 +47,19 @@ def units_of(numbered: list[NDArray[np.int32]], xy: NDArray[np.float32], least: 
     )
 
 
-def votes(plan: "LatticePlan", units: Units) -> Votes:
-    """Return the votes between the rims of parts, in order of both units and of the steps."""
-    rim = np.flatnonzero(units.rim)
-    found = np.zeros((0, VOTE), np.int32)
-    if len(rim) and units.part[rim[0]] < units.part[rim[-1]]:
-        part = units.part[rim]
-        after = np.searchsorted(part, part, side="right")
-        rims = np.stack([units.corner[rim], after], axis=1).astype(np.int32)
-        found = _found(plan, rims, ROOM * len(rims))
-    first, second, _, _, steps, weight = found.T
-    order = np.lexsort((second, first, steps))
-    first, second, boundary, other, steps = found[order, :5].astype(np.int64).T
-    share = np.ascontiguousarray(weight[order]).view(np.float32).astype(np.float64)
-    return Votes(rim[first], rim[second], boundary, other, steps, share)
-
-
-def _found(plan: "LatticePlan", rims: NDArray[np.int32], room: int) -> NDArray[np.int32]:
-    """Return the votes between nodes of rims, in any order."""
-    if "votes" not in plan.buffers or plan.buffers["votes"].size < 4 * VOTE * room:
-        plan.find_votes = plan.votes_in(1 << (room - 1).bit_length())
-    plan.write("rims", rims)
-    plan.write("rims_and_votes", np.array([len(rims), 0], np.int32))
-    plan.enqueue(plan.find_votes)
-    count = int(plan.read("rims_and_votes", np.int32)[1])
-    if 4 * VOTE * count > plan.buffers["votes"].size:
-        return _found(plan, rims, count)
-    return plan.read("votes", np.int32, VOTE * count).reshape(count, VOTE)
+def _votes_of(rank: Whole, votes: NDArray[np.int32]) -> Votes:
+    """Return the sums of equal votes."""
+    rows = votes.reshape(-1, VOTE)
+    rows = rows[np.lexsort(rows.T[::-1])]
+    fresh = np.ones(len(rows), np.bool_)
+    fresh[1:] = (rows[1:, :-1] != rows[:-1, :-1]).any(axis=1)
+    weight = np.zeros(np.count_nonzero(fresh))
+    np.add.at(weight, fresh.cumsum() - 1, np.ascontiguousarray(rows[:, -1]).view(np.float32))
+    first, second, quarter, column, row = rows[fresh, :-1].T
+    return Votes(
+        first=rank[first],
+        second=rank[second],
+        quarter=quarter.astype(np.int64),
+        offset=column + 1j * row,
+        weight=weight,
+    )

@@ -33,7 +33,7 @@ from cmp_cl.stages.refine import (
 # That the host writes or reads.
 SHARED = (
     *("image", "corners", "layout", "nodes", "node_owner", "node_rough", "border"),
-    *("part", "state", "faces_of_part", "rims", "rims_and_votes", "votes"),
+    *("part", "state", "faces_of_part", "votes"),
 )
 ONE_GROUP = 256  # work-items of a kernel that is one work-group
 PLACES = 16384  # of a board with few corners
@@ -96,8 +96,8 @@ class LatticePlan(Binder):
         self.lay_only, self.lay = (
             self.bound(kernels.board_of_numbers(most_parts)) for most_parts in ("one", "any")
         )
-        self.find_votes: list[Launch] = []
         self._likely = 0  # places of a board, as of the frame before
+        self._votes = 0  # between the parts of a frame
 
     def __del__(self) -> None:
         """Keep the shared memory until no kernel uses it."""
@@ -217,12 +217,6 @@ class LatticePlan(Binder):
             for name, over, names in table
         ]
 
-    def votes_in(self, room: int) -> list[Launch]:
-        """Return the launches that find the votes, with a buffer for so many."""
-        self.buffers["votes"] = self.buffer("votes", 4 * kernels.VOTE * room)
-        self.values["room"] = np.int32(room)
-        return self.bound(kernels.VOTES)
-
     # What happens in a frame
 
     def take(
@@ -279,23 +273,21 @@ class LatticePlan(Binder):
         """Wait for the parts. Return the board if one part is large enough, (0, 0) without any,
         None if several are."""
         layout, board = self._board()
-        if layout[kernels.PARTS] > 1:
-            return None
-        return board
+        self._votes = int(layout[kernels.VOTES])
+        return None if layout[kernels.PARTS] > 1 else board
 
-    def units(self, xy: NDArray[np.float32], least: int) -> Units:
-        """Return the nodes of all parts of at least so many faces; xy: (N, 2), the corners, px."""
-        count = 4 * len(xy)
-        found = self.fetch(
+    def parts(self, xy: NDArray[np.float32]) -> tuple[Units, Votes]:
+        """Return the nodes of a frame of several parts, and the votes for where these lie; xy:
+        (N, 2), the corners, px."""
+        count, room = 4 * len(xy), kernels.ROOM * self.capacity
+        votes = self._votes if self._votes <= room else 0  # of too many, chance keeps some
+        root, state, faces, found = self.fetch(
             ("part", np.int32, count),
             ("state", np.int32, 4 * count),
             ("faces_of_part", np.int32, count),
+            ("votes", np.int32, kernels.VOTE * votes),
         )
-        return parts.units_of(found, xy, least)
-
-    def votes(self, units: Units) -> Votes:
-        """Return the ways across tears between the rims of parts."""
-        return parts.votes(self, units)
+        return parts.parts_of(root, state, faces, found, xy, self.constants.least_part)
 
     def settle(self, numbers: NDArray[np.int32] | None = None) -> Board:
         """Return the board of numbered corners, its nodes settled, as `_board`.
@@ -324,7 +316,7 @@ class LatticePlan(Binder):
             )
             shape = int(found[borders.ROWS]), int(found[borders.COLUMNS])
             count = shape[0] * shape[1]
-        self._likely = count
+        self._likely = count or self._likely
         x, y = at[: 2 * count].reshape(*shape, 2).transpose(2, 0, 1)
         board = Board(
             x=x,

@@ -8,7 +8,6 @@ from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.joins import Joining
 
 ROWS, STEP = 6, 10.0
-NO_VOTES = Votes(*(np.zeros(0, np.int64) for _ in range(5)), np.zeros(0))
 
 
 def parts(*columns: range):
@@ -31,26 +30,24 @@ def parts(*columns: range):
     ), corner.size
 
 
-def votes_along_rows(units: Units, steps: int) -> Votes:
-    """Return a vote in each row from the last column of a part to the first one of the next."""
-    ends = [np.flatnonzero(units.part == part).reshape(ROWS, -1) for part in np.unique(units.part)]
-    first = np.concatenate([one[:, -1] for one in ends[:-1]])
-    count = np.ones(len(first), np.int64)
-    second = np.concatenate([other[:, 0] for other in ends[1:]])
-    return Votes(first, second, 0 * count, 2 * count, steps * count, 1.0 * count)
+def votes_for(*offsets: int) -> Votes:
+    """Return the votes that place each part beside the one before, so many columns further."""
+    first = np.arange(len(offsets))
+    weight = np.full(len(offsets), float(ROWS))
+    return Votes(first, first + 1, 0 * first, np.array(offsets) + 0j, weight)
 
 
 @pytest.mark.parametrize(
-    ("columns", "steps"),
+    ("columns", "offsets"),
     [
-        ((range(6), range(7, 13), range(14, 20)), 2),  # the third has votes for the second alone
-        ((range(8), range(6, 14)), None),  # two columns of corners are in both
+        ((range(6), range(7, 13), range(14, 20)), (7, 7)),  # the third has votes beside the second
+        ((range(8), range(6, 14)), (6,)),  # two columns of corners are in both
     ],
 )
-def test_parts_are_joined_by_way_of_others_and_by_corners_in_common(columns, steps):
+def test_parts_are_joined_by_way_of_others_and_by_corners_in_common(columns, offsets):
     units, count = parts(*columns)
-    votes = NO_VOTES if steps is None else votes_along_rows(units, steps)
-    placed = Joining(units, votes, count, LatticeConstants()).run(0, range(1, len(columns)))
+    joining = Joining(units, votes_for(*offsets), count, LatticeConstants())
+    placed = joining.run(0, range(1, len(columns)))
     there = np.unique(units.corner)
     width = count // ROWS
     np.testing.assert_array_equal(np.flatnonzero(placed.there), there)

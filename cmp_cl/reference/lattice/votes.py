@@ -1,11 +1,15 @@
 """Ways across tears, and the colours along them (votes for joins)."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.lattice.arrays import Units, Votes
+from cmp_cl.lattice.arrays import Float, Numbers, Units, Votes
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.reference.lattice.parts import (
+    COLUMN_STEP,
+    ROW_STEP,
     Directed,
     F,
     Real,
@@ -37,24 +41,24 @@ def votes(
     units: Units,
     k: LatticeConstants,
 ) -> Votes:
-    """Return the ways of up to `span` steps between the rims of two parts, in order of both units.
+    """Return the votes for where parts lie beside larger ones.
 
-    A way leaves both ends along a boundary, and the colours beside it change after every step.
+    Corners that are in both vote, and ways of up to `span` steps between their rims. A way leaves
+    both ends along a boundary, and the colours beside it change after every step.
     """
     step = mean_steps(corners, twin)
     rim = np.flatnonzero(units.rim)
-    none = np.zeros(0, np.int64)
-    if len(np.unique(units.part[rim])) < 2:
-        return Votes(none, none, none, none, none, np.zeros(0))
     reach = F(k.span + 0.5) * step[units.corner[rim]]
-    pairs = []
+    pairs = [np.zeros((0, 2), np.int64)]
+    both = [np.zeros((0, 2), np.int64)]
     for place, unit in enumerate(rim):  # by brute force: the kernel looks in bins
         dx = corners.x[units.corner[rim]] - corners.x[units.corner[unit]]
         dy = corners.y[units.corner[rim]] - corners.y[units.corner[unit]]
         near = dx * dx + dy * dy < np.maximum(reach[place] ** 2, reach * reach)
-        near &= (units.part[rim] > units.part[unit]) & (units.corner[rim] != units.corner[unit])
-        other = rim[near]
-        pairs.append(np.stack([np.full(len(other), unit), other], axis=1))
+        near &= units.part[rim] > units.part[unit]
+        same = units.corner[rim] == units.corner[unit]
+        for kind, other in ((pairs, rim[near & ~same]), (both, rim[near & same])):
+            kind.append(np.stack([np.full(len(other), unit), other], axis=1))
     first, second = np.concatenate(pairs).T
     a, b = units.corner[first], units.corner[second]
     dx, dy = corners.x[b] - corners.x[a], corners.y[b] - corners.y[a]
@@ -63,7 +67,11 @@ def votes(
     t, along_b = boundary(corners.angle[b], -dx, -dy)
     along = np.minimum(along_a, along_b)
     mean = F(0.5) * (step[a] + step[b])
-    found = []
+    one, other = np.concatenate(both).T
+    rotation = units.rotation
+    found: list[tuple[Any, ...]] = [
+        (one, other, units.number[one], rotation[one] - rotation[other], np.ones(len(one)))
+    ]
     for m in range(1, k.span + 1):
         cosine = k.least_cosine
         good = (along > F(cosine) * length) & ((s + t - m) % 2 == 0)
@@ -88,5 +96,24 @@ def votes(
         seen = total > 0
         n, share = n[seen], share[seen]
         weight = (np.minimum(share, F(1)) * F(1 / np.sqrt(m))).astype(np.float64)
-        found.append((first[n], second[n], s[n], t[n], np.full(len(n), m), weight))
-    return Votes(*(np.concatenate(each) for each in zip(*found, strict=True)))
+        one, other = first[n], second[n]
+        direction = (s[n] + rotation[one]) % 4
+        number = units.number[one] + m * (COLUMN_STEP[direction] + 1j * ROW_STEP[direction])
+        found.append((one, other, number, direction - t[n] + 2 - rotation[other], weight))
+    one, other, number, quarter, weight = (
+        np.concatenate(each) for each in zip(*found, strict=True)
+    )
+    offset = number - units.number[other] * 1j ** (quarter % 4)
+    return _summed(units.part[one], units.part[other], quarter % 4, offset, weight)
+
+
+def _summed(first: Whole, second: Whole, quarter: Whole, offset: Numbers, weight: Float) -> Votes:
+    """Return each placement once, with its votes, the least ones added first."""
+    columns, rows = np.rint(offset.real).astype(np.int64), np.rint(offset.imag).astype(np.int64)
+    key = np.stack([first, second, quarter, columns, rows], axis=1)
+    each, which = np.unique(key, axis=0, return_inverse=True)
+    total = np.zeros(len(each))
+    for n in np.argsort(weight, kind="stable"):
+        total[which[n]] += weight[n]
+    part, its, turn, column, row = each.T
+    return Votes(part, its, turn, column + 1j * row, total)
