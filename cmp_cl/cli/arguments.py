@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from cmp_cl.cli.messages import shown
 from cmp_cl.errors import ConfigError
@@ -52,38 +53,44 @@ def check_suffix(option: str, path: str | None, *suffixes: str) -> None:
         raise ConfigError(f"{option} {shown(path)} must end in {endings}")
 
 
-def add_device(parser: argparse._ActionsContainer) -> None:
-    parser.add_argument(
-        "--device",
-        metavar="NAME",
-        help="part of the name of a device or platform, an index such as 0:0, or gpu or cpu; "
-        "default: the variable CMP_CL_DEVICE, else the first GPU, else the first CPU",
-    )
+def add(group: argparse._ActionsContainer, usage: str, what: str, **how: Any) -> None:
+    """Add an argument as it is typed: "--out FILE", or "--strain", a switch.
+
+    A positional one has its attribute in the place of the option: "series SERIES". what: its help.
+    how: the other arguments of `add_argument`.
+    """
+    name, *values = usage.split()
+    if values:
+        how["metavar"] = values[0] if len(values) == 1 else tuple(values)
+    elif "choices" not in how:
+        how["action"] = "store_true"
+    group.add_argument(name, help=what, **how)
 
 
-def add_full_scale(parser: argparse._ActionsContainer) -> None:
-    parser.add_argument(
-        "--full-scale",
-        metavar="LEVEL",
-        type=int,
-        help="largest grey level of the camera, for example 4095 for 12 bits in a 16-bit file; "
-        "default: from the settings, else 255 or 65535",
+def add_device(group: argparse._ActionsContainer) -> None:
+    what = (
+        "part of the name of a device or platform, an index such as 0:0, or gpu or cpu; default: "
+        "the variable CMP_CL_DEVICE, else the first GPU, else the first CPU"
     )
+    add(group, "--device NAME", what)
 
 
-def add_split(parser: argparse._ActionsContainer) -> None:
-    parser.add_argument(
-        "--split",
-        metavar="BOX:BOX",
-        type=_two_boxes,
-        help="where the left and the right view are in a frame that shows both: two rectangles of "
-        "one size, X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, px; default: the two halves",
+def add_full_scale(group: argparse._ActionsContainer) -> None:
+    what = (
+        "largest grey level of the camera, for example 4095 for 12 bits in a 16-bit file; default: "
+        "from the settings, else 255 or 65535"
     )
-    parser.add_argument(
-        "--mirror",
-        choices=("left", "right", "both"),
-        help="the views that are seen through an odd number of mirrors, and so reversed",
+    add(group, "--full-scale LEVEL", what, type=int)
+
+
+def add_split(group: argparse._ActionsContainer) -> None:
+    what = (
+        "where the left and the right view are in a frame that shows both: two rectangles of one "
+        "size, X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, px; default: the two halves"
     )
+    add(group, "--split BOX:BOX", what, type=_two_boxes)
+    what = "the views that are seen through an odd number of mirrors, and so reversed"
+    add(group, "--mirror", what, choices=("left", "right", "both"))
 
 
 def check_split(arguments: argparse.Namespace, *, both: bool) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from cmp_cl import media
 from cmp_cl.cli.arguments import (
+    add,
     add_device,
     add_full_scale,
     add_split,
@@ -44,58 +45,32 @@ draws both beside the calibration, if matplotlib is installed.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    cameras = parser.add_argument_group("views: of one camera, or of several at the same moments")
-    cameras.add_argument("images", nargs="*", metavar="IMAGE", help="views of one camera")
-    cameras.add_argument("--left", nargs="+", metavar="IMAGE", default=[], help="left views")
-    cameras.add_argument(
-        "--right", nargs="+", metavar="IMAGE", default=[], help="right views, in the same order"
+    group = parser.add_argument_group("views: of one camera, or of several at the same moments")
+    add(group, "images IMAGE", "views of one camera", nargs="*")
+    add(group, "--left IMAGE", "left views", nargs="+", default=[])
+    add(group, "--right IMAGE", "right views, in the same order", nargs="+", default=[])
+    add(group, "--stereo", "each IMAGE shows two views, see --split")
+    what = "the views of one of several cameras; given again for every other camera"
+    add(group, "--camera NAME=IMAGE IMAGE", what, nargs="+", action="append", default=[])
+    group = parser.add_argument_group("the board")
+    what = "inner corners of the board, either number first"
+    add(group, "--board 9x6", what, type=grid_shape, required=True)
+    add(group, "--square LENGTH", "side of a square, mm", type=positive_number, required=True)
+    group = parser.add_argument_group("output")
+    what = (
+        "the calibration to write: .yaml or .yml (OpenCV, for cmp-cl run), .camera_info.yaml "
+        "(ROS), or .camchain.yaml (Kalibr); default: calibration.yaml"
     )
-    cameras.add_argument(
-        "--stereo", action="store_true", help="each IMAGE shows two views, see --split"
-    )
-    cameras.add_argument(
-        "--camera",
-        nargs="+",
-        action="append",
-        default=[],
-        metavar=("NAME=IMAGE", "IMAGE"),
-        help="the views of one of several cameras; given again for every other camera",
-    )
-    board = parser.add_argument_group("the board")
-    board.add_argument(
-        "--board",
-        metavar="9x6",
-        type=grid_shape,
-        required=True,
-        help="inner corners of the board, either number first",
-    )
-    board.add_argument(
-        "--square",
-        metavar="LENGTH",
-        type=positive_number,
-        required=True,
-        help="side of a square, mm",
-    )
-    output = parser.add_argument_group("output")
-    output.add_argument(
-        "--out",
-        metavar="FILE",
-        default="calibration.yaml",
-        help="the calibration to write: .yaml or .yml (OpenCV, for cmp-cl run), .camera_info.yaml "
-        "(ROS), or .camchain.yaml (Kalibr); default: calibration.yaml",
-    )
-    output.add_argument("--corners", metavar="VNL", help="write the corners too, for mrcal")
+    add(group, "--out FILE", what, default="calibration.yaml")
+    add(group, "--corners VNL", "write the corners too, for mrcal")
     add_window(parser)
-    rare = parser.add_argument_group("rarely needed")
-    rare.add_argument(
-        "--lens",
-        choices=[lens.value for lens in Lens],
-        default=Lens.PINHOLE.value,
-        help="model of the lenses; default: pinhole; rational and fisheye are for wide ones",
-    )
-    add_split(rare)
-    add_full_scale(rare)
-    add_device(rare)
+    group = parser.add_argument_group("rarely needed")
+    what = "model of the lenses; default: pinhole; rational and fisheye are for wide ones"
+    lenses = [lens.value for lens in Lens]
+    add(group, "--lens", what, choices=lenses, default=Lens.PINHOLE.value)
+    add_split(group)
+    add_full_scale(group)
+    add_device(group)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl import media
-from cmp_cl.cli.arguments import add_device
+from cmp_cl.cli.arguments import add, add_device
 from cmp_cl.cli.messages import shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.measure import Measured, TwoViews
@@ -42,12 +42,8 @@ truth, and writes a sheet of pictures, the deformation field, and the frames. It
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument(
-        "--out",
-        metavar="FOLDER",
-        default="cmp-demo",
-        help="where to write, made if missing; default: cmp-demo",
-    )
+    what = "where to write, made if missing; default: cmp-demo"
+    add(parser, "--out FOLDER", what, default="cmp-demo")
     add_device(parser)
 
 

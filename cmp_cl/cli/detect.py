@@ -12,7 +12,14 @@ from typing import Any
 import numpy as np
 
 from cmp_cl import media
-from cmp_cl.cli.arguments import add_device, add_full_scale, check_files, check_suffix, grid_shape
+from cmp_cl.cli.arguments import (
+    add,
+    add_device,
+    add_full_scale,
+    check_files,
+    check_suffix,
+    grid_shape,
+)
 from cmp_cl.cli.messages import counted, one_line, progress, shown, tell
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners, Method, Refusal
@@ -44,30 +51,22 @@ the detector for the first image of a size; of a video the median.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument("inputs", nargs="+", metavar="IMAGE", help="image, video or folder")
-    parser.add_argument(
-        "--out",
-        metavar="CSV",
-        help="write the corners of all inputs to this CSV file; positions in px, (0, 0) is the "
-        "centre of the top-left pixel",
+    add(parser, "inputs IMAGE", "image, video or folder", nargs="+")
+    what = (
+        "write the corners of all inputs to this CSV file; positions in px, (0, 0) is the centre "
+        "of the top-left pixel"
     )
-    parser.add_argument(
-        "--overlay",
-        metavar="PNG",
-        help="write the image, which is the only input, with its corners marked",
+    add(parser, "--out CSV", what)
+    add(
+        parser, "--overlay PNG", "write the image, which is the only input, with its corners marked"
     )
-    parser.add_argument(
-        "--config",
-        metavar="TOML",
-        help="settings of the detector; default: those of DetectorConfig(), for cells of any size",
+    what = "settings of the detector; default: those of DetectorConfig(), for cells of any size"
+    add(parser, "--config TOML", what)
+    what = (
+        "number the corners of a pattern of this size; table and picture then show the nodes, and "
+        "how each was found"
     )
-    parser.add_argument(
-        "--grid",
-        metavar="ROWSxCOLUMNS",
-        type=grid_shape,
-        help="number the corners of a pattern of this size; table and picture then show the nodes, "
-        "and how each was found",
-    )
+    add(parser, "--grid ROWSxCOLUMNS", what, type=grid_shape)
     add_full_scale(parser)
     add_device(parser)
 

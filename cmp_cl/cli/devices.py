@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Sequence
 
+from cmp_cl.cli.arguments import add
 from cmp_cl.cli.messages import one_line, tell
 from cmp_cl.detector import Detector
 from cmp_cl.errors import CmpClError
@@ -47,11 +48,7 @@ Lists the OpenCL devices and says which one is used by default, and why.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument(
-        "--time",
-        action="store_true",
-        help="time the default detector on each device, and check its answer",
-    )
+    add(parser, "--time", "time the default detector on each device, and check its answer")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from cmp_cl.cli.arguments import grid_shape, positive_number
+from cmp_cl.cli.arguments import add, grid_shape, positive_number
 from cmp_cl.cli.messages import shown
 from cmp_cl.pattern import Checkerboard
 
@@ -15,19 +15,10 @@ the print.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument(
-        "--grid",
-        metavar="ROWSxCOLUMNS",
-        type=grid_shape,
-        required=True,
-        help="inner corners; there is one cell more along each side",
-    )
-    parser.add_argument(
-        "--cell", metavar="MM", type=positive_number, required=True, help="side of a cell"
-    )
-    parser.add_argument(
-        "--out", metavar="FILE", required=True, help="what to write: .svg, or .png of 600 dpi"
-    )
+    what = "inner corners; there is one cell more along each side"
+    add(parser, "--grid ROWSxCOLUMNS", what, type=grid_shape, required=True)
+    add(parser, "--cell MM", "side of a cell", type=positive_number, required=True)
+    add(parser, "--out FILE", "what to write: .svg, or .png of 600 dpi", required=True)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from cmp_cl.cli.arguments import check_files, check_suffix
+from cmp_cl.cli.arguments import add, check_files, check_suffix
 from cmp_cl.cli.messages import counted, progress, shown
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.series import read_series
@@ -21,26 +21,16 @@ lengths are in the rig's unit, and strain is in the surface.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument(
-        "series",
-        metavar="SERIES",
-        help="the series, .npz or .h5, or its .part while it is written or after a kill",
+    what = "the series, .npz or .h5, or its .part while it is written or after a kill"
+    add(parser, "series SERIES", what)
+    add(parser, "--out FILE", "a picture, .png, or an animation, .mp4", required=True)
+    what = (
+        "one map in place of the sheet (strain is two, the principal strains); default of an "
+        "animation: displacement"
     )
-    parser.add_argument(
-        "--out", metavar="FILE", required=True, help="a picture, .png, or an animation, .mp4"
-    )
-    parser.add_argument(
-        "--what",
-        choices=[quantity.value for quantity in Quantity],
-        help="one map in place of the sheet (strain is two, the principal strains); default of an "
-        "animation: displacement",
-    )
-    parser.add_argument(
-        "--frame",
-        metavar="N",
-        type=int,
-        help="number of the frame; default: that of the largest displacement",
-    )
+    add(parser, "--what", what, choices=[quantity.value for quantity in Quantity])
+    what = "number of the frame; default: that of the largest displacement"
+    add(parser, "--frame N", what, type=int)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from cmp_cl import media
-from cmp_cl.cli.arguments import check_files
+from cmp_cl.cli.arguments import add, check_files
 from cmp_cl.cli.messages import shown
 from cmp_cl.files import write_csv
 from cmp_cl.synthetic import Indenter, Mode, Scene, render
@@ -33,8 +33,8 @@ Draws one frame of a pressed gel that carries a checkerboard, and writes the tru
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument("--out", metavar="PNG", required=True, help="the image to write")
-    parser.add_argument("--truth", metavar="CSV", help="write the true corners, px")
+    add(parser, "--out PNG", "the image to write", required=True)
+    add(parser, "--truth CSV", "write the true corners, px")
     for name, what in _OPTIONS.items():
         usual = getattr(Scene(), name)
         how: dict[str, Any] = {"type": type(usual), "metavar": type(usual).__name__.upper()}

@@ -4,9 +4,9 @@ import argparse
 import contextlib
 import sys
 from collections.abc import Generator, Iterator
-from typing import Any
 
 from cmp_cl.cli.arguments import (
+    add,
     add_device,
     add_full_scale,
     add_split,
@@ -50,96 +50,59 @@ a series.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    _add_input(parser.add_argument_group("input"))
+    group = parser.add_argument_group("input")
+    what = (
+        "video, folder of images, image, number of a camera, device such as /dev/video0, or "
+        "address such as rtsp://camera/stream"
+    )
+    add(group, "source SOURCE", what, nargs="?")
+    what = "the calibration of two views; SOURCE shows both in each frame"
+    add(group, "--stereo YAML", what)
+    add(group, "--left SOURCE", "with --stereo: the left view, in place of SOURCE")
+    add(group, "--right SOURCE", "the right view")
+    what = (
+        "a setting of the camera, given once for each, such as frame_width=1280, frame_height=720, "
+        "fps=60, fourcc=MJPG or exposure=50: a property CAP_PROP_NAME of OpenCV"
+    )
+    add(group, "--set NAME=VALUE", what, type=_setting, action="append", default=[])
+    what = "number of the frame at rest, from 0; a camera's frames before it are dropped"
+    add(group, "--rest-frame N", what, type=int, default=0)
     group = parser.add_argument_group("pattern")
-    group.add_argument(
-        "--grid",
-        metavar="ROWSxCOLUMNS",
-        type=grid_shape,
-        help="rows and columns of its corners; default: those seen at rest",
+    what = "rows and columns of its corners; default: those seen at rest"
+    add(group, "--grid ROWSxCOLUMNS", what, type=grid_shape)
+    what = (
+        "where no border of the pattern is in view, continue the numbers of the previous frame; it "
+        "must move by less than half a cell from frame to frame, and from rest to the first one"
     )
-    group.add_argument(
-        "--track",
-        action="store_true",
-        help="where no border of the pattern is in view, continue the numbers of the previous "
-        "frame; it must move by less than half a cell from frame to frame, and from rest to the "
-        "first one",
+    add(group, "--track", what)
+    group = parser.add_argument_group("output")
+    what = (
+        "the series: .npz, .h5, .csv, .pvd (ParaView), .mcap (ROS 2), or - for JSON lines on "
+        "standard output; until it is complete, and after a kill, it is FILE.part"
     )
-    _add_output(parser.add_argument_group("output"))
+    add(group, "--out FILE", what, required=True)
+    what = (
+        "for one view of a flat pattern: side of its cells at rest, mm; lengths are then mm in its "
+        "plane"
+    )
+    add(group, "--cell SIDE", what, type=positive_number)
+    what = (
+        "add the Green-Lagrange strain of each node, the principal strains and their direction, "
+        "each with its sigma; with one view in the plane, with two in the surface"
+    )
+    add(group, "--strain", what)
+    what = (
+        "write NAME.png, a sheet of maps and curves, and NAME.mp4, the annotated video of the "
+        "(left) view"
+    )
+    add(group, "--plot NAME", what)
+    what = "show the annotated (left) view live in a browser, at an address that is printed"
+    add(group, "--show", what)
     group = parser.add_argument_group("rarely needed")
     add_split(group)
-    group.add_argument("--config", metavar="TOML", help="settings of the detector")
+    add(group, "--config TOML", "settings of the detector")
     add_full_scale(group)
     add_device(group)
-
-
-def _add_input(group: Any) -> None:
-    group.add_argument(
-        "source",
-        metavar="SOURCE",
-        nargs="?",
-        help="video, folder of images, image, number of a camera, device such as "
-        "/dev/video0, or address such as rtsp://camera/stream",
-    )
-    group.add_argument(
-        "--stereo",
-        metavar="YAML",
-        help="the calibration of two views; SOURCE shows both in each frame",
-    )
-    group.add_argument(
-        "--left", metavar="SOURCE", help="with --stereo: the left view, in place of SOURCE"
-    )
-    group.add_argument("--right", metavar="SOURCE", help="the right view")
-    group.add_argument(
-        "--set",
-        metavar="NAME=VALUE",
-        type=_setting,
-        action="append",
-        default=[],
-        help="a setting of the camera, given once for each, such as frame_width=1280, "
-        "frame_height=720, fps=60, fourcc=MJPG or exposure=50: a property CAP_PROP_NAME of OpenCV",
-    )
-    group.add_argument(
-        "--rest-frame",
-        metavar="N",
-        type=int,
-        default=0,
-        help="number of the frame at rest, from 0; a camera's frames before it are dropped",
-    )
-
-
-def _add_output(group: Any) -> None:
-    group.add_argument(
-        "--out",
-        metavar="FILE",
-        required=True,
-        help="the series: .npz, .h5, .csv, .pvd (ParaView), .mcap (ROS 2), or - for JSON lines on "
-        "standard output; until it is complete, and after a kill, it is FILE.part",
-    )
-    group.add_argument(
-        "--cell",
-        metavar="SIDE",
-        type=positive_number,
-        help="for one view of a flat pattern: side of its cells at rest, mm; lengths are then mm "
-        "in its plane",
-    )
-    group.add_argument(
-        "--strain",
-        action="store_true",
-        help="add the Green-Lagrange strain of each node, the principal strains and their "
-        "direction, each with its sigma; with one view in the plane, with two in the surface",
-    )
-    group.add_argument(
-        "--plot",
-        metavar="NAME",
-        help="write NAME.png, a sheet of maps and curves, and NAME.mp4, the annotated video of the "
-        "(left) view",
-    )
-    group.add_argument(
-        "--show",
-        action="store_true",
-        help="show the annotated (left) view live in a browser, at an address that is printed",
-    )
 
 
 def _setting(text: str) -> tuple[str, str]:

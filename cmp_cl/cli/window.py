@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cmp_cl.cli.arguments import grid_shape, positive_number, views_of
+from cmp_cl.cli.arguments import add, grid_shape, positive_number, views_of
 from cmp_cl.cli.messages import one_line, shown
 from cmp_cl.errors import CalibrationError, ConfigError, GridError
 from cmp_cl.grid import Grid, align
@@ -23,36 +23,26 @@ _THICKNESS = 0.1
 
 def add_window(parser: argparse.ArgumentParser) -> None:
     """Add the options of a window."""
-    window = parser.add_argument_group(
+    group = parser.add_argument_group(
         "a window: two cameras that see the pattern through flat layers, such as acrylic and gel"
     )
-    window.add_argument(
-        "--window",
-        metavar="LENGTH:INDEX,...",
-        type=media,
-        help="thickness, mm, and refractive index of each layer, from the cameras to the "
-        "pattern, as in 5:1.49,20:1.41; the last one holds it. The views of the board are in air",
+    what = (
+        "thickness, mm, and refractive index of each layer, from the cameras to the pattern, as in "
+        "5:1.49,20:1.41; the last one holds it. The views of the board are in air"
     )
-    window.add_argument(
-        "--rest",
-        nargs="+",
-        metavar="IMAGE",
-        help="the pattern at rest, seen through the window: an image of each camera, or one that "
-        "shows both views",
+    add(group, "--window LENGTH:INDEX,...", what, type=media)
+    what = (
+        "the pattern at rest, seen through the window: an image of each camera, or one that shows "
+        "both views"
     )
-    window.add_argument(
-        "--grid", metavar="40x40", type=grid_shape, help="rows and columns of its corners"
+    add(group, "--rest IMAGE", what, nargs="+")
+    add(group, "--grid 40x40", "rows and columns of its corners", type=grid_shape)
+    add(group, "--pitch LENGTH", "side of its squares, mm", type=positive_number)
+    what = (
+        "the pattern when a flat punch has moved by a known length, as in --step 1.0 step.png; the "
+        "index of the last layer, known to 0.01 without it, is then measured too"
     )
-    window.add_argument(
-        "--pitch", metavar="LENGTH", type=positive_number, help="side of its squares, mm"
-    )
-    window.add_argument(
-        "--step",
-        nargs="+",
-        metavar=("LENGTH", "IMAGE"),
-        help="the pattern when a flat punch has moved by a known length, as in --step 1.0 "
-        "step.png; the index of the last layer, known to 0.01 without it, is then measured too",
-    )
+    add(group, "--step LENGTH IMAGE", what, nargs="+")
 
 
 def media(text: str) -> tuple[tuple[float, float], ...]:
