@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,7 @@ class Measured:
     _plan: FieldPlan
     _found: Found
     _arrays: dict[str, NDArray[Any]]  # what the kernels have found
-    _numbered: Sequence[Callable[[], Grid]]  # return the grids
+    _numbered: Callable[[], tuple[Grid, ...]]  # returns the grids
 
     @functools.cached_property
     def field(self) -> DisplacementField:
@@ -54,7 +54,7 @@ class Measured:
     @functools.cached_property
     def grids(self) -> tuple[Grid, ...]:
         """Return the grid of the one view, or those of the left and of the right one."""
-        return tuple(grid() for grid in self._numbered)
+        return self._numbered()
 
     @functools.cached_property
     def bias_sigma(self) -> NDArray[np.float64] | None:

@@ -5,7 +5,7 @@ import dataclasses
 import functools
 import inspect
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, ClassVar, TypedDict
 
 import numpy as np
@@ -65,11 +65,11 @@ class Settings(TypedDict, total=False):
 
 @dataclasses.dataclass(eq=False)
 class _Begun:
-    """A frame whose kernels run. tracked: whether those that track its nodes do."""
+    """A frame whose kernels run. tracker: what tracks its nodes, if they are tracked."""
 
     views: tuple[GreyImage, ...]
     plan: Plan
-    tracked: bool = False
+    tracker: Tracker | None = None
 
 
 class Measurement(Closing):
@@ -299,10 +299,9 @@ class Measurement(Closing):
 
     def _follow(self, begun: _Begun) -> None:
         """Enqueue those that track the nodes and compute the field, if the tracker can go on."""
-        if self._tracker is None or not self._follows:
-            return
-        self._track(self._tracker, begun.plan)
-        begun.tracked = True
+        if self._tracker is not None and self._follows:
+            self._track(self._tracker, begun.plan)
+            begun.tracker = self._tracker
 
     def _track(self, tracker: Tracker, plan: Plan) -> None:
         """Enqueue the kernels that find the nodes of a plan's frame from those on the device."""
@@ -320,24 +319,22 @@ class Measurement(Closing):
     def _settle(self, begun: _Begun) -> Measured:
         """Wait for a frame. Number it anew where tracking does not hold, or is audited."""
         # One wait: a second one, for the corners, would take a core from the kernels.
-        arrays = self._plan.read() if begun.tracked else {}
+        arrays = self._plan.read() if begun.tracker else {}
         found, same = self._detector.finish(begun.plan)
-        tracker, tracked = self._tracker, list[Callable[[], Grid]]()
-        if tracker and begun.tracked and same and tracker.holds(arrays, found.counts):
-            tracked = _grids(arrays, [view.sure for view in self._views], found)
+        tracker, numbers = begun.tracker, [view.sure for view in self._views]
         settled = Measured(
             views=begun.views,
-            tracked=bool(tracked),
+            tracked=tracker is not None and same and tracker.holds(arrays, found.counts),
             bias=self._bias,
             _plan=self._plan,
             _found=found,
             _arrays=arrays,
-            _numbered=tracked,
+            _numbered=functools.partial(_grids, arrays, numbers, found),
         )
-        if tracked:
+        if settled.tracked:
             self.tally.tracked += 1
-            for view, grid in zip(self._views, tracked, strict=True):
-                view.go_on(grid)
+            for number, view in enumerate(self._views):
+                view.go_on(functools.partial(_grid, settled, number))
             if self.tally.tracked % AUDITED:
                 return settled
             self.tally.audited += 1
@@ -365,12 +362,12 @@ class Measurement(Closing):
             settled = dataclasses.replace(settled, differing=count)
         arrays = self._within(settled, anew, plan)
         if arrays is None:
-            numbered: list[Callable[[], Grid]] = [functools.partial(_given, each) for each in anew]
+            numbered = functools.partial(tuple[Grid, ...], anew)
             self._start_from(anew, settled.corners)
             self._events = self._plan.start()
             arrays = self._plan.read()
         else:
-            numbered = _grids(arrays, anew, settled._found)
+            numbered = functools.partial(_grids, arrays, anew, settled._found)
         return dataclasses.replace(
             settled,
             tracked=False,
@@ -399,16 +396,16 @@ class Measurement(Closing):
 
 def _grids(
     arrays: dict[str, NDArray[Any]], numbers: Sequence[Grid], found: Found
-) -> list[Callable[[], Grid]]:
-    """Return what makes the grids of nodes that were tracked, with the numbers of other grids."""
-    return [
-        functools.partial(grid_of, arrays, view, grid, count)
+) -> tuple[Grid, ...]:
+    """Return the grids of nodes that were tracked, with the numbers of other grids."""
+    return tuple(
+        grid_of(arrays, view, grid, count)
         for view, (grid, count) in enumerate(zip(numbers, found.counts, strict=True))
-    ]
+    )
 
 
-def _given(grid: Grid) -> Grid:
-    return grid
+def _grid(measured: Measured, view: int) -> Grid:
+    return measured.grids[view]
 
 
 def _with_field(measured: Measured) -> Measured:
