@@ -4,15 +4,17 @@ import dataclasses
 import functools
 import math
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
-from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Mask
+from cmp_cl.image import GreyImage
+from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Mask, Numbers, Whole
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.numbers import (
     Decision,
@@ -150,6 +152,43 @@ def _corners_beyond(board: Board, corners: Corners) -> int:
     return int(count) if count >= least else 0
 
 
+def _hanging(board: Board, image: GreyImage) -> int:
+    """Return the nodes of the second largest region of a board, 0 if they are few: a pattern that
+    goes on as another by chance hangs on it by rough corners, or by ones on its outline.
+
+    Regions are of nodes whose corners are whole, and whose two cells of each colour are alike.
+    """
+    place = board.x + 1j * board.y.astype(np.float64)
+    along, down = _steps(place.T).T, _steps(place)
+    s, t = K.cell_depth * (along + down), K.cell_depth * (down - along)
+    plane = cv2.blur(image, (3, 3))
+    a, b, c, d = (_levels(plane, place + each) for each in (s, -s, t, -t))
+    alike = np.abs(a - b) + np.abs(c - d) < K.passing * np.abs(a + b - c - d)
+    firm = alike & (board.owner >= 0) & ~board.torn & ~np.isnan(s)
+    *_, regions, _ = cv2.connectedComponentsWithStats(firm.astype(np.uint8), connectivity=4)
+    nodes = np.sort(regions[1:, cv2.CC_STAT_AREA])
+    return int(nodes[-2]) if len(nodes) > 1 and nodes[-2] >= K.least_board else 0
+
+
+def _steps(place: Numbers) -> Numbers:
+    """Return the mean of the steps before and after each place, down, or the one that is known."""
+    missing = np.full_like(place[:1], np.nan)
+    step = np.concatenate([missing, np.diff(place, axis=0), missing])
+    before, after = step[:-1], step[1:]
+    both = np.where(np.isnan(after), before, (before + after) / 2)
+    return np.where(np.isnan(before), after, both)
+
+
+def _levels(plane: NDArray[Any], at: Numbers) -> Whole:
+    """Return the levels at the nearest pixels."""
+    row, column = (
+        np.clip(np.nan_to_num(np.rint(each)), 0, size - 1).astype(np.int64)
+        for each, size in zip((at.imag, at.real), plane.shape, strict=True)
+    )
+    levels: Whole = plane[row, column].astype(np.int64)
+    return levels
+
+
 def _decided(board: Board, asked: Asked) -> Decision:
     if asked.like is not None:
         rest = reference_of(asked.like)
@@ -177,11 +216,13 @@ def reference_of(grid: Grid) -> Reference:
     return Reference(board, prints, grid.origin, not grid.ambiguous)
 
 
-def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | None, int]:
+def chosen_of(
+    found: list[Found], asked: Asked, image: GreyImage, count: int
+) -> tuple[Found | None, int]:
     """Return the board that is meant, None without any, and the corners of another that may be, or
-    how many are missing inside it or beside it.
+    how many hang on it, or are missing inside it or beside it.
 
-    count: corners in view.
+    image: the view. count: corners in it.
 
     Raises GridError if two are comparable, or the board holds few of the corners.
     """
@@ -206,6 +247,8 @@ def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | Non
         missing = max(missing, chosen.beyond)
     elif chosen.size == math.prod(asked.shape):
         missing = 0
+    if not (sure or chosen.is_whole):
+        others = others or _hanging(chosen.board, image)
     return chosen, others or chosen.gap or missing
 
 

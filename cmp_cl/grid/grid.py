@@ -103,7 +103,8 @@ class Grid:
         0 where none is: squares behind a board, or a part of a torn pattern without numbers. Places
         inside the grid that show no corner count too, if they are many: two patterns that touch
         leave such a gap, and a part of a torn pattern that is numbered wrongly. So do corners that
-        look like its next lines.
+        look like its next lines, and a region that hangs on the grid by torn corners, or by ones
+        beside which cells of one colour differ.
     edge_radius: the `edge_radius` of the corners, px. The filters of positions and displacements
         use it to remove the effect of bent edges. NaN if unknown.
     """
@@ -170,7 +171,8 @@ class Grid:
         if self.others:
             found.append(
                 f"another pattern of {self.others} corners is seen, or so many of this one are no "
-                "nodes, beside which numbers may be wrong; give a cut-out without it"
+                "nodes or hang on it by doubtful ones, and numbers may be wrong; give a cut-out "
+                "without it"
             )
         if self.ambiguous and self.seen_shape is None:
             other = ""

@@ -211,6 +211,19 @@ def test_a_floor_of_squares_is_not_taken_for_the_board_in_silence(seed):
     assert not sized.doubts
 
 
+@pytest.mark.parametrize(("lines", "told"), [(1, True), (12, False)])
+def test_a_pattern_that_goes_on_as_another_by_chance_is_told(lines, told):
+    """Its contrast falls by half at one line of nodes; light that falls along many is no other."""
+    view = endless(wear=0.0, cell=20.0, turn=0.0)
+    x = view.corners[:, 0]
+    line = x[np.argmin(np.abs(x - SIZE[1] / 2))]
+    lost = np.clip((np.arange(SIZE[1]) - line) / (20 * (lines - 1) + 1e-6), 0, 1)
+    image = 120 + (1 - lost / 2) * (view.image.astype(float) - 120)
+    grid = grid_of(view._replace(image=np.rint(image).astype(np.uint8)))
+    assert grid.valid.mean() > 0.9
+    assert bool(grid.doubts) == told
+
+
 @pytest.mark.parametrize("cell", [18.0, 36.0])
 def test_a_board_of_known_size_before_gravel_is_found(cell):
     size = (432, 576)
