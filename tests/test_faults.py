@@ -180,8 +180,9 @@ def test_kernels_of_another_user_are_refused(device, cache, monkeypatch):
 
 def detected(device, **environment):
     """Detect in a process of its own; return its status and what it says."""
+    arguments = f"cmp_cl.DetectorConfig(refinement=None), device={device.index!r}"
     image = "np.zeros((40, 40), np.uint8)"
-    code = f"import cmp_cl, numpy as np; cmp_cl.detect({image}, device={device.index!r})"
+    code = f"import cmp_cl, numpy as np; cmp_cl.detect({image}, {arguments})"
     done = python("-c", code, env=ENVIRONMENT | environment)
     return done.returncode, done.stderr
 

@@ -154,11 +154,11 @@ def test_the_sigma_of_a_strain_counts_the_errors_that_neighbours_share():
         rng = np.random.default_rng(900000 + seed)
         moments = []
         for gradient in (np.eye(2), gradient_of(1e-2)):
-            error = rng.normal(size=(20, 20, 2)) * math.sqrt(1 / 3)
-            of_columns, of_rows = rng.normal(size=(2, 21, 21)) * math.sqrt(1 / 3)
+            error = rng.normal(size=(18, 16, 2)) * math.sqrt(1 / 3)
+            of_columns, of_rows = rng.normal(size=(2, 19, 17)) * math.sqrt(1 / 3)
             error[..., 0] += of_columns[1:, 1:] + of_columns[:-1, 1:]
             error[..., 1] += of_rows[1:, 1:] + of_rows[1:, :-1]
-            row, column = 12.0 * np.mgrid[:20, :20]
+            row, column = 12.0 * np.mgrid[:18, :16]
             moments.append(np.stack([column, row], axis=-1) @ gradient.T + 0.05 * error)
         field = displacement(*map(grid_of, moments)).with_strain()
         off = (field.strain - green(gradient_of(1e-2))) / field.strain_sigma
@@ -176,7 +176,7 @@ def test_a_homogeneous_deformation_has_its_strain_everywhere():
 
 
 def test_cells_of_known_side_give_millimetres_through_a_homography():
-    row, column = np.mgrid[:10, :12]
+    row, column = np.mgrid[:12, :10]
     flat = np.stack([column, row], axis=-1) * 2.5  # mm
     tilted = np.array([[8.0, 0.3, 40], [-0.2, 7.5, 30], [2e-3, 1e-3, 1]])
 
@@ -195,28 +195,26 @@ def test_cells_of_known_side_give_millimetres_through_a_homography():
 
 
 def test_the_status_says_which_moment_failed_and_the_source_which_is_less_direct():
-    rest, now = points(gel(2, 2)), points(gel(2, 2))
-    rest.status[0] = PointStatus.PARALLEL, PointStatus.BEHIND
-    now.status[0] = PointStatus.VALID, PointStatus.INCONSISTENT
+    rest, now = points(gel(12, 10)), points(gel(12, 10))
+    rest.status[0, :2] = PointStatus.PARALLEL, PointStatus.BEHIND
+    now.status[0, :2] = PointStatus.VALID, PointStatus.INCONSISTENT
     now.source[1, 1] = NodeStatus.INTERPOLATED
     field = displacement(rest, now)
-    assert field.status.tolist() == [
-        [PointStatus.PARALLEL, PointStatus.INCONSISTENT],
-        [PointStatus.VALID, PointStatus.VALID],
-    ]
-    assert field.source[1].tolist() == [NodeStatus.DETECTED, NodeStatus.INTERPOLATED]
-    assert np.isnan(field.displacement[0]).all()
+    assert field.status[0, :2].tolist() == [PointStatus.PARALLEL, PointStatus.INCONSISTENT]
+    assert (np.delete(field.status.ravel(), (0, 1)) == PointStatus.VALID).all()
+    assert field.source[1, :2].tolist() == [NodeStatus.DETECTED, NodeStatus.INTERPOLATED]
+    assert np.isnan(field.displacement[0, :2]).all()
 
 
 def test_nodes_are_compared_by_number_if_more_are_in_view_than_at_rest():
-    row, column = np.indices((4, 5))
+    row, column = np.indices((12, 10))
     rest = grid_of(np.stack([10.0 * column, 10.0 * row], axis=2))
-    row, column = np.indices((7, 6)) - np.array([2, 1])[:, None, None]
+    row, column = np.indices((15, 11)) - np.array([2, 1])[:, None, None]
     now = grid_of(np.stack([10.0 * column + 3, 10.0 * row - 1], axis=2))
     field = displacement(rest, dataclasses.replace(now, origin=(-2, -1)))
-    expected = np.broadcast_to([3.0, -1.0], (4, 5, 2))
+    expected = np.broadcast_to([3.0, -1.0], (12, 10, 2))
     np.testing.assert_allclose(field.displacement, expected, rtol=1e-6)  # single precision
-    with pytest.raises(FieldError, match=r"rest has rows 0 to 3 .* now has rows 1 to 7"):
+    with pytest.raises(FieldError, match=r"rest has rows 0 to 11 .* now has rows 1 to 15"):
         displacement(rest, dataclasses.replace(now, origin=(1, 0)))
 
 

@@ -8,7 +8,6 @@ import pytest
 from stereo_data import grid_of
 
 from cmp_cl import CalibrationError, StereoRig, Window
-from cmp_cl.motion import displacement
 from cmp_cl.space import Bias, calibrate_window
 from cmp_cl.synthetic import default_rig
 
@@ -89,10 +88,9 @@ def test_the_window_is_found_from_equal_squares_of_any_surface(surface):
 
 def pressed_by_1_mm(rig, rest, rng):
     """Return by how much a rig errs along the normal, and how much it says it may, mm."""
-    pair = [rig.triangulate(*views(xyz, rng, noise=0)) for xyz in (rest, rest - NORMAL)]
-    field = displacement(*pair).raw
-    shared = Bias(rig, field.position).covariance(field.displacement)
-    return (field.displacement + NORMAL) @ NORMAL, np.sqrt(NORMAL @ shared @ NORMAL)
+    before, now = (rig.triangulate(*views(xyz, rng, noise=0)).xyz for xyz in (rest, rest - NORMAL))
+    shared = Bias(rig, before).covariance(now - before)
+    return (now - before + NORMAL) @ NORMAL, np.sqrt(NORMAL @ shared @ NORMAL)
 
 
 def test_a_press_is_right_to_a_percent_and_its_bias_sigma_covers_it():

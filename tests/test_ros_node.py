@@ -70,12 +70,12 @@ def image_message(number, image, encoding):
 def test_the_example_node_publishes_displacements_with_the_images_header(node):
     deformation = node.Deformation()
     for number, shift in enumerate((0.0, 1.5)):
-        camera = boards.plane(cell=20, middle=(40 + shift, 40))
-        image = boards.drawn(camera, (220, 220), (8, 8)).image
+        camera = boards.plane(cell=14, middle=(23 + shift, 23))
+        image = boards.drawn(camera, (200, 200), (12, 12)).image
         deformation.take(image_message(number, image, "mono8"))
     deformation.take(image_message(2, image, "rgb8"))
     deformation.close()
-    assert deformation.said[0] == "64 nodes at rest"
+    assert deformation.said[0] == "144 nodes at rest"
     assert "rgb8" in deformation.said[1]
     assert len(deformation.published) == 2
     cloud = deformation.published[1]

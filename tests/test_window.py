@@ -139,13 +139,13 @@ def test_a_window_survives_the_file_of_its_rig(tmp_path, layers):
 
 def test_the_bias_of_a_field_is_what_an_error_of_the_rig_does_to_it():
     """For each parameter alone: a wrong one, in pixels of the right rig."""
-    rest, now = gel(), gel() - np.array([0, 0, 1.0])
+    rest, press = gel(), gel() - np.array([0, 0, 1.0])
     rig = rig_behind(GEL)
     views = [
         [grid_of(view.reshape(20, 20, 2)) for view in rig.project(xyz.reshape(-1, 3))]
-        for xyz in (rest, now)
+        for xyz in (rest, press)
     ]
-    right = displacement(*(rig.triangulate(*pair) for pair in views)).raw
+    before, now = (rig.triangulate(*pair).xyz for pair in views)
     steps = {16: 1e-4, 17: 1e-4, 19: 0.02, 22: 1e-3, 23: 1e-3, 24: 0.05, 25: 1e-3}
     for number, step in steps.items():
         error = np.zeros(26)
@@ -159,10 +159,10 @@ def test_the_bias_of_a_field_is_what_an_error_of_the_rig_does_to_it():
         seen = [np.hstack(each.project(rest.reshape(-1, 3))) for each in (rig, wrong)]
         slope = rig.slopes(rest.reshape(-1, 3))[1][..., number]
         np.testing.assert_allclose(seen[1] - seen[0], step * slope, rtol=0.02, atol=1e-3)
-        moved = displacement(*(wrong.triangulate(*pair) for pair in views)).raw
-        off = np.linalg.norm(moved.displacement - right.displacement, axis=2)
+        wrong_before, wrong_now = (wrong.triangulate(*pair).xyz for pair in views)
+        off = np.linalg.norm((wrong_now - wrong_before) - (now - before), axis=2)
         known = dataclasses.replace(rig, covariance=np.outer(error, error))
-        stated = Bias(known, right.position).sigma(right.displacement)
+        stated = Bias(known, before).sigma(now - before)
         np.testing.assert_allclose(stated, off, rtol=0.1, atol=2e-5)
 
 

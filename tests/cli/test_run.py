@@ -362,20 +362,20 @@ def test_two_recordings_are_measured_as_one_of_both_views(run, recording, press)
 def test_doubts_about_the_frame_at_rest_are_told(run, tmp_path):
     frame = np.full((400, 700), 210, np.uint8)
     for (left, top), (image, _) in zip(
-        ((0, 0), (320, 40)), (drawn(9, 9), drawn(4, 5)), strict=True
+        ((0, 0), (420, 40)), (drawn(12, 12), drawn(4, 5)), strict=True
     ):
         frame[top : top + len(image), left : left + image.shape[1]] = image
     cv2.imwrite(str(tmp_path / "0.png"), frame)
     status, _, told = run("run", tmp_path, "--out", "press.npz")
     assert status == 0
     assert told.startswith("cmp-cl: frame 0, the frame at rest: another pattern of 20 ")
-    assert not run("run", tmp_path, "--grid", "9x9", "--out", "press.npz")[2]
+    assert not run("run", tmp_path, "--grid", "12x12", "--out", "press.npz")[2]
 
 
 def test_the_numbers_of_the_frame_at_rest_are_not_ambiguous(run, tmp_path):
-    board = np.kron(np.indices((9, 11)).sum(0) % 2, np.full((20, 20), 180)).astype(np.uint8) + 30
+    board = np.kron(np.indices((13, 13)).sum(0) % 2, np.full((12, 12), 180)).astype(np.uint8) + 30
     for number in range(2):  # no border of the pattern is in view
-        cv2.imwrite(str(tmp_path / f"{number}.png"), board[10:170, 10:210])
+        cv2.imwrite(str(tmp_path / f"{number}.png"), board[6:150, 6:150])
     _, out, err = run("run", tmp_path, "--out", "press.npz")
     assert "1 whose numbers may be wrong" in out
     assert "trust none of them" in err
@@ -463,9 +463,9 @@ def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
     os.mkdir("frames")
     for number, stretch in enumerate((1.0, 1.01)):
         camera = boards.homography(np.array([[12 * stretch, 0, 36], [0, 12, 36], [0, 0, 1]]))
-        picture = boards.drawn(camera, (150, 150), (7, 7), noise=0, count=16).image
+        picture = boards.drawn(camera, (190, 160), (12, 10), noise=0, count=16).image
         cv2.imwrite(f"frames/{number}.png", picture)
-    flat = ("run", "frames", "--grid", "7x7", "--out", "flat.h5", "--plot", "flat")
+    flat = ("run", "frames", "--grid", "12x10", "--out", "flat.h5", "--plot", "flat")
     assert run(*flat, "--strain", "--cell", "2.5")[0] == 0
     found = read_series("flat.h5")
     assert str(found["unit"]) == "mm"

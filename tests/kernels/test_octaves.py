@@ -37,7 +37,7 @@ def drawn(seed):
     "config",
     [
         OCTAVES,
-        OCTAVES.replace(refinement=EdgeLines(), nms_radius=1),
+        OCTAVES.replace(refinement=EdgeLines()),
         OCTAVES.replace(refinement=Midlines()),
         DetectorConfig(
             detection=RingHarmonic(octaves=2, fine=False, noise=0.5, relative=0.05),

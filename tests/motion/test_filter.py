@@ -57,14 +57,14 @@ def test_a_sharp_ridge_of_a_deformation_is_kept_in_every_direction(direction):
 
 
 def test_a_gross_error_does_not_spread():
-    values = noisy(surface(30, 30), 0.05)
+    values = noisy(surface(20, 20), 0.05)
     clean = moved_by(values)
-    values[12, 17] += (3.0, -2.0)
+    values[12, 13] += (3.0, -2.0)
     spoilt = moved_by(values)
-    np.testing.assert_allclose(spoilt.displacement[12, 17], values[12, 17], atol=1e-4)
-    assert spoilt.sigma[12, 17] > 2
-    others = np.ones((30, 30), bool)
-    others[12, 17] = False
+    np.testing.assert_allclose(spoilt.displacement[12, 13], values[12, 13], atol=1e-4)
+    assert spoilt.sigma[12, 13] > 2
+    others = np.ones((20, 20), bool)
+    others[12, 13] = False
     assert np.abs(spoilt.displacement - clean.displacement)[others].max() < 0.05
     assert np.abs(spoilt.sigma / clean.sigma - 1)[others].max() < 0.5
 
@@ -82,8 +82,8 @@ def test_interpolated_nodes_follow_their_neighbours():
 
 
 def test_the_covariance_shows_which_coordinate_is_less_certain():
-    noise = np.random.default_rng(0).normal(0, (0.02, 0.02, 0.1), (30, 30, 3))
-    flat = np.dstack([lattice(30, 30), np.zeros((30, 30))])
+    noise = np.random.default_rng(0).normal(0, (0.02, 0.02, 0.1), (20, 20, 3))
+    flat = np.dstack([lattice(20, 20), np.zeros((20, 20))])
     found = displacement(points(flat), points(flat + noise))
     deviation = np.sqrt(np.diagonal(found.covariance, axis1=2, axis2=3))
     assert np.median(deviation[..., 2] / deviation[..., 0]) == pytest.approx(5, rel=0.2)
@@ -117,7 +117,7 @@ def test_displacements_keep_sharp_edges_on_a_perfect_print_but_not_on_a_worn_one
 
 
 @pytest.mark.parametrize(
-    ("shape", "axes"), [((17, 20), 2), ((18, 19), 3), ((4, 4), 2), ((1, 9), 2), ((15, 3), 3)]
+    ("shape", "axes"), [((18, 16), 2), ((18, 19), 3), ((4, 4), 2), ((1, 9), 2), ((15, 3), 3)]
 )
 def test_the_kernels_filter_positions_as_the_oracle(device, shape, axes):
     """To 0.005 of the noise."""

@@ -6,8 +6,14 @@ from typing import Any
 import pytest
 
 
-def some(cases: Iterable[Any], few: Container[Any]) -> list[Any]:
-    """Return every case; those that are not among the few are marked exhaustive."""
+def some(cases: Iterable[Any], few: Container[Any], *, several: bool = False) -> list[Any]:
+    """Return every case; those that are not among the few are marked exhaustive.
+
+    several: a case is a tuple of several arguments.
+    """
     return [
-        case if case in few else pytest.param(case, marks=pytest.mark.exhaustive) for case in cases
+        pytest.param(
+            *(case if several else (case,)), marks=() if case in few else pytest.mark.exhaustive
+        )
+        for case in cases
     ]
