@@ -20,7 +20,7 @@ from cmp_cl.cli.arguments import (
     check_suffix,
     grid_shape,
 )
-from cmp_cl.cli.messages import counted, one_line, progress, shown, tell
+from cmp_cl.cli.messages import NoBar, counted, one_line, progress, shown, tell
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners, Method, Refusal
 from cmp_cl.detector import Detector
@@ -131,7 +131,7 @@ def _searched(
         config = config.replace(full_scale=info.full_scale)
     broken, advice, doubtful = list[Frame](), "", 0
     counts, times = list[int](), list[float]()  # corners or nodes of each frame, and ms
-    with progress(info.frames, "frames") as bar:
+    with progress(info.frames, "frames") if video else NoBar() as bar:
         for frame in media.read_frames(path):
             bar.update()
             image = frame.image
@@ -155,6 +155,7 @@ def _searched(
                 advice = corners.advice(image, config.full_scale)
                 doubts += [advice] if advice else []
             if not (video and doubtful):
+                bar.clear()
                 for doubt in doubts:
                     tell(f"{name}: {doubt}")
             doubtful += bool(doubts)

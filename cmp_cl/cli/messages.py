@@ -39,8 +39,8 @@ def tell(line: str) -> None:
     print(f"cmp-cl: {line}", file=sys.stderr, flush=True)
 
 
-class _NoBar(Closing):
-    """In the place of a bar where tqdm is not installed."""
+class NoBar(Closing):
+    """In the place of a bar, for example where tqdm is not installed."""
 
     def update(self, *_: Any) -> None: ...
     def set_postfix_str(self, *_: Any, **__: Any) -> None: ...
@@ -57,5 +57,5 @@ def progress(total: int | None, unit: str) -> Any:
     try:
         from tqdm import tqdm
     except ImportError:
-        return _NoBar()
+        return NoBar()
     return tqdm(total=total, unit=f" {unit}", disable=None, leave=False)
