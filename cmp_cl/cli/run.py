@@ -20,7 +20,7 @@ from cmp_cl.cli.arguments import (
 from cmp_cl.cli.messages import counted, one_line, progress, shown, tell
 from cmp_cl.cli.running.pace import Pace
 from cmp_cl.cli.running.results import Results
-from cmp_cl.cli.running.sources import at_rest, opened, why_left_out
+from cmp_cl.cli.running.sources import at_rest, why_left_out
 from cmp_cl.cli.running.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import CmpClError, ConfigError, GridError
@@ -118,7 +118,9 @@ def run(arguments: argparse.Namespace) -> int:
     config = None if arguments.config is None else DetectorConfig.load(arguments.config)
     rig = None if arguments.stereo is None else StereoRig.load(arguments.stereo)
     device = select_device(arguments.device)
-    source, stop = opened(arguments), Stop()
+    names = [arguments.source] if arguments.left is None else [arguments.left, arguments.right]
+    sources = [Source(name, dict(arguments.set)) for name in names]
+    source, stop = sources[0] if len(sources) == 1 else Pairs(*sources), Stop()
     pictures = [f"{arguments.plot}{suffix}" for suffix in (".png", ".mp4") if arguments.plot]
     series = [] if arguments.out == "-" else [arguments.out]
     check_files([*source.paths, arguments.config, arguments.stereo], [*series, *pictures])

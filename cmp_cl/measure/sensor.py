@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError, ImageError, check_kind
 from cmp_cl.field.field import frame_of_pytac3d
-from cmp_cl.image import GreyImage
 from cmp_cl.measure.measured import Measured
 from cmp_cl.measure.two_views import TwoViews
 from cmp_cl.media.ahead import Ahead
@@ -171,16 +170,16 @@ class Sensor(Frames):
                     again, self._new_rest = self._new_rest, False
                 if again or measure is None:
                     opened.close()
-                    measure = opened.enter_context(self._at_rest(frame.image))
+                    split = self._split or BinocularSplit.halves(*frame.image.shape[::-1])
+                    measure = TwoViews(
+                        frame.image, self._rig, split, shape=self._shape, device=self._device
+                    )
+                    opened.enter_context(measure)
                 measured = measure(frame.image)
                 self._keep(measure, measured, frame.index, frame.time_ms)
                 yield measured.field.as_pytac3d(
                     serial=self._serial, index=frame.index, time_s=frame.time_ms / 1e3
                 )
-
-    def _at_rest(self, rest: GreyImage) -> TwoViews:
-        split = self._split or BinocularSplit.halves(width=rest.shape[1], height=rest.shape[0])
-        return TwoViews(rest, self._rig, split, shape=self._shape, device=self._device)
 
     def _keep(self, measure: TwoViews, measured: Measured, index: int, time_ms: float) -> None:
         with self._lock:

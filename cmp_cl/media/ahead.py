@@ -22,23 +22,24 @@ class Ahead(Closing, Generic[T]):
 
     def __init__(self, items: Generator[T, None, None], most: int, *, lossy: bool = False) -> None:
         self._waiting: deque[T] = deque()
-        self._most, self._lossy = most, lossy
         self._changed = threading.Condition()
         self._closed = False
         self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._make, args=(items,), daemon=True)
+        self._thread = threading.Thread(target=self._make, args=(items, most, lossy), daemon=True)
         self._thread.start()
 
-    def _make(self, items: Generator[T, None, None]) -> None:
+    def _make(self, items: Generator[T, None, None], most: int, lossy: bool) -> None:
         try:
             with contextlib.closing(items):
                 for item in items:
                     with self._changed:
-                        if len(self._waiting) == self._most and self._lossy:
+                        if lossy and len(self._waiting) == most:
                             self._waiting.popleft()
                         self._waiting.append(item)
                         self._changed.notify_all()
-                        self._changed.wait_for(lambda: self._has_room or self._closed)
+                        self._changed.wait_for(
+                            lambda: lossy or len(self._waiting) < most or self._closed
+                        )
                     if self._closed:
                         return
         except BaseException as error:
@@ -47,10 +48,6 @@ class Ahead(Closing, Generic[T]):
             with self._changed:
                 self._closed = True
                 self._changed.notify_all()
-
-    @property
-    def _has_room(self) -> bool:
-        return self._lossy or len(self._waiting) < self._most
 
     def wait(self, seconds: float = threading.TIMEOUT_MAX) -> bool:
         """Return whether an item waits now, or within that time; False at once at the end.

@@ -55,19 +55,7 @@ class Device:
         return f"{self.name} ({self.platform})"
 
 
-class _Started:
-    """Whether OpenCL was used in this process, and in the parent that this one was forked from."""
-
-    here = False
-    in_parent = False
-
-
-def _note_fork() -> None:
-    _Started.in_parent = _Started.here
-
-
-if hasattr(os, "register_at_fork"):  # Windows has no fork
-    os.register_at_fork(after_in_child=_note_fork)
+_started_in: int | None = None  # the process, this one or a parent, in which OpenCL was used
 
 
 def is_forked() -> bool:
@@ -75,7 +63,7 @@ def is_forked() -> bool:
 
     Threads do not survive a fork, and an OpenCL implementation would wait for its own forever.
     """
-    return _Started.in_parent
+    return _started_in not in (None, os.getpid())
 
 
 def check_process() -> None:
@@ -94,9 +82,10 @@ def list_devices() -> list[Device]:
     Raises DeviceError in a forked child of a process that has used OpenCL, and if
     POCL_MAX_PTHREAD_COUNT would end the process.
     """
+    global _started_in
     check_process()
     _check_workers()
-    _Started.here = True
+    _started_in = os.getpid()
     with _workers_on_own_cores():
         return [
             _describe(handle, f"{p}:{d}")

@@ -1,6 +1,5 @@
 """The source of `cmp-cl run`, its frame at rest, and the frames that are left out."""
 
-import argparse
 import contextlib
 from collections.abc import Generator
 
@@ -9,14 +8,6 @@ from cmp_cl.errors import ConfigError
 from cmp_cl.image import GreyImage
 from cmp_cl.media import Frame
 from cmp_cl.media.cameras import Pairs, Source
-
-
-def opened(arguments: argparse.Namespace) -> Source | Pairs:
-    """Open the source; raises ConfigError if camera settings are given for a file."""
-    settings = dict(arguments.set)
-    if arguments.left is None:
-        return Source(arguments.source, settings)
-    return Pairs(*(Source(name, settings) for name in (arguments.left, arguments.right)))
 
 
 def at_rest(source: Source | Pairs, number: int) -> tuple[GreyImage, Generator[Frame, None, None]]:
