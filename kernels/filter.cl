@@ -528,7 +528,7 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
         value[k] += weight * EIGHT_AT(estimate + (k * PAIRS + pair) * PLANE + IN_PIECES(row, c));
       risk[pair] = weight;
     }
-  const float8 share = 1 / sum, noise = s1 * mean_gain * share;
+  const float8 share = 1 / sum, noise = s2 * mean_gain * share;
   const float8 stein = s1 * mean_risk * share + 2 * (s2 - s1) * mean_own * share - s2;
   for (int k = 0; k < K; ++k) EIGHT_AT(values + k * PLANE + at) = value[k] * share;
   EIGHT_AT(gain + at) = mean_gain * share;

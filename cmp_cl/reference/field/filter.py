@@ -25,7 +25,7 @@
    s2. s1 is 1.29 times the least of s2 and of the same estimates from the pilot along one axis
    alone or along one diagonal alone, but at most s2. Along a diagonal the pilot is (3, 5), and
    is used only where its window fits. Then the variance is max(s1 sum w risk + 2 (s2 - s1) sum
-   w H - s2, s1 sum w V). If an upper bound of the noise is known, s1 is at most its square.
+   w H - s2, s2 sum w V). If an upper bound of the noise is known, s1 is at most its square.
 9. If a refinement assumes straight edges within the radius r, bent edges shift its corner. For each
    of the corner's two lines, a parabola along it and a straight line across it are fitted to 5 x 5
    nodes. With the slope t and the second derivative d at the node, by the node's number, and n the
@@ -255,7 +255,7 @@ def _mixture(
     mean_own = (weights * np.array(owns)).sum(axis=0)
     expected = chosen * mean_risk + 2 * (s2 - chosen) * mean_own - s2
     share = (weights * gain).sum(axis=0)
-    return values, np.maximum(expected, chosen * share), weights, share
+    return values, np.maximum(expected, s2 * share), weights, share
 
 
 def _least_noise(data: Floats, votes: Bools, s2: Floats) -> Floats:
