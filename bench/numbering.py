@@ -107,7 +107,7 @@ def of_lattice(constants: LatticeConstants) -> Method:
 
     def find(view: View, corners: Corners) -> Answer:
         kind = view.image.shape, view.image.dtype, 255
-        plan = LatticePlan.from_host(device, *kind, max(len(corners), 1), constants)
+        plan = LatticePlan(device, *kind, max(len(corners), 1), constants)
         plan.take(view.image, corners.xy, corners.edges, corners.refusal)
         plan.start()
         found = next(boards(plan, corners.xy), None)

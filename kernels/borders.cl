@@ -17,15 +17,14 @@
 #define WHOLE 4096 /* a share of 1 */
 #define REACH(doubled) (STEP_OF_LEVELS * (1.5f + (float)(doubled) * (0.5f / WHOLE))) /* cells */
 
-/* What is found, see cmp_cl/lattice/borders.py. */
+/* What is found: the size of the board, and values of its sides, see `Border`. */
 #define ROWS_OF 0
 #define COLUMNS_OF 1
 #define SIGN_OF 2
 #define ROOM_OF 3
 #define FOLLOWS_OF 7
 #define REACH_OF 11
-#define STEPS_OF 15
-#define FURTHER_OF 19
+#define FURTHER_OF 15
 
 /* A place, by its line from a side and its number there. box: top, bottom, left, right, the ends not
  * included. */
@@ -265,9 +264,7 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
   const int height = border[ROWS_OF], width = border[COLUMNS_OF];
   __local int first[SIDES * PAIRS], pairs[SIDES], near[SIDES], shown[SIDES * PAIRS];
   __local int levels[SIDES * PAIRS * DEPTHS * 2], squares[SIDES * PAIRS];
-  __local int steps[4];
   __local int room[SIDES], ahead[SIDES * SPAN], any_longer;
-  FOR_ALL(k, 4) steps[k] = 0;
   FOR_ALL(m, SIDES * SPAN) ahead[m] = 0;
   if (get_local_id(0) == 0) any_longer = 0;
   ALL_TOGETHER;
@@ -357,18 +354,6 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
     border[REACH_OF + side] = reached == UNSEEN ? UNSEEN : floor_of(WHOLE * reach);
     room[side] = room[side] && !follows;
   }
-  FOR_ALL(place, height * width) { /* the steps of the board, in 1/32 px */
-    const float2 here = corner_at(nodes, owner, place);
-    const bool is_last_column = place % width == width - 1, is_last_row = place / width == height - 1;
-    for (int k = 0; k < 2; ++k) {
-      if (!IS_HERE(here) || (k ? is_last_row : is_last_column)) continue;
-      const float2 next = corner_at(nodes, owner, place + (k ? width : 1));
-      if (!IS_HERE(next)) continue;
-      atomic_add(steps + 2 * k, floor_of(32 * (next.x - here.x) + 0.5f));
-      atomic_add(steps + 2 * k + 1, floor_of(32 * (next.y - here.y) + 0.5f));
-    }
-  }
   ALL_TOGETHER;
   FOR_ALL(side, SIDES) border[ROOM_OF + side] = room[side] && !any_longer;
-  FOR_ALL(k, 4) border[STEPS_OF + k] = steps[k];
 }

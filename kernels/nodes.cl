@@ -59,11 +59,11 @@ __kernel void number_corners(__global const float *restrict corners, const uint 
   }
 }
 
-/* Lay the numbered corners out as a board, which is empty if the frame has more parts. One
- * work-group. */
+/* Lay the numbered corners out as a board, which is empty while parts wait to be placed beside
+ * others. One work-group. */
 __kernel void lay_board(__global const float *restrict corners, const uint capacity,
                         __global const int4 *restrict numbers, const int places,
-                        const int most_parts, __constant Nats *nats, __global int *restrict layout,
+                        __constant Nats *nats, __global int *restrict layout,
                         __global float2 *restrict seen, __global int *restrict owner,
                         __global uchar *restrict torn, __global uchar *restrict used,
                         __global int *restrict best_score, __global int *restrict best_place,
@@ -94,7 +94,7 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   atomic_max(&bottom, most_y);
   ALL_TOGETHER;
   const long across = (long)right - left + 1 + 2 * MARGIN, down = (long)bottom - top + 1 + 2 * MARGIN;
-  const bool fits = right >= left && layout[PARTS] <= most_parts && across * down <= places;
+  const bool fits = right >= left && layout[PARTS] < 2 && across * down <= places;
   const int width = fits ? across : 0, height = fits ? down : 0, all = width * height;
   const int origin_x = left - MARGIN, origin_y = top - MARGIN;
   FOR_ALL(place, all) owner[place] = INT_MAX;

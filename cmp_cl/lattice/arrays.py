@@ -1,5 +1,6 @@
 """The arrays of the lattice, from parts to boards."""
 
+import cmath
 import dataclasses
 import functools
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ Numbers = NDArray[np.complex128]  # column + 1j row
 Mask = NDArray[np.bool_]
 
 NONE, LOOKED = -1, -2  # owners of a node: missing, or seen where no corner was found
+UNSEEN, WHOLE = -(2**31), 4096  # a reach that is not seen, and one of a whole cell
 
 
 class Units(NamedTuple):
@@ -59,6 +61,13 @@ class Border(NamedTuple):
     follows: Mask
     room: Mask
     further: Whole
+
+    @classmethod
+    def of(cls, found: NDArray[np.int32]) -> "Border":
+        """Return the sides from what kernels/borders.cl found: the numbers after FOUND."""
+        room, follows, share, further = found.reshape(4, 4)
+        reach = np.where(share == UNSEEN, np.nan, share / WHOLE)
+        return cls(reach, follows.astype(np.bool_), room.astype(np.bool_), further.astype(np.int64))
 
     @property
     def ends(self) -> Mask:
@@ -124,6 +133,12 @@ class Board:
             steps.append(complex(known.mean()) if len(known) else 0j)
         along, down = steps
         return along or -1j * down, down or 1j * along
+
+    def upright(self) -> "Board":
+        """Return the board turned so that its columns follow the image's x axis."""
+        along, down = self.steps
+        away = [abs(cmath.phase(way)) for way in (along, down, -along, -down)]
+        return self.turned(away.index(min(away)))
 
     def parity(self) -> Whole:
         """Return `sign` at every node, (R, C)."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.lattice.arrays import Board, Mask
-from cmp_cl.lattice.joins import Joining, Placed
+from cmp_cl.lattice.joins import Joining
 from cmp_cl.lattice.plan import LatticePlan
 
 
@@ -29,9 +29,9 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
     left = list(range(int(units.part.max(initial=-1)) + 1))
     while left:
         main, *left = left
-        placed = joining.run(main, left)
-        placed.unit[taken] = -1
-        board = plan.settle(numbers_of(placed))
+        numbers = joining.run(main, left)
+        numbers[taken] = 0
+        board = plan.settle(numbers)
         owner = board.owner[board.owner >= 0]
         if np.count_nonzero(board.there) < k.least_board:
             continue
@@ -43,10 +43,3 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
 def _is_free(taken: Mask) -> bool:
     """Return whether no more than half of a part's corners are taken."""
     return 2 * int(np.count_nonzero(taken)) <= len(taken)
-
-
-def numbers_of(placed: Placed) -> NDArray[np.int32]:
-    """Return column, row, quarter turn, and 1 of every corner that is placed, (N, 4)."""
-    number = np.where(placed.there, placed.number, 0)
-    column, row = np.rint(number.real), np.rint(number.imag)
-    return np.stack([column, row, placed.rotation, placed.there], axis=1).astype(np.int32)

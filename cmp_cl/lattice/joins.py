@@ -7,36 +7,21 @@ numbers to positions bends least across the tear if the placement is right. What
 apart.
 """
 
-import dataclasses
 import itertools
 from collections import defaultdict
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cmp_cl.lattice.arrays import Float, Mask, Numbers, Units, Votes, Whole
+from cmp_cl.lattice.arrays import Float, Mask, Numbers, Units, Votes
 from cmp_cl.lattice.constants import LatticeConstants
 
 TURNS = np.array([1, 1j, -1, -1j])
 # Shifts that keep the colours, of which the one of least bending is looked for.
 SHIFTS = np.array([0, 1 + 1j, 1 - 1j, -1 + 1j, -1 - 1j, 2, -2, 2j, -2j])
 TREND = 6  # terms of a quadratic
-FAR = 1 << 20  # farther than any number
-
-
-@dataclasses.dataclass(eq=False)
-class Placed:
-    """Corners numbered in one frame, (N,): the node of a part that each is, -1 where none; its
-    number and rotation."""
-
-    unit: Whole
-    number: Numbers
-    rotation: Whole
-
-    @property
-    def there(self) -> Mask:
-        return self.unit >= 0
 
 
 class Placement(NamedTuple):
@@ -44,6 +29,16 @@ class Placement(NamedTuple):
 
     quarter: int
     offset: complex
+
+    def inverse(self) -> "Placement":
+        """Return the placement of the other part in this one's numbers."""
+        back = -self.quarter % 4
+        return Placement(back, -self.offset * TURNS[back])
+
+    def within(self, other: "Placement") -> "Placement":
+        """Return the placement where the part is that this one is beside."""
+        quarter = (self.quarter + other.quarter) % 4
+        return Placement(quarter, self.offset * TURNS[other.quarter] + other.offset)
 
 
 class Joining:
@@ -54,45 +49,50 @@ class Joining:
         parts = int(units.part.max(initial=-1)) + 1
         bounds = np.searchsorted(units.part, np.arange(parts + 1))
         self.members = [slice(*each) for each in itertools.pairwise(bounds.tolist())]
-        self.votes = _from_both_sides(votes)
-        bounds = np.searchsorted(self.votes.second, np.arange(parts + 1))
-        self.rows = [slice(*each) for each in itertools.pairwise(bounds.tolist())]
-        self.beside = [set(self.votes.first[rows].tolist()) for rows in self.rows]
+        self.votes: list[list[tuple[int, Placement, float]]] = [[] for _ in range(parts)]
+        for first, second, quarter, offset, weight in zip(
+            *(each.tolist() for each in votes), strict=True
+        ):
+            at = Placement(quarter, offset)
+            self.votes[second].append((first, at, weight))
+            self.votes[first].append((second, at.inverse(), weight))
 
-    def run(self, main: int, others: Iterable[int]) -> Placed:
-        """Return the main part with each of the others, in their order, that is sure where it
-        belongs. One that is not is looked at again once another part beside it is placed."""
-        self.placed = Placed(
-            np.full(self.corners, -1),
-            np.zeros(self.corners, np.complex128),
-            np.zeros(self.corners, np.int64),
-        )
-        self.places = {main: Placement(0, 0j)}
-        order = [self.place(main)]
-        left = set(others)
-        asked = self.beside[main] & left
-        while asked:
-            part = min(asked)
-            asked.remove(part)
-            if at := self.sure(part):
-                self.places[part] = at
-                order.append(self.place(part))
+    def run(self, main: int, others: Iterable[int]) -> NDArray[np.int32]:
+        """Place the main part, and beside it each of the others, in their order, that is sure where
+        it belongs. One that is not is looked at again once another part beside it is placed.
+
+        Returns column, row, quarter turn, and 1 of every corner that is placed, (N, 4).
+        """
+        self.numbers = np.zeros((self.corners, 4), np.int32)
+        self.unit = np.full(self.corners, -1)
+        self.places: dict[int, Placement] = {}
+        left = {main, *others}
+        beside = {main}
+        while beside:
+            part = min(beside)
+            beside.remove(part)
+            at = Placement(0, 0j) if part == main else self.sure(part)
+            if at:
+                self.place(part, at)
                 left.remove(part)
-                asked |= self.beside[part] & left
-        corner = np.concatenate(order)
-        _, first = np.unique(_keys(self.placed.number[corner]), return_index=True)
-        self.placed.unit[np.delete(corner, first)] = -1  # a number goes to the part placed first
-        return self.placed
+                beside |= {other for other, _, _ in self.votes[part]} & left
+        return self.numbers
 
-    def place(self, part: int) -> Whole:
-        """Number the corners of a part that have no number. Return these corners."""
-        some, placed, at = self.members[part], self.placed, self.places[part]
-        unit = some.start + np.flatnonzero(~placed.there[self.units.corner[some]])
-        corner: Whole = self.units.corner[unit]
-        placed.unit[corner] = unit
-        placed.number[corner] = self.units.number[unit] * TURNS[at.quarter] + at.offset
-        placed.rotation[corner] = (self.units.rotation[unit] + at.quarter) % 4
-        return corner
+    def place(self, part: int, at: Placement) -> None:
+        """Number the corners of a part that have no number, and whose number no other has."""
+        self.places[part] = at
+        some = self.members[part]
+        corner = self.units.corner[some]
+        number = self.units.number[some] * TURNS[at.quarter] + at.offset
+        numbers = np.zeros((len(corner), 4), np.int32)
+        numbers[:, 0], numbers[:, 1] = np.rint(number.real), np.rint(number.imag)
+        numbers[:, 2], numbers[:, 3] = (self.units.rotation[some] + at.quarter) % 4, 1
+        there = self.unit >= 0
+        fresh = ~there[corner]
+        if there.any():
+            fresh &= ~np.isin(_keys(numbers), _keys(self.numbers[there]))
+        self.numbers[corner[fresh]] = numbers[fresh]
+        self.unit[corner[fresh]] = some.start + np.flatnonzero(fresh)
 
     def sure(self, part: int) -> Placement | None:
         """Return the placement of a part if it is sure.
@@ -102,31 +102,21 @@ class Joining:
         the surface expects more of them.
         """
         ballots: dict[Placement, float] = defaultdict(float)
-        votes, rows = self.votes, self.rows[part]
-        for first, quarter, offset, weight in zip(
-            votes.first[rows].tolist(),
-            votes.quarter[rows].tolist(),
-            votes.offset[rows].tolist(),
-            votes.weight[rows].tolist(),
-            strict=True,
-        ):
-            if place := self.places.get(first):
-                turned = Placement(
-                    (quarter + place.quarter) % 4, offset * TURNS[place.quarter] + place.offset
-                )
-                ballots[turned] += weight
-        if not ballots or max(ballots.values()) < self.k.join_votes:
-            return None
+        for other, beside, weight in self.votes[part]:
+            if place := self.places.get(other):
+                ballots[beside.within(place)] += weight
         at = max(ballots, key=lambda each: ballots[each])
-        return at if self.ratio(part, at) >= self.k.join_bend else None
+        if ballots[at] < self.k.join_votes or self.ratio(part, at) < self.k.join_bend:
+            return None
+        return at
 
     def ratio(self, part: int, at: Placement) -> float:
         """Return by what factor the surface bends more at the second best offset; 0 if this one is
         not the best."""
-        units, some, there = self.units, self.members[part], self.placed.there
+        units, some, there = self.units, self.members[part], self.unit >= 0
         there[units.corner[some]] = False
-        others = self.placed.unit[there]
-        fixed = Side(units.at[others], self.placed.number[there], units.rim[others])
+        others, (column, row, _, _) = self.unit[there], self.numbers[there].T
+        fixed = Side(units.at[others], column + 1j * row, units.rim[others])
         moved = Side(units.at[some], units.number[some] * TURNS[at.quarter], units.rim[some])
         energy = bending(fixed, moved, at.offset + SHIFTS, self.k)
         energy = np.where(energy > 0, energy, np.inf)
@@ -135,19 +125,9 @@ class Joining:
         return float(second / first) if best else 0.0
 
 
-def _from_both_sides(votes: Votes) -> Votes:
-    """Return the votes, and the same for the first part beside the second, by the second part."""
-    back = (-votes.quarter) % 4
-    other = Votes(votes.second, votes.first, back, -votes.offset * TURNS[back], votes.weight)
-    both = [np.concatenate(each) for each in zip(votes, other, strict=True)]
-    order = np.argsort(both[1], kind="stable")
-    return Votes(*(each[order] for each in both))
-
-
-def _keys(number: Numbers) -> Whole:
-    """Return one whole number for each."""
-    column, row = np.rint(number.real), np.rint(number.imag)
-    return (column * FAR + row).astype(np.int64)
+def _keys(numbers: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Return column and row of each as one number."""
+    return np.ascontiguousarray(numbers[:, :2]).view(np.int64)[:, 0]
 
 
 class Side(NamedTuple):

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.stages.refine import RESULT_FIELDS, RESULT_HEAD
+
 if TYPE_CHECKING:
     from cmp_cl.lattice.plan import LatticePlan
 
@@ -17,7 +19,7 @@ DIRECTIONS = 1024  # unit vectors in a full turn
 PARTS, VOTES, LAYOUT = 7, 8, 9  # in the layout, see kernels/lattice.clh; numbers in all
 ROUNDS = 12  # times that nodes are looked for, three less than the margin in kernels/nodes.cl
 LISTS = 8  # of places, see `settle_nodes`
-FOUND = 23  # numbers of a border, see cmp_cl/lattice/borders.py
+SIDES, FOUND = 3, 19  # what is found of a board: its size, from here its sides; numbers in all
 VOTE = 6  # numbers of a vote
 ROOM = 8  # votes for each corner, more than there are even if all parts are small
 
@@ -82,31 +84,20 @@ CUT: Kernel = (
 )
 
 
-def board_of_numbers(most_parts: str) -> tuple[Kernel, ...]:
-    """Return what leads from the numbers of corners to a board; most_parts: the name of the number
-    of parts, of which more leave it empty."""
-    return (
-        (
-            "lay_board",
-            Over.GROUP,
-            f"{AT} numbers places {most_parts} nats layout {NODES} {CLAIMS} tried marks",
-        ),
-        ("blend_nodes", Over.PLACES, f"nats layout seen torn {POSITIONS}"),
-        ("measure_nodes", Over.PLACES, f"{LEVELS} nats layout at {MEASURES}"),
-        (
-            "score_nodes",
-            Over.PLACES,
-            f"{LEVELS} nats layout seen at predictions {MEASURES} score",
-        ),
-        (
-            "settle_nodes",
-            Over.GROUP,
-            f"{AT} {LEVELS} nats rounds starts binned layout {NODES} tried {POSITIONS} {MEASURES} "
-            f"score candidate found key listed asked {CLAIMS} marks lists places",
-        ),
-        CUT,
-        MEASURE,
-    )
+BOARD_OF_NUMBERS: tuple[Kernel, ...] = (
+    ("lay_board", Over.GROUP, f"{AT} numbers places nats layout {NODES} {CLAIMS} tried marks"),
+    ("blend_nodes", Over.PLACES, f"nats layout seen torn {POSITIONS}"),
+    ("measure_nodes", Over.PLACES, f"{LEVELS} nats layout at {MEASURES}"),
+    ("score_nodes", Over.PLACES, f"{LEVELS} nats layout seen at predictions {MEASURES} score"),
+    (
+        "settle_nodes",
+        Over.GROUP,
+        f"{AT} {LEVELS} nats rounds starts binned layout {NODES} tried {POSITIONS} {MEASURES} "
+        f"score candidate found key listed asked {CLAIMS} marks lists places",
+    ),
+    CUT,
+    MEASURE,
+)
 
 
 def sizes(plan: "LatticePlan") -> dict[str, int]:
@@ -131,6 +122,8 @@ def sizes(plan: "LatticePlan") -> dict[str, int]:
     return {
         **{name: size * corners for name, size in of_corners.items()},
         **{name: size * places for name, size in of_places.items()},
+        "image": (rows + 2) * plan.step * plan.dtype.itemsize,
+        "corners": 4 * (RESULT_HEAD + RESULT_FIELDS * corners),
         "levels": 2 * rows * plan.step,
         "starts": 4 * bins,
         "layout": 4 * LAYOUT,
@@ -149,8 +142,6 @@ def values(plan: "LatticePlan") -> dict[str, Any]:
         "places": plan.places,
         "rounds": ROUNDS,
         "room": ROOM * plan.capacity,
-        "one": 1,
-        "any": 2**31 - 1,
     }
     real = {
         "radius": k.contrast_radius_px,

@@ -6,15 +6,15 @@ A plan serves frames of one shape and pixel type, with up to `capacity` corners.
 import functools
 import threading
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.image import GreyImage
-from cmp_cl.lattice import borders, kernels, parts
-from cmp_cl.lattice.arrays import Board, Units, Votes
+from cmp_cl.lattice import kernels, parts
+from cmp_cl.lattice.arrays import Board, Border, Units, Votes
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.kernels import Kernel, Over
 from cmp_cl.opencl.device import Device, DeviceKind, check_process, is_forked
@@ -42,60 +42,48 @@ LANES = 8  # the fields of the corners have a multiple of so many elements
 MOST_PLANS = 4  # that are kept for corners that come from the host
 
 
-class Source(NamedTuple):
-    """Where an image and its corners lie on the device.
-
-    image: rows of `step` elements, with one spare row before and after, and `pad` columns before
-    the pixels. corners: as in kernels/result.clh, with room for `capacity` of them.
-    """
-
-    image: cl.Buffer
-    pad: int
-    step: int
-    corners: cl.Buffer
-    capacity: int
-
-
 class LatticePlan(Binder):
     """Buffers and bound kernels for one frame at a time.
 
     shape: (H, W) of a frame. dtype: uint8 or uint16. full_scale: its largest grey level. capacity:
-    the most corners. source: where a detector has the image and the corners; without it they come
-    from the host, see `take`.
+    the most corners. detection: the plan on whose queue the image and the corners are found;
+    without it they come from the host, see `take`. programs: those of its context.
     """
 
     def __init__(
         self,
-        *,
-        queue: cl.CommandQueue,
-        programs: Programs,
         device: Device,
         shape: tuple[int, int],
         dtype: np.dtype[Any],
         full_scale: int,
-        capacity: int = 0,
-        source: Source | None = None,
+        capacity: int,
         constants: LatticeConstants | None = None,
+        *,
+        detection: PlanBase | None = None,
+        programs: Programs | None = None,
     ) -> None:
-        super().__init__(queue, device)
+        programs = programs or programs_of(device.handle)
+        super().__init__(
+            detection.queue if detection else cl.CommandQueue(programs.context), device
+        )
         self.shape = shape
         self.dtype = dtype
         self.full_scale = full_scale
         self.constants = LatticeConstants() if constants is None else constants
-        self.capacity = multiple(capacity, GROUP) if source is None else source.capacity
-        self.pad = LEAST_PAD if source is None else source.pad
-        self.step = multiple(shape[1] + 2 * self.pad, GROUP) if source is None else source.step
         self.lock = threading.RLock()  # held by who uses the plan
-        self.kernels = programs.kernels(kernels.FILES, self._defines)
         self._here: dict[str, NDArray[np.uint8]] = {}
-        given = {} if source is None else {"image": source.image, "corners": source.corners}
-        self.sizes = self._sizes(own=source is None)
+        if detection:
+            self.capacity, self.pad, self.step = capacity, detection.pad, detection.full_step
+            given = {"image": detection.arrays["image"], "corners": detection.arrays["result"]}
+        else:
+            self.capacity, self.pad = multiple(capacity, GROUP), LEAST_PAD
+            self.step, given = multiple(shape[1] + 2 * self.pad, GROUP), {}
+        self.kernels = programs.kernels(kernels.FILES, self._defines)
+        self.sizes = {n: size for n, size in kernels.sizes(self).items() if n not in given}
         self.buffers = given | {name: self.buffer(name, n) for name, n in self.sizes.items()}
         self.values = kernels.values(self)
         self.launches = self.bound(kernels.PARTS_OF_CORNERS)
-        self.lay_only, self.lay = (
-            self.bound(kernels.board_of_numbers(most_parts)) for most_parts in ("one", "any")
-        )
+        self.lay = self.bound(kernels.BOARD_OF_NUMBERS)
         self._likely = 0  # places of a board, as of the frame before
         self._votes = 0  # between the parts of a frame
 
@@ -108,42 +96,13 @@ class LatticePlan(Binder):
     def of(cls, detection: PlanBase, programs: Programs) -> "LatticePlan":
         """Return a plan that numbers the corners of a detection where they lie, one frame of it."""
         return cls(
-            queue=detection.queue,
+            detection.device,
+            detection.shape,
+            detection.dtype,
+            detection.config.grey_levels(detection.dtype),
+            detection.corner_capacity,
+            detection=detection,
             programs=programs,
-            device=detection.device,
-            shape=detection.shape,
-            dtype=detection.dtype,
-            full_scale=detection.config.grey_levels(detection.dtype),
-            source=Source(
-                detection.arrays["image"],
-                detection.pad,
-                detection.full_step,
-                detection.arrays["result"],
-                detection.corner_capacity,
-            ),
-        )
-
-    @classmethod
-    def from_host(
-        cls,
-        device: Device,
-        shape: tuple[int, int],
-        dtype: np.dtype[Any],
-        full_scale: int,
-        capacity: int,
-        constants: LatticeConstants | None = None,
-    ) -> "LatticePlan":
-        """Return a plan with a queue of its own for corners that come from the host."""
-        programs = programs_of(device.handle)
-        return cls(
-            queue=cl.CommandQueue(programs.context),
-            programs=programs,
-            device=device,
-            shape=shape,
-            dtype=dtype,
-            full_scale=full_scale,
-            capacity=capacity,
-            constants=constants,
         )
 
     @property
@@ -168,17 +127,6 @@ class LatticePlan(Binder):
             "METHOD_FIELD": METHOD,
             "SIDE_STEP": 4 // (len(k.side_points) - 1),
             "SPAN": k.span,
-        }
-
-    def _sizes(self, *, own: bool) -> dict[str, int]:
-        """Return the bytes of every buffer, by name. own: image and corners come from the host."""
-        from_host = {
-            "image": (self.shape[0] + 2) * self.step * self.dtype.itemsize,
-            "corners": 4 * (RESULT_HEAD + RESULT_FIELDS * self.capacity),
-        }
-        return {
-            **(from_host if own else {}),
-            **kernels.sizes(self),
         }
 
     def buffer(self, name: str, size: int) -> cl.Buffer:
@@ -263,7 +211,7 @@ class LatticePlan(Binder):
     def start(self) -> None:
         """Enqueue what leads from the corners to the parts, and if one part is large enough, to its
         board. Nothing is waited for."""
-        self.enqueue([*self.launches, *self.lay_only])
+        self.enqueue([*self.launches, *self.lay])
 
     def wait(self) -> None:
         """Wait until the launches are done."""
@@ -289,15 +237,15 @@ class LatticePlan(Binder):
         )
         return parts.parts_of(root, state, faces, found, xy, self.constants.least_part)
 
-    def settle(self, numbers: NDArray[np.int32] | None = None) -> Board:
+    def settle(self, numbers: NDArray[np.int32]) -> Board:
         """Return the board of numbered corners, its nodes settled, as `_board`.
 
-        numbers: (N, 4), column, row, quarter turn, and 1 for a corner that has them; None for those
-            of the largest part. A number that several corners have goes to the first of them. The
-            board is empty if they reach farther than four places for each corner.
+        numbers: (N, 4), column, row, quarter turn, and 1 for a corner that has them. A number that
+            several corners have goes to the first of them. The board is empty if they reach farther
+            than four places for each corner.
         """
-        if numbers is not None:
-            self.write("numbers", numbers)
+        self.write("numbers", numbers)
+        self.write("layout", np.ones(1, np.int32), kernels.PARTS)
         self.enqueue(self.lay)
         return self._board()[1]
 
@@ -314,19 +262,19 @@ class LatticePlan(Binder):
                 ("node_owner", np.int32, self._likely),
                 ("node_rough", np.bool_, self._likely),
             )
-            shape = int(found[borders.ROWS]), int(found[borders.COLUMNS])
-            count = shape[0] * shape[1]
+            rows, columns, sign = found[: kernels.SIDES].tolist()
+            count = rows * columns
         self._likely = count or self._likely
-        x, y = at[: 2 * count].reshape(*shape, 2).transpose(2, 0, 1)
+        x, y = at[: 2 * count].reshape(rows, columns, 2).transpose(2, 0, 1)
         board = Board(
             x=x,
             y=y,
-            owner=owner[:count].reshape(shape),
-            torn=rough[:count].reshape(shape),
-            sign=int(found[borders.SIGN]),
-            border=borders.border_of(found),
+            owner=owner[:count].reshape(rows, columns),
+            torn=rough[:count].reshape(rows, columns),
+            sign=sign,
+            border=Border.of(found[kernels.SIDES :]),
         )
-        return layout, board.turned(borders.upright(found))
+        return layout, board.upright()
 
     def fetch(self, *wanted: tuple[str, Any, int]) -> list[NDArray[Any]]:
         """Return the first elements of buffers after the launches: names, dtypes, counts."""
@@ -356,4 +304,4 @@ def lattice_plan(
     return _kept(device, shape, np.dtype(dtype), full_scale, capacity)
 
 
-_kept = functools.lru_cache(maxsize=MOST_PLANS)(LatticePlan.from_host)
+_kept = functools.lru_cache(maxsize=MOST_PLANS)(LatticePlan)

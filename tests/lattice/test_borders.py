@@ -7,9 +7,8 @@ import pytest
 from lattice_plans import K, gel, plan_for
 
 from cmp_cl import detect
-from cmp_cl.lattice.arrays import NONE, Board
-from cmp_cl.lattice.borders import ROOM, UNSEEN, border_of
-from cmp_cl.lattice.kernels import CUT, LAYOUT, MEASURE
+from cmp_cl.lattice.arrays import NONE, UNSEEN, Board, Border
+from cmp_cl.lattice.kernels import CUT, LAYOUT, MEASURE, SIDES
 from cmp_cl.reference.harmonic import smoothed
 from cmp_cl.reference.lattice import parts
 from cmp_cl.reference.lattice.borders import Sides, trimmed
@@ -19,7 +18,7 @@ def settled(device, image, corners, full_scale=255):
     plan = plan_for(device, image, len(corners), full_scale)
     plan.take(image, corners.xy, corners.edges, corners.refusal)
     plan.start()
-    return plan, plan.settle()
+    return plan, plan.alone()
 
 
 def part_of(board, box):
@@ -33,11 +32,11 @@ def assert_equal_to_the_oracle(plan, board, image, corners):
     plan.write("node_owner", board.owner.astype(np.int32))
     plan.write("used", np.isin(np.arange(len(corners)), board.owner))
     plan.enqueue(plan.bound([MEASURE]))
-    found = plan.read("border", np.int32)
+    found = plan.read("border", np.int32)[SIDES:]
     plane = smoothed(image, plan.full_scale)[0]
     directed = parts.directed(plane, corners.xy, corners.edges, K)
-    border, sides = border_of(found), Sides(board, image, directed, K)
-    assert found[ROOM:].tolist() == sides.found()
+    border, sides = Border.of(found), Sides(board, image, directed, K)
+    assert found.tolist() == sides.found()
     np.testing.assert_array_equal(border.ends, sides.reach != UNSEEN)
     return border
 

@@ -47,9 +47,9 @@ def votes_for(*offsets: int) -> Votes:
 def test_parts_are_joined_by_way_of_others_and_by_corners_in_common(columns, offsets):
     units, count = parts(*columns)
     joining = Joining(units, votes_for(*offsets), count, LatticeConstants())
-    placed = joining.run(0, range(1, len(columns)))
+    numbers = joining.run(0, range(1, len(columns)))
     there = np.unique(units.corner)
     width = count // ROWS
-    np.testing.assert_array_equal(np.flatnonzero(placed.there), there)
-    expected = there % width + 1j * (there // width)
-    np.testing.assert_array_equal(placed.number[there], expected)
+    np.testing.assert_array_equal(np.flatnonzero(numbers[:, 3]), there)
+    expected = np.stack([there % width, there // width], axis=1)
+    np.testing.assert_array_equal(numbers[there, :2], expected)

@@ -15,7 +15,7 @@ def plan_for(
     device: Device, image: NDArray[np.integer], count: int, full_scale: int = 255
 ) -> LatticePlan:
     """Return a plan for images like this one, with so many corners."""
-    return LatticePlan.from_host(device, image.shape, image.dtype, full_scale, count)
+    return LatticePlan(device, image.shape, image.dtype, full_scale, count)
 
 
 def gel(

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.image import GreyImage
-from cmp_cl.lattice.arrays import Board
-from cmp_cl.lattice.borders import UNSEEN, WHOLE
+from cmp_cl.lattice.arrays import UNSEEN, WHOLE, Board
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.reference.lattice.nodes import inverse, nearest_corner
 from cmp_cl.reference.lattice.parts import (
@@ -80,9 +79,8 @@ class Sides:
 
     room: most places of a further line lie in the image, and it can be seen that there is none.
     follows: cells follow, or corners that could be linked. reach: of the last squares beyond the
-    last nodes, 1/4096 cell, UNSEEN where the pattern is not seen to end. steps: sums of the steps
-    to the next column, x and y, and to the next row, 1/32 px. further: corners on a line that
-    follows, and are no nodes.
+    last nodes, 1/4096 cell, UNSEEN where the pattern is not seen to end. further:
+    corners on a line that follows, and are no nodes.
     """
 
     def __init__(
@@ -98,8 +96,6 @@ class Sides:
         self.room = np.array([self._has_room(*way) for way in self.ways])
         self.follows, self.reach = np.zeros(4, np.bool_), np.full(4, UNSEEN)
         self.further = np.zeros(4, np.int64)
-        steps = [np.diff(each, axis=axis) for axis in (1, 0) for each in (self.x, self.y)]
-        self.steps = [int(np.floor(F(32) * d[~np.isnan(d)] + F(0.5)).sum()) for d in steps]
         if min(there.shape) < 2:
             return
         reach = np.zeros(4, np.float32)
@@ -122,7 +118,6 @@ class Sides:
             *self.room.tolist(),
             *self.follows.tolist(),
             *self.reach.tolist(),
-            *self.steps,
             *self.further.tolist(),
         ]
 
