@@ -3,7 +3,7 @@
 import argparse
 import contextlib
 import sys
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 
 from cmp_cl.cli.arguments import (
     add,
@@ -19,12 +19,11 @@ from cmp_cl.cli.arguments import (
 )
 from cmp_cl.cli.messages import counted, one_line, progress, shown, tell
 from cmp_cl.cli.running.pace import Pace
+from cmp_cl.cli.running.recording import Recording
 from cmp_cl.cli.running.results import Results
-from cmp_cl.cli.running.sources import at_rest, why_left_out
 from cmp_cl.cli.running.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import CmpClError, ConfigError, GridError
-from cmp_cl.image import GreyImage
 from cmp_cl.measure import Measured, OneView, Settings, TwoViews
 from cmp_cl.media import Frame
 from cmp_cl.media.ahead import Ahead
@@ -124,17 +123,18 @@ def run(arguments: argparse.Namespace) -> int:
     pictures = [f"{arguments.plot}{suffix}" for suffix in (".png", ".mp4") if arguments.plot]
     series = [] if arguments.out == "-" else [arguments.out]
     check_files([*source.paths, arguments.config, arguments.stereo], [*series, *pictures])
-    rest, frames = at_rest(source, arguments.rest_frame)
+    recording = Recording(source, arguments.rest_frame)
     settings = {
         "source": source.name,
         "rest_frame": str(arguments.rest_frame),
         "device": str(device),
         "configuration": repr(config) if config else "for the cells seen at rest",
     }
-    failed: list[Exception] = []
+    ended_by: Exception | None = None
+    pace = Pace("the camera" if source.live else "decoding")
     with contextlib.ExitStack() as stack:
         stack.enter_context(handled(stop))
-        measure = _measurement(arguments, source, rest, config, rig, device)
+        measure = _measurement(arguments, recording, config, rig, device)
         stack.enter_context(measure)
         found = Results(
             measure,
@@ -145,22 +145,22 @@ def run(arguments: argparse.Namespace) -> int:
             period_ms=source.period_ms,
         )
         stack.enter_context(found)
-        pace = Pace("the camera" if source.live else "decoding")
         try:
-            _flow(arguments.rest_frame, source, rest, frames, measure, found, pace, stop)
+            _flow(recording, measure, found, pace, stop)
         except (CmpClError, OSError) as error:
             if isinstance(error, BrokenPipeError) or not found.frames:
                 raise  # the reader of a pipe has gone, or there is nothing to keep
-            failed.append(error)
+            ended_by = error
         if stop.name and not found.frames:  # an older series stays
             raise KeyboardInterrupt
         with pace.spent("writing"):
             found.complete()
-        lengths = "" if rig or arguments.cell else " in the image: --stereo or --cell give lengths"
-        if rig and rig.window is None:
-            lengths = ", depth as in air: calibrate --window is for acrylic or gel"
-        said = f"{found.line(lengths)}; {pace.line(found.frames)}; measured on {device}"
+        speed = pace.line(found.frames)
         pictures = found.pictures()
+    lengths = "" if rig or arguments.cell else " in the image: --stereo or --cell give lengths"
+    if rig and rig.window is None:
+        lengths = ", depth as in air: calibrate --window is for acrylic or gel"
+    said = f"{found.line(lengths)}; {speed}; measured on {device}"
     if isinstance(source, Pairs) and any(source.alone):
         left, right = source.alone
         said += f"; {left} left and {right} right frames without a partner"
@@ -171,9 +171,9 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"wrote {shown(picture)}", file=report)
     if found.ambiguous:
         tell(_about_ambiguous(found.ambiguous, track=arguments.track))
-    failed += [found.error] if found.error is not None else []
+    failed = [one_line(error) for error in (ended_by, found.error) if error is not None]
     if failed:
-        tell("; ".join(map(one_line, failed)))
+        tell("; ".join(failed))
         return 2
     return 130 if stop.name and not source.live else 0
 
@@ -202,19 +202,18 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def _measurement(
     arguments: argparse.Namespace,
-    source: Source | Pairs,
-    rest: GreyImage,
+    recording: Recording,
     config: DetectorConfig | None,
     rig: StereoRig | None,
     device: Device,
 ) -> OneView | TwoViews:
-    """Return the measurement of frames against this frame at rest, and tell the doubts about it.
+    """Return the measurement of frames against the frame at rest, and tell the doubts about it.
 
     Raises GridError if it shows no pattern.
     """
-    full_scale, hint = arguments.full_scale, ""
+    rest, full_scale, hint = recording.rest, arguments.full_scale, ""
     if full_scale is None and (config is None or config.full_scale is None):
-        full_scale = source.full_scale
+        full_scale = recording.source.full_scale
     search: Settings = {
         "shape": arguments.grid,
         "config": config,
@@ -223,7 +222,7 @@ def _measurement(
         "track": arguments.track,
         "strain": arguments.strain,
     }
-    where = f"frame {arguments.rest_frame}, the frame at rest"
+    where = f"frame {recording.number}, the frame at rest"
     measure: OneView | TwoViews
     try:
         if rig is None:
@@ -241,23 +240,15 @@ def _measurement(
 
 
 def _flow(
-    rest_frame: int,
-    source: Source | Pairs,
-    rest: GreyImage,
-    frames: Generator[Frame, None, None],
-    measure: OneView | TwoViews,
-    found: Results,
-    pace: Pace,
-    stop: Stop,
+    recording: Recording, measure: OneView | TwoViews, found: Results, pace: Pace, stop: Stop
 ) -> None:
     """Measure each frame while the next ones are decoded and the one before is written.
 
     Whatever ends it, all that was measured is written.
     """
     with (
-        Ahead(frames, _AHEAD) as decoded,
-        Ahead(_measured(iter(decoded), rest, measure, pace, stop), _AHEAD) as results,
-        progress(source.total, "frames") as bar,
+        Ahead(_measured(recording, measure, pace, stop), _AHEAD) as results,
+        progress(recording.source.total, "frames") as bar,
     ):
         try:
             for frame, measured in results:
@@ -265,37 +256,34 @@ def _flow(
                 bar.update()
                 if measured is not None:
                     # The others have the numbers of the frame at rest.
-                    ambiguous = measured.ambiguous and frame.index != rest_frame
+                    ambiguous = measured.ambiguous and frame.index != recording.number
                     with pace.spent("writing"):
                         found.write(frame, measured, ambiguous=ambiguous)
                     continue
                 found.left_out += 1
                 if found.left_out <= _LINES_OF_BROKEN:
                     bar.clear()
-                    tell(why_left_out(frame, rest, live=source.live))
+                    tell(recording.why_left_out(frame))
         finally:
             ignore()  # no signal stops the end of what is written
 
 
 def _measured(
-    decoded: Iterator[Frame],
-    rest: GreyImage,
-    measure: OneView | TwoViews,
-    pace: Pace,
-    stop: Stop,
+    recording: Recording, measure: OneView | TwoViews, pace: Pace, stop: Stop
 ) -> Generator[tuple[Frame, Measured | None], None, None]:
     """Yield each frame with what is measured in it, None if it is not like the frame at rest."""
-    while not stop.name:
-        with pace.spent(pace.source):
-            frame = next(decoded, None)
-        if frame is None:
-            return
-        image = frame.image
-        if image is None or (image.shape, image.dtype) != (rest.shape, rest.dtype):
-            measure.skip()
-            yield frame, None
-        else:
-            yield frame, measure(image)
+    with Ahead(recording.frames, _AHEAD) as decoded:
+        frames = iter(decoded)
+        while not stop.name:
+            with pace.spent(pace.source):
+                frame = next(frames, None)
+            if frame is None:
+                return
+            if frame.image is None or recording.why_left_out(frame):
+                measure.skip()
+                yield frame, None
+            else:
+                yield frame, measure(frame.image)
 
 
 def _about_ambiguous(count: int, *, track: bool) -> str:

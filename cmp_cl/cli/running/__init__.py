@@ -1,1 +1,1 @@
-"""What `cmp-cl run` is made of: its source, its pace, its results, and the signals that stop it."""
+"""What `cmp-cl run` is made of: a recording, its pace, its results, and what stops it."""
