@@ -266,7 +266,8 @@ typedef struct {
 } Cells;
 Cells cells_at(LEVELS_OF_IMAGE, const float2 at, const Steps steps, const int parity,
                const float depth) {
-  const float2 s = depth * (steps.u + steps.v), t = depth * (steps.v - steps.u);
+  const float share = depth_within(depth, inverse_root(LARGER(steps.cell * steps.cell, 1.0f)));
+  const float2 s = share * (steps.u + steps.v), t = share * (steps.v - steps.u);
   const int a = level_at(LEVELS, at.x + s.x, at.y + s.y), b = level_at(LEVELS, at.x - s.x, at.y - s.y);
   const int c = level_at(LEVELS, at.x + t.x, at.y + t.y), d = level_at(LEVELS, at.x - t.x, at.y - t.y);
   const int least = SMALLER(c, d) - LARGER(a, b), other = SMALLER(a, b) - LARGER(c, d);

@@ -42,7 +42,7 @@ typedef struct {
  * it has if colours change after every step. */
 int difference_of_way(LEVELS_OF_IMAGE, const float2 from, const float x, const float y, const int m,
                       const float depth, const float depth_px) {
-  const float share = LARGER(depth, depth_px * inverse_root(LARGER(x * x + y * y, 1.0f)));
+  const float share = share_beside(LARGER(x * x + y * y, 1.0f), depth, depth_px);
   const float across_x = -(share * y), across_y = share * x;
   int sum = 0;
   for (int e = 0; e < 8 * m; e += 8)

@@ -160,7 +160,8 @@ def _hanging(board: Board, image: GreyImage) -> int:
     """
     place = board.x + 1j * board.y.astype(np.float64)
     along, down = _steps(place.T).T, _steps(place)
-    s, t = K.cell_depth * (along + down), K.cell_depth * (down - along)
+    depth = K.cell_depth * np.minimum(1, 2 * K.wide_px / (np.abs(along) + np.abs(down)))
+    s, t = depth * (along + down), depth * (down - along)
     plane = cv2.blur(image, (3, 3))
     a, b, c, d = (_levels(plane, place + each) for each in (s, -s, t, -t))
     alike = np.abs(a - b) + np.abs(c - d) < K.passing * np.abs(a + b - c - d)

@@ -32,6 +32,10 @@ class LatticeConstants:
         in the cells are met.
     side_depth_px: px, the same, at least: the smoothed image is three pixels wide. With 0, torn
         gels lose 2 387 of 168 497 nodes.
+    wide_px: px, the depths at which the levels of wider cells are read are those of cells so wide:
+        blur is of pixels, and there may be marks farther within. Of 1583 corners of boards with
+        marks of .6 to .85 of a cell 928 are nodes without it, 1417 with 40, 1479 with 35 and 1495
+        with 30; of 1894 of boards in a fisheye 1814, 1824, 1822 and 1810, and 1794 with 25.
     agree: shares of a step, greatest difference between faces that share a link. With .4, 262 335
         torn corners lose 798 nodes, and a fisheye's rim whole blocks of cells.
     agree_cut: factor, by which that tolerance falls for a part that contradicts itself.
@@ -58,8 +62,7 @@ class LatticeConstants:
         the middle of two, of the fourth corner of a cell, of an extrapolation.
     cell_depth: steps, from a node along both axes, at which its four cells are read. With .12, 48
         gels torn by rings have 251 more nodes, and a wrong number in 4 gels and not in 1; nearer to
-        the node any corner looks right. With .12 here and .08 of sides, marks of .8 of a cell hide
-        no board; as it is, of .65.
+        the node any corner looks right.
     rough_weight_per_px2: 1/px^2, weight of a rough corner among the predictions of its
         neighbours, per area of a cell: 14 at cells of 13 px. Least false nodes and least error
         of 6 to 30 tried there.
@@ -108,6 +111,7 @@ class LatticeConstants:
     side_points: tuple[float, ...] = (0.25, 0.375, 0.5, 0.625, 0.75)
     side_depth_cells: float = 0.12
     side_depth_px: float = 1.25
+    wide_px: float = 30.0
     # Faces and parts
     agree: float = 0.5
     agree_cut: float = 1.3

@@ -119,6 +119,7 @@ class LatticePlan(Binder):
         values = *k.prediction_weights, *k.beyond_cells, k.border_step_cells
         return {
             **{name: f"{value}f" for name, value in zip(shares + cells, values, strict=True)},
+            "WIDE": f"{k.wide_px}f",
             "PIXEL": "uchar" if self.dtype == np.uint8 else "ushort",
             "PAD": self.pad,
             "WHOLE_LEVELS": int(whole),

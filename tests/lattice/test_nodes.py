@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from lattice_plans import K, gel, plan_for
 from lattices import keep
+from scenes import SCENES
 
 from cmp_cl import detect
 from cmp_cl.lattice.arrays import LOOKED, NONE, Board
@@ -88,6 +89,12 @@ def test_gels(device, severity, seed):
     image = gel(severity, seed=seed, indenter=Indenter.TORUS)
     board = assert_equal_to_the_oracle(device, image, detect(image))
     assert np.count_nonzero(board.owner >= 0) > 250
+
+
+def test_wide_cells_with_codes(device):
+    image = SCENES["board with codes of 0.85"].view().image
+    board = assert_equal_to_the_oracle(device, image, detect(image))
+    assert np.count_nonzero(board.owner >= 0) == 35
 
 
 def test_a_crop(device):

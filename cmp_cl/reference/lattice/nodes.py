@@ -18,6 +18,7 @@ from cmp_cl.reference.lattice.parts import (
     Mask,
     Real,
     Whole,
+    depth_within,
     inverse_root,
     length_of,
     read,
@@ -149,7 +150,7 @@ def cells_at(
 ) -> tuple[Whole, Whole]:
     """Return of the four cells at each node the least bright less the greatest dark level, and
     twice their contrast, in sixteenths of a grey level."""
-    f = F(k.cell_depth)
+    f = depth_within(k.cell_depth, inverse_root(np.maximum(steps.cell * steps.cell, F(1))), k)
     sx, sy = f * (steps.ux + steps.vx), f * (steps.uy + steps.vy)
     tx, ty = f * (steps.vx - steps.ux), f * (steps.vy - steps.uy)
     dark = read(plane, x + sx, y + sy), read(plane, x - sx, y - sy)

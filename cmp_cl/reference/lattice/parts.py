@@ -219,6 +219,19 @@ def boundary(angle: Whole, dx: Real, dy: Real) -> tuple[Whole, Real]:
     return np.where(along >= 0, line, line + 2), np.abs(along)
 
 
+def depth_within(depth: float, per_px: Real, constants: LatticeConstants) -> Real:
+    """Return how deep cells of a length are read, in shares of it; per_px: 1 over the length."""
+    result: Real = F(depth) * np.minimum(F(1), F(constants.wide_px) * per_px)
+    return result
+
+
+def side_depth(per_px: Real, constants: LatticeConstants) -> Real:
+    """Return how far beside a way its sides are read, in shares of its length."""
+    within = depth_within(constants.side_depth_cells, per_px, constants)
+    result: Real = np.maximum(within, F(constants.side_depth_px) * per_px)
+    return result
+
+
 def side_sum(
     plane: NDArray[np.integer],
     start: tuple[Real, Real],
@@ -228,9 +241,7 @@ def side_sum(
     """Return the sum over five points of the level left of a way less that right of it."""
     (x, y), (dx, dy) = start, step
     square = np.maximum(dx * dx + dy * dy, F(1))
-    depth = np.maximum(
-        F(constants.side_depth_cells), F(constants.side_depth_px) * inverse_root(square)
-    )
+    depth = side_depth(inverse_root(square), constants)
     across, down = -(depth * dy), depth * dx
     total = np.zeros(x.shape, np.int64)
     for t in constants.side_points:

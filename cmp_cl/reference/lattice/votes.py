@@ -18,6 +18,7 @@ from cmp_cl.reference.lattice.parts import (
     inverse_root,
     length_of,
     read,
+    side_depth,
 )
 
 
@@ -79,7 +80,7 @@ def votes(
         n = np.flatnonzero(good)
         part_x, part_y = dx[n] * F(1 / m), dy[n] * F(1 / m)
         square = np.maximum(part_x * part_x + part_y * part_y, F(1))
-        depth = np.maximum(F(k.side_depth_cells), F(k.side_depth_px) * inverse_root(square))
+        depth = side_depth(inverse_root(square), k)
         across, down = -(depth * part_y), depth * part_x
         total = np.zeros(len(n), np.int64)
         for j in range(m):
