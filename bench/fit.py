@@ -43,6 +43,8 @@ OCTAVES: dict[str, tuple[float, ...]] = {  # of the oracle; `relative` is the ru
 SIGMA = {
     "VARIANCE_OF_RANGE": (3000, 1000, 2000, 5000),  # the first is the default
     "LEAST_RANGE": (0.0015, 0.0035),
+    "VARIANCE_OF_LEAST": (0, 250, 1000),
+    "GREATEST_LEAST": (0.02, 0.03),
     "VARIANCE_OF_GRAIN": (0, 1, 1.5, 3),
 }
 ENLARGED = {"x2": 2, "x3": 3, "x4": 4}

@@ -23,6 +23,8 @@
 #define VARIANCE_OF_EXCESS 1000 /* px^2 per squared excess, as in cmp_cl/stages/refine.py */
 #define VARIANCE_OF_RANGE 3000
 #define LEAST_RANGE 0.0025f
+#define VARIANCE_OF_LEAST 500
+#define GREATEST_LEAST 0.025f
 #define VARIANCE_OF_GRAIN 2.2f
 #define QUANTILES 4
 #define OF_GRAIN 3 /* the last of them */
@@ -88,15 +90,17 @@
 #define OCTAVE_OF(n) (OCTAVES ? octaves[n] : 0)
 
 /* A variance, px^2, and by how much it grows: by the grain of the noise, by the excess of the
- * corner's autocorrelation over the median of its octave, and by the range of the least. */
+ * corner's autocorrelation over the median of its octave, by the range of the least, and by the
+ * least. */
 float grown_variance(const float variance, const int octave, const int is_step,
                      const float correlation, const float4 quantile) {
   const float excess = fmax(correlation - quantile.z, 0.0f); /* 0 if there are none */
   const float spread = fmax(quantile.y - quantile.x - LEAST_RANGE, 0.0f);
+  const float stepped = fmax(quantile.x - GREATEST_LEAST, 0.0f);
   const float coarse = fmax(VARIANCE_OF_GRAIN * quantile.w - 1, 0.0f);
   const float of_noise = is_step ? variance - VARIANCE_OF_MODEL * (float)(1 << 2 * octave) : 0;
   const float more = coarse * of_noise + VARIANCE_OF_EXCESS * excess * excess +
-                     VARIANCE_OF_RANGE * spread * spread;
+                     VARIANCE_OF_RANGE * spread * spread + VARIANCE_OF_LEAST * stepped * stepped;
   return variance + more;
 }
 

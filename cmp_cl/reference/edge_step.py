@@ -22,6 +22,7 @@ LEAST_SPREAD = 1e-3  # of the model, relative to its weighted mean square
 GRADIENT = 1e-3  # 1/px, expected gradient of the light, unless the image shows a larger one
 SIGNIFICANT = 9.0  # squared standard deviations: above it, the gradient in the image is used
 DOUBT = 0.010  # excess autocorrelation of the residual
+GREATEST_LEAST = 0.025  # 5th percentile of the autocorrelations, in a good frame
 LEAST_RANGE = 0.0025  # from the 5th to the 40th percentile of autocorrelations, in a good frame
 # px: error of a position on perfect prints by bent edges, shading and sampling, beside the noise
 STEP_ERROR = 0.01
@@ -79,15 +80,17 @@ def edge_step(
     longest, furthest = LARGEST_STEP / scale, STEP_SHIFT / scale
     accepted = solvable & (length <= longest) & (moved <= furthest)
 
-    excess, spread, coarse = np.zeros(len(start)), 0.0, 1.0
+    excess, spread, stepped, coarse = np.zeros(len(start)), 0.0, 0.0, 1.0
     if accepted.any():
         least, low, middle = (ranked(correlation[accepted], n) for n in (5, 40, 50))
         excess = np.maximum(0, correlation - middle)
         spread = max(0, low - least - LEAST_RANGE)
+        stepped = max(0, least - GREATEST_LEAST)
         few = np.zeros(FEW)  # corners more, without grain: so few would not tell what the noise is
         typical = ranked(np.concatenate([grain[accepted], few]), 50)
         coarse = max(1, VARIANCE_OF_GRAIN * typical)
     of_step = STEP_ERROR**2 + 0.5 * variance * coarse + 1000 * (excess / size) ** 2
+    of_frame = (3000 * spread**2 + 500 * stepped**2) / size**2
     of_refused = np.where(solvable, longest**2, 0)  # the lines and the step differ by more
     margin = np.min(
         [
@@ -104,7 +107,7 @@ def edge_step(
         refusal=np.select([accepted, solvable], [Refusal.NONE, Refusal.SHIFT], Refusal.FLAT).astype(
             np.uint8
         ),
-        variance=np.where(accepted, of_step, of_refused) + 3000 * (spread / size) ** 2,
+        variance=np.where(accepted, of_step, of_refused) + of_frame,
         doubtful=accepted & (excess > DOUBT),
         margin=margin,
     )

@@ -26,10 +26,13 @@ STEP_RADIUS = (0.75, 4.5, 9.0)  # of EDGE_STEP's disc: cells, and its least and 
 STEP_SHIFT = 2.0  # px of the working image: EDGE_STEP's largest distance from its start
 DOUBTFUL_EXCESS = 0.010  # excess of the residual's autocorrelation over the frame's median
 VARIANCE_OF_EXCESS = 1000  # px^2 per squared excess, fitted on rendered scenes and on boards
-# px^2 per squared range of the lesser autocorrelations, and their range in a good frame; then by
-# what the part by noise grows, per median grain. All were fitted on boards by bench/fit.py.
+# px^2 per squared range of the lesser autocorrelations, and their range in a good frame; the same
+# for the least of them; then by what the part by noise grows, per median grain. All were fitted on
+# boards by bench/fit.py.
 VARIANCE_OF_RANGE = np.float32(3000)
 LEAST_RANGE = np.float32(0.0025)
+VARIANCE_OF_LEAST = np.float32(500)
+GREATEST_LEAST = np.float32(0.025)
 VARIANCE_OF_GRAIN = np.float32(2.2)
 FEW = 8  # corners that do not tell what the noise is
 VARIANCE_OF_MODEL = np.float32(1e-4)  # px^2 of the image: the part that noise has no share in
@@ -237,8 +240,8 @@ def _grown(
     Noise that neighbours share moves a corner more than other noise: the part by noise grows with
     the median grain. A corner with an excess above DOUBTFUL_EXCESS is doubtful: its surroundings do
     not look like the corner model. Where the whole frame does not, because its pixels are enlarged
-    or compressed, the least autocorrelations spread; texture beside a pattern spreads the others
-    alone.
+    or compressed, the least autocorrelations spread, or are all large where pixels are enlarged by
+    more than blur hides; texture beside a pattern changes the others alone.
     """
     variance, correlation, grain = fields[VARIANCE], fields[CORRELATION], fields[GRAIN]
     count = int(np.count_nonzero(accepted))
@@ -250,6 +253,7 @@ def _grown(
     least, low, middle = (ordered[rank] for rank in ranks)
     excess = np.maximum(correlation - middle, 0)
     spread = np.maximum(low - least - LEAST_RANGE, 0)
+    stepped = np.maximum(least - GREATEST_LEAST, 0)
     coarse = np.float32(0)
     if count > FEW:
         rank = ranks[2] - FEW // 2  # the median with FEW corners more that have none
@@ -259,5 +263,6 @@ def _grown(
         coarse * of_noise
         + VARIANCE_OF_EXCESS * excess * excess
         + VARIANCE_OF_RANGE * spread * spread
+        + VARIANCE_OF_LEAST * stepped * stepped
     )
     return variance + more, excess

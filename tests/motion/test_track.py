@@ -79,7 +79,7 @@ def result_of(found, room):
         fields[METHOD].view(np.uint8)[:count] = corners.method
         fields[METHOD].view(np.uint8)[padded : padded + count] = corners.refusal
         fields[VARIANCE, :count] = corners.sigma**2
-        fields[CORRELATION, :count] = 0.2
+        fields[CORRELATION, :count] = 0.02  # as of a good frame
     return result
 
 
