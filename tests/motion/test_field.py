@@ -165,7 +165,7 @@ CASES = {  # shape, holes, wrong nodes
     "too small to filter": ((4, 4), [], []),
     "wide": ((7, 40), [(3, 20)], []),
 }
-ONCE = {"narrow": 1, "wide": 2, "too small to filter": 2}  # the views of a shape by default
+ONCE = {"narrow": 1, "wide": 2}  # the views of a shape by default
 
 
 def in_views(cases, *others):
