@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cameras import SIZE, camera
 from cases import some
-from stereo_data import gel, grid_of, photographs, project, toed_in_rig, truth_grid
+from stereo_data import gel, grid_of, opencv_pairs, project, toed_in_rig
 
 from cmp_cl import CalibrationError, calibrate
 from cmp_cl.points import sides
@@ -247,11 +247,7 @@ def test_the_covariance_of_a_rig_is_that_of_its_errors():
 
 
 def test_opencvs_pairs_measure_a_board_in_a_view_that_calibration_did_not_see():
-    folder = photographs("stereo_opencv")
-    seen = {
-        side: [truth_grid(folder / f"{side}{pair:02}.json") for pair in range(1, 6)]
-        for side in ("left", "right")
-    }
+    seen = opencv_pairs()
     for out in (0, 3):
         others = {side: [*grids[:out], None, *grids[out + 1 :]] for side, grids in seen.items()}
         found = calibrate(others, spacing=25, sizes=dict.fromkeys(seen, SIZE))

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from cameras import DISTORTIONS, MATRIX, SIZE, camera
-from stereo_data import grid_of, photographs, truth_grid
+from stereo_data import grid_of, opencv_pairs
 
 from cmp_cl.errors import CalibrationError, ConfigError
 from cmp_cl.space import Lens, StereoRig, calibrate
@@ -53,11 +53,7 @@ def test_corners_that_a_format_cannot_hold_are_refused(tmp_path):
 
 
 def test_opencv_and_the_library_read_a_rig_back(tmp_path):
-    folder = photographs("stereo_opencv")
-    grids = {
-        side: [truth_grid(folder / f"{side}{pair:02}.json") for pair in range(1, 6)]
-        for side in ("left", "right")
-    }
+    grids = opencv_pairs()
     found = calibrate(grids, spacing=25, sizes=dict.fromkeys(grids, SIZE))
     save_cameras(tmp_path / "rig.yaml", found.cameras, covariance=found.covariance)
     again = StereoRig.load(tmp_path / "rig.yaml")

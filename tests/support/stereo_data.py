@@ -48,6 +48,15 @@ def truth_grid(path: Path) -> Grid:
     return grid_of(xy)
 
 
+def opencv_pairs() -> dict[str, list[Grid]]:
+    """Return the listed corners of OpenCV's five photographs of each camera, 640 x 480 px."""
+    folder = photographs("stereo_opencv")
+    return {
+        side: [truth_grid(folder / f"{side}{pair:02}.json") for pair in range(1, 6)]
+        for side in ("left", "right")
+    }
+
+
 def upright(grid: Grid) -> Grid:
     """Return the grid numbered by the image: rotated by 180 degrees if its rows run upwards."""
     down = np.nanmean(np.diff(grid.xy[..., 1], axis=0)) > 0
