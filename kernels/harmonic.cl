@@ -374,7 +374,8 @@ __kernel void see_octave(__global const int *restrict lists, __global const uint
   OF_FRAME
   ENTRY(KIND_OF_OCTAVE(1))
   const int r = entry[2 * capacity];
-  if (r <= DECISION(p, octave).bound[0] || 128 * r < coarse_share * DECISION(p, 0).reference) return;
+  if (r <= DECISION(p, octave).bound[0]) return;
+  if (128 * r < coarse_share * DECISION(p, 0).reference) return;
   atomic_or(seen + word, 1u << x % 32);
 }
 
@@ -511,8 +512,8 @@ __kernel void start_rows(__global const uint *restrict row_counts, const uint ro
   if (k + 1 == FRAME_GROUP) counts[count_offset + p] = start;
 }
 
-/* Put the corners in (y, x) order: each finds its rank among the bits of the maxima. One work-item per
- * maximum; dimension 1 is a list of a frame. */
+/* Put the corners in (y, x) order: each finds its rank among the bits of the maxima. One work-item
+ * per maximum; dimension 1 is a list of a frame. */
 __kernel void put_in_order(__global int *restrict lists, __global const uint *restrict counts,
                            __global const uint *restrict maxima,
                            __global const uint *restrict row_starts, const uint rows,

@@ -24,7 +24,8 @@
 #define REACH_OF_RING 5
 #define REACH_OF_WIDE (OCTAVES ? 8 : REACH_OF_RING)
 #define LAG (REACH_OF_RING + 3) /* from an image row to the response that it completes */
-#define BESIDE_MAXIMUM LARGER(NMS_RADIUS, OCTAVES ? 3 : 2) /* rows of suppression, and of the moments */
+/* Rows of suppression, and of the moments. */
+#define BESIDE_MAXIMUM LARGER(NMS_RADIUS, OCTAVES ? 3 : 2)
 #define BEYOND (LAG + BESIDE_MAXIMUM)
 #define ROWS_AT_A_TIME 8 /* that a band takes */
 
@@ -266,9 +267,9 @@ int coarse_response_of(const Harmonics h) {
 int dot_of(const int2 a, const int2 b) { return a.x * b.x + a.y * b.y; }
 
 /* Append a maximum to a list. The columns are x, y, the response, and the sum and the moments in x
- * and y of the positive responses of the 5 x 5 around it. `mark` is CLEAN or WIDE, and the direction.
- * `rows_of` holds the five rows; those outside the image are 0. A response is at most 11 220, so the sum of five fits
- * in 16 bits. */
+ * and y of the positive responses of the 5 x 5 around it. `mark` is CLEAN or WIDE, and the
+ * direction. `rows_of` holds the five rows; those outside the image are 0. A response is at most
+ * 11 220, so the sum of five fits in 16 bits. */
 #define CLEAN (1 << 30) /* in the column of the sums, of the frame: little is subtracted from the
                            length. Weak at most in contrast, it may be half as weak as others */
 #define WIDE CLEAN      /* the same bit in a halved frame: the ring of 8 px responds too */
@@ -346,8 +347,8 @@ int reference_of(__global const int *lists, __global const uint2 *spans, const u
   return reference;
 }
 
-/* Whether a mark is within x - before .. x + behind, and in such rows; behind is before, or one more.
- * The nearest rows come first: most marks are within one or two rows. */
+/* Whether a mark is within x - before .. x + behind, and in such rows; behind is before, or one
+ * more. The nearest rows come first: most marks are within one or two rows. */
 int is_marked(__global const uint *marks, const int x, const int y, const int before,
               const int behind, const int last, const uint width) {
   const uint first = (uint)(PAD + x - before);
@@ -386,8 +387,8 @@ int bound_of_octave(__global const ulong *noise, const uint n, const uint rows,
 
 #if OCTAVES
 
-/* A corner of octave n has no other one within 5 px of the octave, in x and in y. Corners are marked
- * in a map of pixels of the octave, shifted by half a pixel: a maximum at x is near those at
+/* A corner of octave n has no other one within 5 px of the octave, in x and in y. Corners are
+ * marked in a map of pixels of the octave, shifted by half a pixel: a maximum at x is near those at
  * x - 4 .. x + 5. */
 #define LEAST_SHARE 48 /* of the reference, in 1/128 */
 #define MARK_AT(x, n) (((x) + (1 << (n) >> 1)) >> (n))
@@ -519,8 +520,8 @@ uint add_octave(const uint n, const Octave octave, __global uint2 *spans, __glob
 
 #endif
 
-/* Shorten the lists of a kind to the maxima above the bound from the noise, and not below a share of
- * the reference, or half of that share if they are clean; or to those that are not LONE. */
+/* Shorten the lists of a kind to the maxima above the bound from the noise, and not below a share
+ * of the reference, or half of that share if they are clean; or to those that are not LONE. */
 #define SHORTEN(IS_KEPT)                                                            \
   for (uint band = 0; band < bands; ++band) {                                       \
     __global int *list = LIST_OF(band, kind);                                       \
@@ -544,8 +545,8 @@ void remove_lone(__global int *lists, __global uint2 *spans, const uint kind, co
 }
 
 /* Write the maxima that are corners, in (y, x) order: those that are strong enough and not lone; a
- * fine one counts only if no coarse corner is within NMS_RADIUS. `maxima` gets a bit for each coarse corner.
- * The lists keep the corners. */
+ * fine one counts only if no coarse corner is within NMS_RADIUS. `maxima` gets a bit for each coarse
+ * corner. The lists keep the corners. */
 void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
             __global int *lists, const uint rows, const uint columns, const uint step,
             const uint bands, const uint capacity, const uint full_scale,
@@ -807,8 +808,8 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
 }
 
 /* List the maxima of all octaves, and decide for the frame. The frame has its first pixel at
- * `frame_start` and rows of `frame_step` elements; the octaves lie behind the frames in `image`. One
- * work-item per band. The last band of a frame to finish decides; `finished` counts them. It and
+ * `frame_start` and rows of `frame_step` elements; the octaves lie behind the frames in `image`.
+ * One work-item per band. The last band of a frame to finish decides; `finished` counts them. It and
  * `taken` are 0 between launches. The fences and the counts order the lists of all bands before the
  * decision, on every CPU: OpenCL 1.2 alone does not promise it between groups. */
 __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
@@ -830,13 +831,14 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
   const uint band = get_global_id(0), bands = get_global_size(0), segments = (bands + 1) / 2;
   const size_t p = get_global_id(1), own = p * bands + band;
 #if OCTAVES
-  halve_frame(frame + frame_start + p * rows * frame_step, frame_step, image, rows, columns, step, p,
-              get_global_size(1), halved + 2 * p, halved + 2 * p + 1);
+  halve_frame(frame + frame_start + p * rows * frame_step, frame_step, image, rows, columns, step,
+              p, get_global_size(1), halved + 2 * p, halved + 2 * p + 1);
 #endif
   uint before = 0; /* bands of the smaller octaves: these spread over the work-items */
   for (int n = OCTAVES; n >= 0; --n) {
     const Octave octave = octave_of((uint)n, rows, columns, step, get_global_size(1));
-    const uint searching = bands_of((uint)n, rows, bands), b = (band + bands - before % bands) % bands;
+    const uint searching = bands_of((uint)n, rows, bands);
+    const uint b = (band + bands - before % bands) % bands;
     before += searching;
     if (b >= searching) continue;
     __global PIXEL *first = image + octave.start + (p * octave.rows + 1) * octave.step + PAD;
