@@ -48,6 +48,7 @@ __kernel void number_corners(__global const float *restrict corners, const uint 
   ALL_TOGETHER;
   if (get_local_id(0) == 0) {
     layout[PARTS] = parts;
+    layout[MAIN] = main;
     layout[VOTES] = 0;
   }
   FOR_ALL(i, count) {

@@ -20,7 +20,8 @@ float mean_step(__global const float2 *at, __global const int *twin, const int i
 }
 
 /* Whether a half-edge is the first of its corner in a part that is large enough. */
-bool is_node(__global const int *part, __global const int *size, const int least_part, const int h) {
+bool is_node(__global const int *part, __global const int *size, const int least_part,
+             const int h) {
   bool found = part[h] != NONE && size[part[h]] >= least_part;
   for (int k = h & ~3; k < h; ++k) found &= part[k] != part[h];
   return found;
@@ -56,9 +57,9 @@ int difference_of_way(LEVELS_OF_IMAGE, const float2 from, const float x, const f
   return sum;
 }
 
-/* A vote: both parts, by their roots, the larger one first; the quarter turns, column and row of the
- * second one's numbers in those of the first; and the weight as the bits of a float. `number` is
- * that of the half-edge `other` in the first part. */
+/* A vote: both parts, by their roots, the larger one first; the quarter turns, column and row of
+ * the second one's numbers in those of the first; and the weight as the bits of a float. `number`
+ * is that of the half-edge `other` in the first part. */
 #define VOTE 6
 void add_vote(__global const int *part, __global const int4 *state, const int one, const int other,
               const int quarter, const int2 number, const float weight, const int room,
@@ -75,8 +76,8 @@ void add_vote(__global const int *part, __global const int4 *state, const int on
 }
 
 /* List the votes of a frame of several parts, in any order; layout[VOTES], their number, may exceed
- * `room`. A pair of nodes is listed by one that has the other in its reach, by the one of the larger
- * part if both have. One work-item per half-edge. */
+ * `room`. A node has votes beside those of larger parts in its reach. One work-item per
+ * half-edge. */
 #define ROTATION(h) (state[h].z - (h))
 #define IS_LARGER(one, other) \
   (size[one] > size[other] || (size[one] == size[other] && (one) < (other)))
@@ -91,7 +92,7 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
                          __global int *restrict layout, __global int *restrict votes) {
   const int h = get_global_id(0), i = h >> 2;
   if (layout[PARTS] < 2 || h >= 4 * (int)COUNT(corners)) return;
-  if (!is_node(part, size, least_part, h) || !is_at_rim(part, i)) return;
+  if (part[h] == layout[MAIN] || !is_node(part, size, least_part, h) || !is_at_rim(part, i)) return;
   __global const float2 *at = POSITIONS(corners);
   const float own_step = mean_step(at, twin, i), own_reach = reach * own_step;
   const int shift = layout[BIN_SHIFT], across = layout[BINS_ACROSS];
@@ -101,39 +102,34 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
   for (int k = top; k <= bottom; ++k)
     for (int n = starts[k * across + left]; n < starts[k * across + right + 1]; ++n) {
       const int j = binned[n];
-      const float2 apart = at[j] - at[i];
-      const float squared = apart.x * apart.x + apart.y * apart.y;
+      const float dx = at[i].x - at[j].x, dy = at[i].y - at[j].y, squared = dx * dx + dy * dy;
       if (!(squared < own_reach * own_reach) || !is_at_rim(part, j)) continue;
       for (int g = 4 * j; g < 4 * j + 4; ++g) {
-        if (part[g] == part[h] || !is_node(part, size, least_part, g)) continue;
-        const float step = mean_step(at, twin, j), its_reach = reach * step;
-        const bool is_first = IS_LARGER(part[h], part[g]);
-        if (!is_first && squared < its_reach * its_reach) continue;
-        const int one = is_first ? h : g, other = is_first ? g : h, a = one >> 2, b = other >> 2;
+        if (!is_node(part, size, least_part, g) || !IS_LARGER(part[g], part[h])) continue;
         if (i == j) {
-          add_vote(part, state, one, other, (ROTATION(one) - ROTATION(other)) & 3, state[one].xy,
-                   1.0f, room, layout, votes);
+          add_vote(part, state, g, h, (ROTATION(g) - ROTATION(h)) & 3, state[g].xy, 1.0f, room,
+                   layout, votes);
           continue;
         }
-        const float dx = at[b].x - at[a].x, dy = at[b].y - at[a].y;
         const float held = LARGER(squared, 1.0f), length = held * inverse_root(held);
-        const Boundary near = boundary_along(lines[a], dx, dy);
-        const Boundary far = boundary_along(lines[b], -dx, -dy);
-        const float along = SMALLER(near.length, far.length), mean = 0.5f * (own_step + step);
-        const int direction = (near.side + ROTATION(one)) & 3;
-        const int quarter = (direction - far.side + 2 - ROTATION(other)) & 3;
+        const Boundary near = boundary_along(lines[j], dx, dy);
+        const Boundary far = boundary_along(lines[i], -dx, -dy);
+        const float along = SMALLER(near.length, far.length), step = mean_step(at, twin, j);
+        const float mean = 0.5f * (own_step + step);
+        const int direction = (near.side + ROTATION(g)) & 3;
+        const int quarter = (direction - far.side + 2 - ROTATION(h)) & 3;
         for (int m = 1; m <= SPAN; ++m) {
           const Way way = ways[m - 1];
           if (!(along > way.cosine * length) || (near.side + far.side - m) & 1) continue;
           if (!(MAGNITUDE(length - (float)m * mean) < mean)) continue; /* a step off at most */
-          const int sum = difference_of_way(LEVELS, at[a], dx * way.part, dy * way.part, m, depth,
+          const int sum = difference_of_way(LEVELS, at[j], dx * way.part, dy * way.part, m, depth,
                                             depth_px);
           const int seen = near.side & 1 ? -sum : sum;
           if (seen <= 0) continue;
-          const float product = (float)contrast[a] * (float)contrast[b];
+          const float product = (float)contrast[i] * (float)contrast[j];
           const float share = ((float)seen * way.factor) * inverse_root(product);
-          const int2 number = state[one].xy + m * (int2)(TO_X(direction), TO_Y(direction));
-          add_vote(part, state, one, other, quarter, number, SMALLER(share, 1.0f) * way.weight, room,
+          const int2 number = state[g].xy + m * (int2)(TO_X(direction), TO_Y(direction));
+          add_vote(part, state, g, h, quarter, number, SMALLER(share, 1.0f) * way.weight, room,
                    layout, votes);
         }
       }

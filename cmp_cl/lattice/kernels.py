@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 FILES = ("bins", "links", "faces", "parts", "votes", "nodes", "borders")
 DIRECTIONS = 1024  # unit vectors in a full turn
-PARTS, VOTES, LAYOUT = 7, 8, 9  # in the layout, see kernels/lattice.clh; numbers in all
+PARTS, VOTES, LAYOUT = 7, 9, 10  # in the layout, see kernels/lattice.clh; numbers in all
 ROUNDS = 12  # times that nodes are looked for, three less than the margin in kernels/nodes.cl
 LISTS = 8  # of places, see `settle_nodes`
 SIDES, FOUND = 3, 19  # what is found of a board: its size, from here its sides; numbers in all
 VOTE = 6  # numbers of a vote
-ROOM = 8  # votes for each corner, more than there are even if all parts are small
+ROOM = 16  # votes for each corner; a board that is cut into parts of 16 cells has 10
 
 
 class Over(enum.Enum):

@@ -229,7 +229,7 @@ class LatticePlan(Binder):
         """Return the nodes of a frame of several parts, and the votes for where these lie; xy:
         (N, 2), the corners, px."""
         count, room = 4 * len(xy), kernels.ROOM * self.capacity
-        votes = self._votes if self._votes <= room else 0  # of too many, chance keeps some
+        votes = self._votes if self._votes <= room else 0  # which of too many are kept is chance
         root, state, faces, found = self.fetch(
             ("part", np.int32, count),
             ("state", np.int32, 4 * count),

@@ -52,10 +52,10 @@ def votes(
     reach = F(k.span + 0.5) * step[units.corner[rim]]
     pairs = [np.zeros((0, 2), np.int64)]
     both = [np.zeros((0, 2), np.int64)]
-    for place, unit in enumerate(rim):  # by brute force: the kernel looks in bins
+    for unit in rim:  # by brute force: the kernel looks in bins
         dx = corners.x[units.corner[rim]] - corners.x[units.corner[unit]]
         dy = corners.y[units.corner[rim]] - corners.y[units.corner[unit]]
-        near = dx * dx + dy * dy < np.maximum(reach[place] ** 2, reach * reach)
+        near = dx * dx + dy * dy < reach * reach  # of the node in the smaller part
         near &= units.part[rim] > units.part[unit]
         same = units.corner[rim] == units.corner[unit]
         for kind, other in ((pairs, rim[near & ~same]), (both, rim[near & same])):
