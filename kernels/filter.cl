@@ -3,10 +3,10 @@
 /* The adaptive filter of a lattice: cmp_cl/reference/field/filter.py has its equations.
  *
  * K coordinates are filtered alike. There are FILTERS_DOWN filters along the columns, tables of
- * ROWS x TAPS weights: a row has those of the window of a node. The FILTERS_ALONG along the rows are
- * matrices (COLUMNS, LINE): a row has the weights of a node in the values of all nodes of its row.
- * Filter 0 changes nothing. `rows_noise` and `rows_risk` are Gaussians of 2 REACH + 1 nodes whose
- * sum is 1. */
+ * ROWS x TAPS weights: a row has those of the window of a node. The FILTERS_ALONG along the rows
+ * are matrices (COLUMNS, LINE): a row has the weights of a node in the values of all nodes of its
+ * row. Filter 0 changes nothing. `rows_noise` and `rows_risk` are Gaussians of 2 REACH + 1 nodes
+ * whose sum is 1. */
 
 #define TAPS 15
 #define PRODUCTS (K * (K + 1) / 2)
@@ -129,8 +129,8 @@ float8 filter_along(const float *line, const int column, const int side,
  * row reads is in the cache from the row before. `column` is the first of eight. */
 #define IN_PIECES(row, column) ((row) * LANES + (column) * ROWS)
 
-/* Sum with Gaussian weights along the row; `line` has `reach` numbers before it and behind it, which
- * become 0 as those between COLUMNS and LINE do. Eight results are `apart` from the next. */
+/* Sum with Gaussian weights along the row; `line` has `reach` numbers before it and behind it,
+ * which become 0 as those between COLUMNS and LINE do. Eight results are `apart` from the next. */
 void average_along(float *line, const int reach, __global const float *weights,
                    __global float *result, const int apart) {
   for (int c = 0; c < reach; ++c) line[c] = line[LINE + reach + c] = 0;
@@ -286,8 +286,8 @@ void lengths_and_floor(__global const float *sums, float *length, float *least_o
   *least_of_all = fmax(FLOOR * all[SUMS - 1] / (K * NODES), LEAST_VARIANCE);
 }
 
-/* For eight nodes of a row: the variance of the noise, NaN where unknown; that with which filters are
- * chosen, the least of it and of an upper bound and, if the values may bend sharply, of five
+/* For eight nodes of a row: the variance of the noise, NaN where unknown; that with which filters
+ * are chosen, the least of it and of an upper bound and, if the values may bend sharply, of five
  * estimates; the covariance of the coordinates over its mean diagonal; and a node whose residual is
  * too large loses its vote. The upper bound is the sum of that at rest and of the variance of the
  * points now. round: of the search for outliers; the last one rejects none. */
@@ -362,8 +362,8 @@ __kernel void noise(__global const float *near, __global const float *sums,
                    bound_rest, variance_now, bends, 0, counts, votes, variance, chosen, common);
 }
 
-/* The other rounds, each of them if the one before has rejected nodes, which is rare. One work-group:
- * a launch for each step of each round would cost more than all of them mostly do. */
+/* The other rounds, each of them if the one before has rejected nodes, which is rare. One
+ * work-group: a launch for each step of each round would cost more than all of them mostly do. */
 __kernel void settle(__global const float *moved, __global const float *pilot_down,
                      __global const float *pilot_along, __global const float *own_down,
                      __global const float *own_along, __global const float *rows_noise,
@@ -465,8 +465,8 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
   }
 }
 
-/* exp(x) for x <= 0 within 2e-7: 2 to a whole number, which the sum with 1.5 * 2^23 rounds to, times
- * a polynomial. */
+/* exp(x) for x <= 0 within 2e-7: 2 to a whole number, which the sum with 1.5 * 2^23 rounds to,
+ * times a polynomial. */
 float8 exp_below(const float8 x) {
   const float8 y = x * 1.44269504f, most = y > -120.0f ? y : (float8)(-120);
   const float8 rounded = most + 12582912.0f, t = most - (rounded - 12582912.0f);
@@ -539,94 +539,60 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
 #endif
 }
 
-/* What becomes of a node. A node with a vote takes its mean, a rejected one keeps its value, and one
- * that was not measured takes the mean of its neighbours. The variance is NaN where it is unknown.
- * moved: (K) planes, `measured`: whether the node had a vote at first. */
-#define FINAL_OF_NODE                                                               \
-  float final[K], off = 0;                                                          \
-  const int rejected = measured[i] && !votes[i];                                    \
-  const int at = IN_LINE(i);                                                        \
-  const float s2 = variance_before[at];                                             \
-  float after = votes[i] ? variance_after[at] : s2;                                 \
-  for (int k = 0; k < K; ++k) {                                                     \
-    const float gap = moved[k * NODES + i] - values[k * PLANE + at];                \
-    off += gap * gap / K;                                                           \
-  }                                                                                 \
-  if (rejected) after = fmax(off, s2);                                              \
-  for (int k = 0; k < K; ++k)                                                       \
-    final[k] = rejected || isnan(after) ? moved[k * NODES + i] : values[k * PLANE + at];
-
-#define NO_DISPLACEMENT                                                             \
-  for (int k = 0; k < K; ++k) displacement[k * NODES + i] = raw[k * NODES + i] = NAN;
-#define STORE_DISPLACEMENT                                                          \
-  for (int k = 0; k < K; ++k) {                                                     \
-    displacement[k * NODES + i] = final[k] - bent[k * NODES + i];                   \
-    raw[k * NODES + i] = moved[k * NODES + i];                                      \
-  }
-
-/* The next frame counts from 0. */
-#define EMPTY_COUNTS \
-  if (i <= ROUNDS) counts[i] = 0;
-
+/* The planes of a covariance: xx xy xz yy yz zz in space; in the plane the variance, which is that
+ * of both axes. */
 #if K == 3
+#define COVARIANCES 6
+#define SHAPE(common, p, i) common[(p) * PLANE + IN_LINE(i)]
+#else
+#define COVARIANCES 1
+#define SHAPE(common, p, i) 1
+#endif
 
 /* The covariance from the lattice, or that of the points where the lattice has none. */
 void store_covariance(const float variance, __global const float *common,
                       __global const float *points, const int i, __global float *covariance) {
-  for (int p = 0; p < 6; ++p)
+  for (int p = 0; p < COVARIANCES; ++p)
     covariance[p * NODES + i] =
-        isnan(variance) ? points[p * NODES + i] : variance * common[p * PLANE + IN_LINE(i)];
+        isnan(variance) ? points[p * NODES + i] : variance * SHAPE(common, p, i);
 }
 
-/* The displacement of each node in space without the shift by bent edges, and its covariance, both
- * also before the filter; NaN where a node has none. `points`: covariance of the points, xx xy xz
- * yy yz zz. One work-item a node. */
-__kernel void finish_in_space(__global const float *moved, __global const float *values,
-                              __global const uchar *votes, __global const uchar *measured,
-                              __global const float *variance_before,
-                              __global const float *variance_after,
-                              __global const float *common, __global const float *points,
-                              __global const float *bent, __global const uchar *valid,
-                              __global float *displacement, __global float *raw,
-                              __global float *covariance, __global float *raw_covariance,
-                              __global int *counts) {
+/* The displacement of each node without the shift by bent edges, and its covariance, both also
+ * before the filter; NaN where a node has none. A node with a vote takes its mean, a rejected one
+ * keeps its value, and one that was not measured takes the mean of its neighbours. moved: K planes.
+ * measured: whether a node had a vote at first. points: the covariance of the points. One work-item
+ * a node. */
+__kernel void finish(__global const float *moved, __global const float *values,
+                     __global const uchar *votes, __global const uchar *measured,
+                     __global const float *variance_before, __global const float *variance_after,
+                     __global const float *common, __global const float *points,
+                     __global const float *bent, __global const uchar *valid,
+                     __global float *displacement, __global float *raw,
+                     __global float *covariance, __global float *raw_covariance,
+                     __global int *counts) {
   const int i = get_global_id(0);
-  EMPTY_COUNTS
+  if (i <= ROUNDS) counts[i] = 0; /* the next frame counts from 0 */
   if (i >= NODES) return;
   if (!valid[i]) {
-    NO_DISPLACEMENT
-    for (int p = 0; p < 6; ++p) covariance[p * NODES + i] = raw_covariance[p * NODES + i] = NAN;
+    for (int k = 0; k < K; ++k) displacement[k * NODES + i] = raw[k * NODES + i] = NAN;
+    for (int p = 0; p < COVARIANCES; ++p)
+      covariance[p * NODES + i] = raw_covariance[p * NODES + i] = NAN;
     return;
   }
-  FINAL_OF_NODE
-  STORE_DISPLACEMENT
+  const int rejected = measured[i] && !votes[i], at = IN_LINE(i);
+  const float before = variance_before[at];
+  float after = votes[i] ? variance_after[at] : before, off = 0;
+  for (int k = 0; k < K; ++k) {
+    const float gap = moved[k * NODES + i] - values[k * PLANE + at];
+    off += gap * gap / K;
+  }
+  if (rejected) after = fmax(off, before);
+  for (int k = 0; k < K; ++k) {
+    const float own = moved[k * NODES + i];
+    const float found = rejected || isnan(after) ? own : values[k * PLANE + at];
+    displacement[k * NODES + i] = found - bent[k * NODES + i];
+    raw[k * NODES + i] = own;
+  }
   store_covariance(after, common, points, i, covariance);
-  store_covariance(s2, common, points, i, raw_covariance);
+  store_covariance(before, common, points, i, raw_covariance);
 }
-
-#elif K == 2
-
-/* The same in the plane, where both axes have the same variance. */
-__kernel void finish_in_plane(__global const float *moved, __global const float *values,
-                              __global const uchar *votes, __global const uchar *measured,
-                              __global const float *variance_before,
-                              __global const float *variance_after,
-                              __global const float *points, __global const float *bent,
-                              __global const uchar *valid, __global float *displacement,
-                              __global float *raw, __global float *variance,
-                              __global float *raw_variance, __global int *counts) {
-  const int i = get_global_id(0);
-  EMPTY_COUNTS
-  if (i >= NODES) return;
-  if (!valid[i]) {
-    NO_DISPLACEMENT
-    variance[i] = raw_variance[i] = NAN;
-    return;
-  }
-  FINAL_OF_NODE
-  STORE_DISPLACEMENT
-  variance[i] = isnan(after) ? points[i] : after;
-  raw_variance[i] = isnan(s2) ? points[i] : s2;
-}
-
-#endif

@@ -6,7 +6,7 @@
 #define MOST_STEPS 30
 #define ROUND_TRIP ((REAL)1e-2) /* px, from a pixel through the lens and back */
 /* A camera: fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4, then rotation (9) and translation (3)
- * from the left camera, then the centre of the camera there (3), then the window if MEDIA is not 0. */
+ * from the left camera, then the camera's centre there (3), then the window if MEDIA is not 0. */
 #define CAMERA 31
 #define K1 camera[4]
 #define K2 camera[5]
@@ -104,7 +104,7 @@ REAL project(__global const REAL *camera, const REAL *point, REAL *pixel, REAL *
 }
 #endif
 
-/* The middle of the shortest segment between two rays, the first from 0, the second from `offset`. */
+/* The middle of the shortest segment between two rays, one from 0, the other from `offset`. */
 void between(const REAL *one, const REAL *two, const REAL *offset, REAL *middle) {
   const REAL oo = dot_3(one, one), ot = dot_3(one, two), tt = dot_3(two, two);
   const REAL ahead_one = dot_3(one, offset), ahead_two = dot_3(two, offset);
@@ -165,8 +165,8 @@ void meet(__global const REAL *camera, const REAL *one, const REAL *two, REAL *p
  * motion by bent edges (3 planes). moved: 3 planes, 0 where not valid. points: the sum of the
  * covariances of both moments. own: the variance now per axis. One work-item a node. */
 __kernel void space(__global const float2 *nodes, __global const uchar *seen_status,
-                    __global const float *sigma, __global const REAL *left, __global const REAL *right,
-                    const REAL least_sine, const float largest_error,
+                    __global const float *sigma, __global const REAL *left,
+                    __global const REAL *right, const REAL least_sine, const float largest_error,
                     __global const float *bend_down, __global const float *bend_along,
                     const float radius_left, const float radius_right,
                     __global const REAL *rest, __global const uchar *rest_status,
@@ -219,8 +219,8 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
     weight[j] = known ? 1 / (deviation * deviation) : 1;
     residual[j] = pixel[j] - seen[j];
   }
-  const float2 bend_left =
-      bend_of(nodes_left, status_left, i / COLUMNS, i % COLUMNS, bend_down, bend_along, radius_left);
+  const float2 bend_left = bend_of(nodes_left, status_left, i / COLUMNS, i % COLUMNS, bend_down,
+                                   bend_along, radius_left);
   const float2 bend_right = bend_of(nodes_right, status_right, i / COLUMNS, i % COLUMNS, bend_down,
                                     bend_along, radius_right);
   const REAL bend[4] = {bend_left.x, bend_left.y, bend_right.x, bend_right.y};

@@ -1,7 +1,7 @@
 #include "field.clh"
 
 /* The strain of a plane or of a surface in its tangent plane at rest, and its covariance:
- * cmp_cl/reference/field/strain.py has the equations. A plane is fitted to the nodes of the window of
+ * cmp_cl/reference/field/strain.py has the equations. A plane is fitted to the window of
  * (2 STRAIN_REACH + 1)^2 nodes around each node. */
 
 #define LEAST_NODES 6

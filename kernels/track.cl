@@ -1,9 +1,9 @@
 #include "field.clh"
 
 /* The nodes of a frame from those of the frame before. A check can only make a node fail, never
- * give it another number. A corner is (x, y, angle, sigma): px of the view; its first boundary, rad,
- * NaN if unknown; px, negative if it is torn, NaN if it is unknown, and then it is torn too. Each
- * view has at most CAPACITY corners, and NODES nodes; dimension 1 of a launch is the view.
+ * give it another number. A corner is (x, y, angle, sigma): px of the view; its first boundary,
+ * rad, NaN if unknown; px, negative if it is torn, NaN if it is unknown, and then it is torn too.
+ * Each view has at most CAPACITY corners, and NODES nodes; dimension 1 of a launch is the view.
  *
  * `result` has the corners of all views as kernels/result.clh lays them out: `stride` numbers for a
  * view, with room for `room` corners. The sigma of a corner is that of cmp_cl/stages/refine.py. */
@@ -53,7 +53,7 @@
 #define ASTRAY 2  /* nodes that are far from what the nodes around predict */
 #define BEYOND 3  /* free corners beyond a side, where the next line would be */
 #define GONE 7    /* lost nodes on a side */
-#define ADRIFT 11 /* lost nodes that have a corner near, which is not like those of the neighbours */
+#define ADRIFT 11 /* lost nodes near a corner that is not like those of the neighbours */
 #define COUNTED 12
 
 /* The status of a node with this corner. */
@@ -136,9 +136,9 @@ uint ordered(const float v) {
 }
 
 /* Of each view and octave, QUANTILES numbers: the 5th, 40th and 50th percentile of the residual's
- * autocorrelation of the corners that EDGE_STEP accepted, infinite if there are none; then the median
- * of their grains, and of FEW more that have none. Byte by byte from the first. The bins of the view
- * are emptied too. One work-group for each number. */
+ * autocorrelation of the corners that EDGE_STEP accepted, infinite if there are none; then the
+ * median of their grains, and of FEW more that have none. Byte by byte from the first. The bins of
+ * the view are emptied too. One work-group for each number. */
 __kernel void quantiles(__global const float *result, const uint stride, const uint room,
                         const int bin_rows, const int bin_columns, __global float *quantile,
                         __global int *first_of_bin) {
@@ -296,10 +296,10 @@ __kernel void agree(__global const float4 *corners, __global const float2 *last,
   if (column == COLUMNS - 1) atomic_inc(own + GONE + 3);
 }
 
-/* A node that failed, or that is far from what the nodes around predict, is looked at a second time:
- * refinement starts at a free corner near the place where it is expected, or there. For that it is
- * listed in `looks` as kernels/result.clh lists corners; `look` is its place in that list, NONE for
- * the others.
+/* A node that failed, or that is far from what the nodes around predict, is looked at a second
+ * time: refinement starts at a free corner near the place where it is expected, or there. For that
+ * it is listed in `looks` as kernels/result.clh lists corners; `look` is its place in that list,
+ * NONE for the others.
  *
  * Free corners where a line beyond a side would be are counted, and failed nodes that have a corner
  * near: where corners moved too far they have one, where they are torn they have none. `stencils`:
@@ -350,7 +350,7 @@ __kernel void check(__global const float4 *corners, const float bins_per_px, con
     __global int *entry = looks + view * LOOKS + slot;
     entry[0] = (int)rint(start.x);
     entry[look_length] = (int)rint(start.y);
-    for (int k = 2; k < COLUMNS_OF_LOOK; ++k) entry[k * look_length] = k == 3; /* its own centroid */
+    for (int k = 2; k < COLUMNS_OF_LOOK; ++k) entry[k * look_length] = k == 3; /* own centroid */
   }
   const int inner[4] = {row == 0 ? below : i, row == ROWS - 1 ? above : i,
                         column == 0 ? behind : i, column == COLUMNS - 1 ? before : i};

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, as_numbers
-from cmp_cl.filter.polynomials import STRAIN_REACH
+from cmp_cl.filter import STRAIN_REACH
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

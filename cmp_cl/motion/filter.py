@@ -15,8 +15,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from cmp_cl.filter import bilinear_surface
-from cmp_cl.filter.polynomials import STRAIN_REACH
+from cmp_cl.filter import STRAIN_REACH, bilinear_surface
 from cmp_cl.motion.memory import Layout, Memory
 from cmp_cl.motion.tables import (
     LANES,
@@ -378,9 +377,6 @@ class LatticeFilter:
             bound(self._kernels, self.parts, "settle", (group,), (group,), settle),
         ]
         owns = ("own_down", "own_along")
-        finish, common = ("finish_in_space", ("common",)) if self._axes == 3 else (
-            "finish_in_plane", ()
-        )  # fmt: skip
         return [
             *listed,
             self._of_rows(
@@ -398,9 +394,9 @@ class LatticeFilter:
                 *("weights", "values", "mixed_variance", "left_share"),
             ),
             self._of_nodes(
-                finish,
+                "finish",
                 *("moved", "values", "votes", "measured", "variance", "mixed_variance"),
-                *(*common, "points", "bent", "valid"),
+                *("common", "points", "bent", "valid"),
                 *("displacement", "raw_displacement", "covariance", "raw_covariance", "counts"),
             ),
         ]

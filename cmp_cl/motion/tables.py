@@ -6,11 +6,12 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.filter.polynomials import FILTERS, STRAIN_REACH, polynomial
+from cmp_cl.filter import STRAIN_REACH, polynomial
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 
+FILTERS = ((0, 0), (2, 1), (2, 3), (3, 3), (4, 3), (7, 3))  # half width in nodes, degree
 TAPS = 15  # of the widest filter, as in kernels/filter.cl
 LANES = 8  # numbers of a vector, as in kernels/field.clh
 NOISE_NODES, RISK_NODES = 10, 8  # nodes on each side in the Gaussian means, as there
