@@ -135,6 +135,9 @@ def test_the_gel_at_rest_is_a_flat_sheet_of_the_stated_size_in_front_of_the_came
     alone = synthetic.render(Scene(markers=20, indenter=Indenter.NONE, shape=(240, 320)))
     np.testing.assert_allclose(alone.truth.mean(axis=(0, 1)), [159.5, 119.5])
     np.testing.assert_allclose(np.ptp(alone.truth, axis=(0, 1)), 0.92 * 240 * 19 / 21)
+    facing = Scene(markers=10, shape=(120, 80), indenter=Indenter.NONE)
+    xyz = synthetic.render_stereo(facing, synthetic.default_rig((120, 80)))[2]
+    np.testing.assert_allclose(xyz.mean(axis=(0, 1)), [0, 0, math.hypot(8, 45)], atol=1e-9)
     matrix = np.array([[500.0, 0, 249.5], [0, 500, 199.5], [0, 0, 1]])
     parallel = cmp_cl.StereoRig(
         matrix, np.zeros(5), matrix, np.zeros(5), np.eye(3), np.array([-6.0, 0, 0])
