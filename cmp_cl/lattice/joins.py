@@ -90,7 +90,9 @@ class Joining:
         there = self.unit >= 0
         fresh = ~there[corner]
         if there.any():
-            fresh &= ~np.isin(_keys(numbers), _keys(self.numbers[there]))
+            own, others = _keys(numbers), np.sort(_keys(self.numbers[there]))
+            nearest = np.minimum(np.searchsorted(others, own), len(others) - 1)
+            fresh &= others[nearest] != own
         self.numbers[corner[fresh]] = numbers[fresh]
         self.unit[corner[fresh]] = some.start + np.flatnonzero(fresh)
 
