@@ -63,6 +63,8 @@ PARTS_OF_CORNERS: tuple[Kernel, ...] = (
         f"{AT} twin face apart tolerances most_cuts cut beyond part waiting state faces_of_part",
     ),
     ("number_corners", Over.GROUP, f"{AT} part state faces_of_part least_part numbers layout"),
+)
+VOTES_OF_PARTS: tuple[Kernel, ...] = (
     (
         "find_votes",
         Over.HALF_EDGES,

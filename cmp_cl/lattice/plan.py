@@ -83,9 +83,9 @@ class LatticePlan(Binder):
         self.buffers = given | {name: self.buffer(name, n) for name, n in self.sizes.items()}
         self.values = kernels.values(self)
         self.launches = self.bound(kernels.PARTS_OF_CORNERS)
+        self.find_votes = self.bound(kernels.VOTES_OF_PARTS)
         self.lay = self.bound(kernels.BOARD_OF_NUMBERS)
         self._likely = 0  # places of a board, as of the frame before
-        self._votes = 0  # between the parts of a frame
 
     def __del__(self) -> None:
         """Keep the shared memory until no kernel uses it."""
@@ -222,14 +222,15 @@ class LatticePlan(Binder):
         """Wait for the parts. Return the board if one part is large enough, (0, 0) without any,
         None if several are."""
         layout, board = self._board()
-        self._votes = int(layout[kernels.VOTES])
         return None if layout[kernels.PARTS] > 1 else board
 
     def parts(self, xy: NDArray[np.float32]) -> tuple[Units, Votes]:
         """Return the nodes of a frame of several parts, and the votes for where these lie; xy:
         (N, 2), the corners, px."""
-        count, room = 4 * len(xy), kernels.ROOM * self.capacity
-        votes = self._votes if self._votes <= room else 0  # which of too many are kept is chance
+        self.enqueue(self.find_votes)
+        count, votes = 4 * len(xy), int(self.read("layout", np.int32)[kernels.VOTES])
+        if votes > kernels.ROOM * self.capacity:
+            votes = 0  # which of too many are kept is chance
         root, state, faces, found = self.fetch(
             ("part", np.int32, count),
             ("state", np.int32, 4 * count),
