@@ -4,17 +4,16 @@ import dataclasses
 import functools
 import math
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
 from cmp_cl.image import GreyImage
-from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Mask, Numbers, Whole
+from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Mask, Numbers
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.numbers import (
     Decision,
@@ -162,10 +161,14 @@ def _hanging(board: Board, image: GreyImage) -> int:
     along, down = _steps(place.T).T, _steps(place)
     depth = K.cell_depth * np.minimum(1, 2 * K.wide_px / (np.abs(along) + np.abs(down)))
     s, t = depth * (along + down), depth * (down - along)
-    plane = cv2.blur(image, (3, 3))
-    a, b, c, d = (_levels(plane, place + each) for each in (s, -s, t, -t))
-    alike = np.abs(a - b) + np.abs(c - d) < K.passing * np.abs(a + b - c - d)
-    firm = alike & (board.owner >= 0) & ~board.torn & ~np.isnan(s)
+    firm = (board.owner >= 0) & ~board.torn & ~np.isnan(s)
+    around = (place + np.stack([s, -s, t, -t]))[:, firm]
+    row, column = (
+        np.rint(each).clip(0, size - 1).astype(np.int64)
+        for each, size in zip((around.imag, around.real), image.shape, strict=True)
+    )
+    a, b, c, d = cv2.blur(image, (3, 3))[row, column].astype(np.int64)
+    firm[firm] = np.abs(a - b) + np.abs(c - d) < K.passing * np.abs(a + b - c - d)
     *_, regions, _ = cv2.connectedComponentsWithStats(firm.astype(np.uint8), connectivity=4)
     nodes = np.sort(regions[1:, cv2.CC_STAT_AREA])
     return int(nodes[-2]) if len(nodes) > 1 and nodes[-2] >= K.least_board else 0
@@ -178,16 +181,6 @@ def _steps(place: Numbers) -> Numbers:
     before, after = step[:-1], step[1:]
     both = np.where(np.isnan(after), before, (before + after) / 2)
     return np.where(np.isnan(before), after, both)
-
-
-def _levels(plane: NDArray[Any], at: Numbers) -> Whole:
-    """Return the levels at the nearest pixels."""
-    row, column = (
-        np.clip(np.nan_to_num(np.rint(each)), 0, size - 1).astype(np.int64)
-        for each, size in zip((at.imag, at.real), plane.shape, strict=True)
-    )
-    levels: Whole = plane[row, column].astype(np.int64)
-    return levels
 
 
 def _decided(board: Board, asked: Asked) -> Decision:
