@@ -94,7 +94,8 @@
  * least. */
 float grown_variance(const float variance, const int octave, const int is_step,
                      const float correlation, const float4 quantile) {
-  const float excess = fmax(correlation - quantile.z, 0.0f); /* 0 if there are none */
+  if (isinf(quantile.x)) return variance; /* no corner of the octave shows how the noise is */
+  const float excess = fmax(correlation - quantile.z, 0.0f);
   const float spread = fmax(quantile.y - quantile.x - LEAST_RANGE, 0.0f);
   const float stepped = fmax(quantile.x - GREATEST_LEAST, 0.0f);
   const float coarse = fmax(VARIANCE_OF_GRAIN * quantile.w - 1, 0.0f);

@@ -136,6 +136,21 @@ def test_a_changed_frame_is_the_same_tracked_or_numbered(at_rest, now, seen):
         np.testing.assert_array_equal(values, anew.arrays[name], name)
 
 
+@pytest.mark.parametrize("refinement", [cmp_cl.EdgeLines(), cmp_cl.Midlines()])
+def test_tracked_corners_of_any_refinement_have_their_sigma_and_a_field(refinement):
+    config = cmp_cl.DetectorConfig.for_cell(15).replace(refinement=refinement)
+    rest, frame = (pressed(each).left.image for each in FILM[:2])
+    with measure.OneView(rest, shape=NODES, config=config) as following:
+        following(rest)
+        tracked = following(frame)
+    assert tracked.tracked
+    grid, corners = tracked.grids[0], tracked.corners[0]
+    known = (grid.index[:, 0] >= 0) & (corners.refusal == 0)
+    own = grid.image_sigma[tuple(grid.index[known].T)]
+    np.testing.assert_array_equal(own, corners.sigma[known])
+    assert tracked.field.valid.mean() > 0.9
+
+
 def test_a_stream_is_measured_as_calls_are_and_refuses_them_until_it_ends(film):
     with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
         alone = [following(frame).field.displacement for frame in film]
