@@ -131,7 +131,6 @@ def run(arguments: argparse.Namespace) -> int:
         "configuration": repr(config) if config else "for the cells seen at rest",
     }
     ended_by: Exception | None = None
-    pace = Pace("the camera" if source.live else "decoding")
     with contextlib.ExitStack() as stack:
         stack.enter_context(handled(stop))
         measure = _measurement(arguments, recording, config, rig, device)
@@ -145,6 +144,7 @@ def run(arguments: argparse.Namespace) -> int:
             period_ms=source.period_ms,
         )
         stack.enter_context(found)
+        pace = Pace("the camera" if source.live else "decoding")
         try:
             _flow(recording, measure, found, pace, stop)
         except (CmpClError, OSError) as error:

@@ -9,7 +9,7 @@ _ALL = 0.9  # the same of writing
 
 
 class Pace:
-    """How fast a run goes. source: what its frames come from, such as decoding."""
+    """How fast a run goes, from now on. source: what its frames come from, such as decoding."""
 
     def __init__(self, source: str) -> None:
         self.source = source
