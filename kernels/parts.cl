@@ -1,8 +1,7 @@
 #include "lattice.clh"
 
 /* Parts (13.3): connected faces that agree, and numbers in them. A part in which a corner has two
- * numbers is divided: its faces must agree more closely, and all is done again.
- */
+ * numbers is divided: its faces must agree more closely, and all is done again. */
 #define STEP(state, turn) \
   (int4)((state).x + TO_X((state).z), (state).y + TO_Y((state).z), ((state).z + (turn)) & 3, 0)
 #define WAITING (-1) /* in the fourth place: the face has no number yet */

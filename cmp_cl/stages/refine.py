@@ -28,7 +28,7 @@ DOUBTFUL_EXCESS = 0.010  # excess of the residual's autocorrelation over the fra
 VARIANCE_OF_EXCESS = 1000  # px^2 per squared excess, fitted on rendered scenes and on boards
 # px^2 per squared range of the lesser autocorrelations, and their range in a good frame; the same
 # for the least of them; then by what the part by noise grows, per median grain. All were fitted on
-# boards by bench/fit.py.
+# the boards of bench/fit.py.
 VARIANCE_OF_RANGE = np.float32(3000)
 LEAST_RANGE = np.float32(0.0025)
 VARIANCE_OF_LEAST = np.float32(500)

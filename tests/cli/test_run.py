@@ -28,6 +28,7 @@ from cmp_cl import (
     StereoRig,
     select_device,
 )
+from cmp_cl.measure import TwoViews
 from cmp_cl.media import Frame, read_image
 from cmp_cl.series import SeriesWriter, read_series
 from cmp_cl.synthetic import boards
@@ -143,6 +144,18 @@ def test_one_view_gives_positions_in_the_image(run, recording, press):
     assert np.sqrt(np.mean(np.square(off).sum(axis=2))) < 0.4
     assert (series["source"] == NodeStatus.DETECTED).all()
     assert np.isfinite(series["sigma"]).mean() > 0.98
+
+
+def test_the_pace_is_that_of_the_frames_without_what_is_made_before(run, recording, monkeypatch):
+    class Slow(TwoViews):
+        def __init__(self, *arguments, **settings):
+            super().__init__(*arguments, **settings)
+            time.sleep(2)
+
+    run("run", recording, *STEREO)  # compiles what is left
+    monkeypatch.setattr("cmp_cl.cli.run.TwoViews", Slow)
+    _, out, _ = run("run", recording, *STEREO)
+    assert float(re.search(r"([\d.]+) frames a second", out)[1]) > 1.5  # of 3 frames
 
 
 def test_run_uses_the_settings_of_a_file(run, recording):

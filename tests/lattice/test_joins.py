@@ -5,7 +5,7 @@ import pytest
 
 from cmp_cl.lattice.arrays import Units, Votes
 from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.lattice.joins import Joining
+from cmp_cl.lattice.joins import TURNS, Joining, Placement
 
 ROWS, STEP = 6, 10.0
 
@@ -53,3 +53,14 @@ def test_parts_are_joined_by_way_of_others_and_by_corners_in_common(columns, off
     np.testing.assert_array_equal(np.flatnonzero(numbers[:, 3]), there)
     expected = np.stack([there % width, there // width], axis=1)
     np.testing.assert_array_equal(numbers[there, :2], expected)
+
+
+@pytest.mark.parametrize("one", [Placement(1, 2 + 1j), Placement(2, -3j)])
+@pytest.mark.parametrize("other", [Placement(0, 5 + 0j), Placement(3, 1 - 4j)])
+def test_a_part_beside_a_turned_one_is_placed_through_it(one, other):
+    def placed(number, at):
+        return number * TURNS[at.quarter] + at.offset
+
+    number = 3 - 2j
+    assert placed(number, one.within(other)) == placed(placed(number, one), other)
+    assert placed(placed(number, one), one.inverse()) == number

@@ -79,8 +79,8 @@ class Sides:
 
     room: most places of a further line lie in the image, and it can be seen that there is none.
     follows: cells follow, or corners that could be linked. reach: of the last squares beyond the
-    last nodes, 1/4096 cell, UNSEEN where the pattern is not seen to end. further:
-    corners on a line that follows, and are no nodes.
+    last nodes, 1/4096 cell, UNSEEN where the pattern is not seen to end. further: corners on a
+    line that follows, and are no nodes.
     """
 
     def __init__(
