@@ -201,19 +201,18 @@ def test_pocl_runs_no_kernels_of_a_folder_that_everybody_may_write_to(device, tm
 
 
 @pytest.mark.parametrize("left", some([0, 99, "half"], ["half"]))
-@pytest.mark.parametrize("files", ["program.bc", "*.so"])
-def test_a_damaged_cache_of_pocl_is_told(device, tmp_path, files, left):
+def test_a_damaged_cache_of_pocl_is_told(device, tmp_path, left):
     if not device_module.is_pocl(device.handle):
         pytest.skip("only PoCL keeps programs so")
     assert detected(device, POCL_CACHE_DIR=str(tmp_path))[0] == 0
-    kept = list(tmp_path.rglob(files))
+    kept = list(tmp_path.rglob("program.bc"))
     assert kept
     for each in kept:
         whole = each.read_bytes()
         each.write_bytes(whole[: len(whole) // 2 if left == "half" else left])
     status, said = detected(device, POCL_CACHE_DIR=str(tmp_path))
     assert status
-    assert "DeviceError: a compiled" in said
+    assert "DeviceError: a compiled program has no kernels" in said
     assert str(tmp_path) in said
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.opencl.launches import constant
 from cmp_cl.stages.refine import RESULT_FIELDS, RESULT_HEAD
 
 if TYPE_CHECKING:
@@ -175,7 +176,7 @@ def values(plan: "LatticePlan") -> dict[str, Any]:
         **{name: np.int32(value) for name, value in whole.items()},
         **{name: np.float32(value) for name, value in real.items()},
         **{name: np.uint32(value) for name, value in count.items()},
-        **{name: plan.constant(table) for name, table in tables.items()},
+        **{name: constant(plan.queue.context, table) for name, table in tables.items()},
     }
 
 

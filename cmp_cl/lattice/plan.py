@@ -18,7 +18,7 @@ from cmp_cl.lattice.arrays import Board, Border, Units, Votes
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.kernels import Kernel, Over
 from cmp_cl.opencl.device import Device, DeviceKind, check_process, is_forked
-from cmp_cl.opencl.launches import GROUP, Binder, Launch, multiple
+from cmp_cl.opencl.launches import GROUP, Launch, bound, multiple
 from cmp_cl.opencl.program import Programs, programs_of
 from cmp_cl.opencl.shared import shared_buffer, shares_memory
 from cmp_cl.stages.layout import LEAST_PAD, PlanBase
@@ -42,7 +42,7 @@ LANES = 8  # the fields of the corners have a multiple of so many elements
 MOST_PLANS = 4  # that are kept for corners that come from the host
 
 
-class LatticePlan(Binder):
+class LatticePlan:
     """Buffers and bound kernels for one frame at a time.
 
     shape: (H, W) of a frame. dtype: uint8 or uint16. full_scale: its largest grey level. capacity:
@@ -63,9 +63,8 @@ class LatticePlan(Binder):
         programs: Programs | None = None,
     ) -> None:
         programs = programs or programs_of(device.handle)
-        super().__init__(
-            detection.queue if detection else cl.CommandQueue(programs.context), device
-        )
+        self.queue = detection.queue if detection else cl.CommandQueue(programs.context)
+        self.device = device
         self.shape = shape
         self.dtype = dtype
         self.full_scale = full_scale
@@ -82,9 +81,9 @@ class LatticePlan(Binder):
         self.sizes = {n: size for n, size in kernels.sizes(self).items() if n not in given}
         self.buffers = given | {name: self.buffer(name, n) for name, n in self.sizes.items()}
         self.values = kernels.values(self)
-        self.launches = self.bound(kernels.PARTS_OF_CORNERS)
-        self.find_votes = self.bound(kernels.VOTES_OF_PARTS)
-        self.lay = self.bound(kernels.BOARD_OF_NUMBERS)
+        self.launches = self._bound(kernels.PARTS_OF_CORNERS)
+        self.find_votes = self._bound(kernels.VOTES_OF_PARTS)
+        self.lay = self._bound(kernels.BOARD_OF_NUMBERS)
         self._likely = 0  # places of a board, as of the frame before
 
     def __del__(self) -> None:
@@ -143,7 +142,7 @@ class LatticePlan(Binder):
         """Return the places of the largest board: four for each corner, beside its margins."""
         return 4 * self.capacity + PLACES
 
-    def bound(self, table: Iterable[Kernel]) -> list[Launch]:
+    def _bound(self, table: Iterable[Kernel]) -> list[Launch]:
         """Bind kernels to their arguments.
 
         On a CPU a kernel over pixels has groups of whole rows, one over the places of a board some
@@ -160,9 +159,7 @@ class LatticePlan(Binder):
         }
         given = {**self.values, **self.buffers}
         return [
-            self.stage(
-                name, *items_and_group[over], **{each: given[each] for each in names.split()}
-            )
+            bound(self.kernels, given, name, *items_and_group[over], names.split())
             for name, over, names in table
         ]
 

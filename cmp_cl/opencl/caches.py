@@ -4,14 +4,11 @@ What lies there is executed. It is trusted as pyopencl trusts its own, unless th
 user's or everybody may write to it.
 """
 
-import contextlib
 import functools
 import importlib
-import itertools
 import os
 import shutil
 import stat
-import struct
 import subprocess
 import sys
 import tempfile
@@ -105,35 +102,6 @@ def _check_compiler() -> None:
             f"PoCL cannot compile kernels ({said}); it needs a linker: apt install gcc libc6-dev, "
             "or dnf install gcc glibc-devel"
         )
-
-
-def check_linked(since: float) -> None:
-    """Raise DeviceError if a kernel that PoCL keeps was cut short, of the programs used since then.
-
-    PoCL maps these files, and a piece that is missing would end the process. It touches
-    `last_accessed` of a program that it builds or finds. since: seconds, as `time.time`.
-    """
-    folder = pocl_folder()
-    for program in itertools.chain(folder.glob("*/*"), folder.glob("kcache/*/*")):
-        with contextlib.suppress(OSError):
-            if (program / "last_accessed").stat().st_mtime < since:
-                continue
-            for linked in program.rglob("*.so"):
-                if not _is_whole(linked):
-                    raise DeviceError(
-                        f"a compiled kernel in PoCL's cache is cut short; remove {str(folder)!r}"
-                    )
-
-
-def _is_whole(linked: Path) -> bool:
-    """Return whether a linked kernel holds as much as it says, if it is one of ELF, 64 bits."""
-    with open(linked, "rb") as file:
-        head = file.read(64)
-    if head[:6] != b"\x7fELF\2\1" or len(head) < 64:
-        return bool(head.strip(b"\0")) and head[:4] != b"\x7fELF"
-    table: int = struct.unpack_from("<Q", head, 40)[0]  # of its sections, at the end of the file
-    size, count = struct.unpack_from("<HH", head, 58)
-    return linked.stat().st_size >= table + int(size) * int(count)
 
 
 def pocl_is_stuck() -> str:

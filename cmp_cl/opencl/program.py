@@ -18,7 +18,6 @@ import hashlib
 import os
 import re
 import threading
-import time
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -130,11 +129,7 @@ class Programs:
         cannot compile or a cache is damaged or someone else's.
         """
         check_process()
-        known, began = len(self._compiled), time.time() - 1  # clocks of files are coarse
-        programs = [self._program(stage, defines, macros or {}) for stage in stages]
-        if len(self._compiled) > known and any(map(is_pocl, self.context.devices)):
-            caches.check_linked(began)
-        return Kernels(programs)
+        return Kernels([self._program(stage, defines, macros or {}) for stage in stages])
 
     def _program(
         self, stage: str, defines: Mapping[str, str | int], macros: Mapping[str, str]

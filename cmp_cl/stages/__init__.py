@@ -11,7 +11,7 @@ A frame passes through these, from its upload to its corners:
 They share these:
 
     types     the type of every quantity, in NumPy and in OpenCL C
-    layout    the layout of frames on the device; a launch: a kernel with its arguments by name
+    layout    the layout of frames on the device; its launches
     form      the portable form, or that for CPUs
     maps      every intermediate image, for `Detector.maps`
 

@@ -4,10 +4,12 @@ from typing import Any
 
 import numpy as np
 import pyopencl as cl
+from numpy.typing import NDArray
 
 from cmp_cl.config import BinaryRings, DetectorConfig, EdgeLines, EdgeStep
-from cmp_cl.opencl.device import Device
-from cmp_cl.opencl.launches import GROUP, Binder, Launch, multiple
+from cmp_cl.opencl.device import Device, DeviceKind
+from cmp_cl.opencl.launches import GROUP, Launch, bound, constant, multiple
+from cmp_cl.opencl.program import Kernels
 from cmp_cl.stages.form import Form, form_for
 from cmp_cl.stages.resampling import working_shape
 from cmp_cl.stages.types import types_of
@@ -19,9 +21,10 @@ LEAST_OCTAVE = 48  # px, the shorter side of a halved frame
 OCTAVE_ALIGNMENT = 128  # elements, of the start of an octave in the buffer of the frames
 
 
-class PlanBase(Binder):
+class PlanBase:
     """The layout of frames on a device, and methods that bind the stages to it.
 
+    queue: where they run; kernels: the compiled ones.
     shape: (H, W) of a frame; working: the same at the working scale. pad: columns of padding on
     either side; step, full_step: elements of a row at the working and at full scale.
     octaves: number of halved frames, which lie behind the frames in "image".
@@ -31,6 +34,7 @@ class PlanBase(Binder):
     the buffers and parts of them, by name. image: the input of the first stage.
     """
 
+    kernels: Kernels
     arrays: dict[str, cl.Buffer]
     image: cl.Buffer
 
@@ -44,7 +48,8 @@ class PlanBase(Binder):
         frames: int,
         form: Form | None = None,
     ) -> None:
-        super().__init__(queue, device)
+        self.queue = queue
+        self.device = device
         self.form = form_for(device) if form is None else form
         self.shape = shape
         self.dtype = dtype
@@ -114,6 +119,28 @@ class PlanBase(Binder):
         """Return the number of corners that a work-item of refinement processes at a time."""
         lines = isinstance(self.config.refinement, EdgeLines | EdgeStep)
         return LANES if self.form is Form.CPU and lines else 1
+
+    def constant(self, table: NDArray[Any]) -> cl.Buffer:
+        """Return a constant table as a buffer on the device."""
+        return constant(self.queue.context, table)
+
+    def stage(
+        self, name: str, items: tuple[int, ...], group: tuple[int, ...] | None, **arguments: Any
+    ) -> Launch:
+        """Bind a kernel over work-items in groups; None lets the device choose the group.
+
+        arguments: by name, in the order of the kernel's.
+        """
+        return bound(self.kernels, {}, name, items, group, arguments.values())
+
+    def few(self, name: str, items: int, planes: int, **arguments: Any) -> Launch:
+        """Bind a kernel with few work-items, such as one per row.
+
+        On a CPU a work-group has one work-item, because PoCL compiles a kernel anew for every size
+        of work-group.
+        """
+        group = (1, 1) if self.device.kind is DeviceKind.CPU else None
+        return self.stage(name, (items, planes), group, **arguments)
 
     def dense(
         self, name: str, height: int | None = None, octave: int = 0, /, **arguments: Any
