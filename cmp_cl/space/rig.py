@@ -301,8 +301,7 @@ class StereoRig:
         ):
             straight, bend = xyz, np.eye(3)
             if self.window is not None:
-                apparent = self.window.apparent(centre, xyz)
-                straight, bend = apparent.points, apparent.by_point
+                straight, bend = self.window.apparent(centre, xyz)
             pixels, by_camera = projected(straight, camera)
             seen.append(pixels)
             # By the translation, which is by the rotated point.

@@ -7,7 +7,7 @@ refractive geometry, CVPR 2012.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,47 +23,6 @@ _MOST_STEPS = 50
 _NEAR = 1e-8  # share of the depth; a step of Newton's method squares such an error
 _TINY = 1e-300
 _LARGEST_INDEX = 4.1  # germanium's in the infrared; a larger one is no index
-
-
-class Apparent(NamedTuple):
-    """Where a camera in air would see N points: the points of the same depth on straight rays.
-
-    window, centre: through which the camera sees, and where it is. depth, lateral: (N,), the
-    components of the points from the centre along the normal and along the unit vectors `ahead`
-    (N, 3) across it. tangent, inside: (N,), of the ray's angle in air and behind the window. slope:
-    (N,), of the lateral distance by the tangent.
-
-    With depth D and lateral distance L, slope d tangent = dL - inside dD.
-    """
-
-    window: "Window"
-    centre: Array
-    depth: Array
-    lateral: Array
-    ahead: Array
-    tangent: Array
-    inside: Array
-    slope: Array
-
-    @property
-    def points(self) -> Array:
-        """Return these points, (N, 3); NaN for points in front of the last face."""
-        direction = self.window.normal + self.tangent[:, None] * self.ahead
-        points: Array = self.centre + self.depth[:, None] * direction
-        return points
-
-    @property
-    def by_point(self) -> Array:
-        """Return their derivatives by the points, (N, 3, 3)."""
-        w, rate = self.window.normal, self.depth / self.slope
-        stretch = self.depth * self.tangent / self.lateral
-        flat = np.eye(3) - np.outer(w, w) - _product(self.ahead, self.ahead)
-        along = w + (self.tangent - self.inside * rate)[:, None] * self.ahead
-        return (
-            stretch[:, None, None] * flat
-            + _product(along, w)
-            + _product(rate[:, None] * self.ahead, self.ahead)
-        )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -169,18 +128,20 @@ class Window:
             before = index
         return at, ahead
 
-    def apparent(self, centre: Array, points: Array) -> Apparent:
-        """Return where a camera in air would see points.
+    def apparent(self, centre: Array, points: Array) -> tuple[Array, Array]:
+        """Return where a camera in air would see points: at the same depth on straight rays.
 
-        centre: (3,), of the camera. points: (N, 3). All is NaN for points in front of the last
-        face.
+        centre: (3,), of the camera. points: (N, 3). Returns the apparent points, (N, 3), and their
+        derivatives by the points, (N, 3, 3); all is NaN for points in front of the last face.
 
-        Over the depths d_k of all media, the lateral distance of a point from the camera is the sum
-        of d_k q / sqrt(n_k^2 + (n_k^2 - 1) q^2), with q the tangent of the ray's angle in air. It
-        is concave in q, so Newton's method from the paraxial q climbs to the solution.
+        Over the depths d_k of all media, the lateral distance L of a point from the camera is the
+        sum of d_k q / sqrt(n_k^2 + (n_k^2 - 1) q^2), with q the tangent of the ray's angle in air.
+        It is concave in q, so Newton's method from the paraxial q climbs to the solution. With p
+        the tangent in the last medium and D the depth, (dL/dq) dq = dL - p dD.
         """
-        depth = (points - centre) @ self.normal
-        across = points - centre - depth[:, None] * self.normal
+        w, offset = self.normal, points - centre
+        depth = offset @ w
+        across = offset - depth[:, None] * w
         lateral = np.maximum(np.linalg.norm(across, axis=1), _TINY)
         height = self.height(centre)
         behind = depth - height - self.thickness
@@ -195,16 +156,16 @@ class Window:
                 reach = reach + share * q
                 slope = slope + share * n**2 / (root * root)
             off = lateral - reach
-            inside = q / root  # of the last one
+            p = q / root  # of the last one
             q = q + off / slope
             if not (np.abs(off) > _NEAR * depth).any():
                 break
         ahead = across / lateral[:, None]
-        depth = depth + 0 * behind
-        return Apparent(self, centre, depth, lateral, ahead, q, inside, slope)
-
-
-def _product(one: Array, other: Array) -> Array:
-    """Return the matrices one other^T, (N, 3, 3), of (N, 3) and (N, 3) or (3,)."""
-    product: Array = one[:, :, None] * other[..., None, :]
-    return product
+        rate = depth / slope
+        along = w + (q - p * rate)[:, None] * ahead
+        by_point = (
+            (depth * q / lateral)[:, None, None] * (np.eye(3) - np.outer(w, w))
+            + along[:, :, None] * w
+            + (rate - depth * q / lateral)[:, None, None] * ahead[:, :, None] * ahead[:, None]
+        )
+        return centre + depth[:, None] * (w + q[:, None] * ahead), by_point
