@@ -125,10 +125,6 @@ float8 filter_along(const float *line, const int column, const int side,
   return sum;
 }
 
-/* The planes that `blend` reads have eight columns in a piece, row by row, so that most of what a
- * row reads is in the cache from the row before. `column` is the first of eight. */
-#define IN_PIECES(row, column) ((row) * LANES + (column) * ROWS)
-
 /* Sum with Gaussian weights along the row; `line` has `reach` numbers before it and behind it,
  * which become 0 as those between COLUMNS and LINE do. Eight results are `apart` from the next. */
 void average_along(float *line, const int reach, __global const float *weights,
@@ -485,8 +481,7 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
                     __global const float *chosen, __global const float *own_down,
                     __global const float *own_along, __global const float *gain_down,
                     __global const float *gain_along, __global const float *rows_risk,
-                    __global float *weights, __global float *values, __global float *result,
-                    __global float *gain) {
+                    __global float *weights, __global float *values, __global float *result) {
   const int row = get_global_id(0), c = LANES * get_global_id(1), at = row * LINE + c;
   if (row >= ROWS || c >= COLUMNS) return;
   const float8 s1 = EIGHT_AT(chosen + at), s2 = EIGHT_AT(variance + at);
@@ -531,7 +526,6 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
   const float8 share = 1 / sum, noise = s2 * mean_gain * share;
   const float8 stein = s1 * mean_risk * share + 2 * (s2 - s1) * mean_own * share - s2;
   for (int k = 0; k < K; ++k) EIGHT_AT(values + k * PLANE + at) = value[k] * share;
-  EIGHT_AT(gain + at) = mean_gain * share;
   EIGHT_AT(result + at) = s2 != s2 ? s2 : stein > noise ? stein : noise;
 #if STRAINED
   for (int pair = 0; pair < PAIRS; ++pair)

@@ -76,16 +76,54 @@ float2 shared_with_neighbours(__global const float *sums) {
   return clamp((float2)(both + apart, both - apart) / (2 * v), 0.0f, MOST_SHARED);
 }
 
+/* How far the slopes that the pairs of filters give are from their mean, for each node of a row: the
+ * square of the mean distance under the weights of the node, mean over the coordinates. down: the
+ * weights of the window of the row, (WIDE). along: those of its nodes, (WIDE, LINE). */
+void spread_of_row(const int row, __global const float *weights, __global const float *estimate,
+                   __global const float *down, __global const float *along, float *spread) {
+  float line[LINE + 2 * STRAIN_REACH], slope[PAIRS][LINE], mean[LINE], apart[LINE];
+  for (int c = 0; c < LINE + 2 * STRAIN_REACH; ++c) line[c] = 0;
+  for (int c = 0; c < LINE; ++c) spread[c] = 0;
+  for (int k = 0; k < K; ++k) {
+    for (int c = 0; c < LINE; ++c) mean[c] = apart[c] = 0;
+    for (int pair = 0; pair < PAIRS; ++pair) {
+      __global const float *plane = estimate + (k * PAIRS + pair) * PLANE;
+      __global const float *weight = weights + (pair * ROWS + row) * LINE;
+      EACH_EIGHT {
+        float8 sum = 0;
+        for (int r = max(row - STRAIN_REACH, 0); r <= min(row + STRAIN_REACH, ROWS - 1); ++r)
+          sum += down[r - row + STRAIN_REACH] * EIGHT_AT(plane + IN_PIECES(r, c));
+        STORE_EIGHT(line + STRAIN_REACH + c, sum);
+      }
+      EACH_EIGHT {
+        float8 sum = 0;
+        for (int t = 0; t < WIDE; ++t)
+          sum += EIGHT_AT(along + t * LINE + c) * LOAD_EIGHT(line + c + t);
+        STORE_EIGHT(slope[pair] + c, sum);
+      }
+      for (int c = 0; c < LINE; ++c) mean[c] += weight[c] * slope[pair][c];
+    }
+    for (int pair = 0; pair < PAIRS; ++pair) {
+      __global const float *weight = weights + (pair * ROWS + row) * LINE;
+      for (int c = 0; c < LINE; ++c) apart[c] += weight[c] * fabs(slope[pair][c] - mean[c]);
+    }
+    for (int c = 0; c < LINE; ++c) spread[c] += apart[c] * apart[c] / K;
+  }
+}
+
 /* The variances of the slopes of the filtered values over whole windows, per node step and
  * coordinate: along the rows and along the columns, NaN where they are unknown. The weights of the
  * pairs of filters, times the deviation of the noise, are replaced by their mean over the votes of
- * the window. A slope is then one combination of the nodes, and its variance a quadratic form of
- * these weights. Its matrices are the products of the filters behind the mean and behind the slope
- * of a window along an axis: planes 0 of gram_*; planes 1 hold the products of nodes that are
- * neighbours. One work-item a row. */
-__kernel void slopes(__global const float *weights, __global const float *variance,
-                     __global const float *gain, __global const uchar *votes,
-                     __global const float *sums, __global const float *gram_mean_down,
+ * the window. A slope is then one combination of the nodes, and the variance of its noise a
+ * quadratic form of these weights. Its matrices are the products of the filters behind the mean and
+ * behind the slope of a window along an axis: planes 0 of gram_*; planes 1 hold the products of
+ * nodes that are neighbours. The bias of smoothing is not in it, and shows in how far apart the
+ * slopes of the pairs are; that is added. span_down, span_along: the weights of the nodes of a
+ * window in its mean, and in its slope, (2, ROWS, WIDE) and (2, WIDE, LINE). One work-item a row. */
+__kernel void slopes(__global const float *weights, __global const float *estimate,
+                     __global const float *variance, __global const uchar *votes,
+                     __global const float *sums, __global const float *span_down,
+                     __global const float *span_along, __global const float *gram_mean_down,
                      __global const float *gram_slope_down,
                      __global const float *gram_mean_along,
                      __global const float *gram_slope_along, __global float *result) {
@@ -97,7 +135,7 @@ __kernel void slopes(__global const float *weights, __global const float *varian
   for (int c = 0; c < COLUMNS + 2 * STRAIN_REACH; ++c) line[c] = 0;
   for (int r = top; r <= bottom; ++r)
     EACH_COLUMN {
-      const float size = sqrt(variance[r * LINE + c] / gain[r * LINE + c]);
+      const float size = sqrt(variance[r * LINE + c]);
       const int counts = votes[r * COLUMNS + c] && size >= 0;
       scale[r - top][c] = counts ? size : 0.0f;
       line[STRAIN_REACH + c] += counts;
@@ -122,7 +160,9 @@ __kernel void slopes(__global const float *weights, __global const float *varian
     __global const float *down =
         (turn ? gram_slope_down : gram_mean_down) + row * FILTERS_DOWN * FILTERS_DOWN;
     __global const float *along = turn ? gram_mean_along : gram_slope_along;
-    float total[COLUMNS], product[FILTERS_ALONG * FILTERS_ALONG][COLUMNS];
+    float total[COLUMNS], product[FILTERS_ALONG * FILTERS_ALONG][COLUMNS], spread[LINE];
+    spread_of_row(row, weights, estimate, span_down + (turn * ROWS + row) * WIDE,
+                  span_along + (1 - turn) * WIDE * LINE, spread);
     EACH_COLUMN total[c] = 0;
     for (int p = 0; p < FILTERS_ALONG * FILTERS_ALONG; ++p) {
       __global const float *alone = along + p * COLUMNS;
@@ -147,7 +187,8 @@ __kernel void slopes(__global const float *weights, __global const float *varian
         EACH_COLUMN total[c] += along_too[c] * mean[a * FILTERS_ALONG + b][c];
       }
     }
-    EACH_COLUMN result[(turn * ROWS + row) * COLUMNS + c] = total[c] < 0 ? 0 : total[c];
+    EACH_COLUMN result[(turn * ROWS + row) * COLUMNS + c] =
+        (total[c] < 0 ? 0 : total[c]) + spread[c];
   }
 }
 

@@ -321,6 +321,8 @@ class LatticeFilter:
             "pilot_along": in_lines(along.pilot_matrix),
             "pilot_own_down": down.pilot_own,
             "pilot_own_along": in_lines(along.pilot_own),
+            "span_down": down.span,
+            "span_along": in_lines(np.moveaxis(along.span, 1, 2)),
             "gram_mean_down": down.gram_mean,
             "gram_slope_down": down.gram_slope,
             "gram_mean_along": np.moveaxis(along.gram_mean, 1, 3),
@@ -346,7 +348,6 @@ class LatticeFilter:
             "weights": pairs if self._slopes else 1,
             "values": axes,
             "mixed_variance": 1,
-            "left_share": 1,
         }
         wide = rows, multiple(columns, LANES)
         return {
@@ -391,7 +392,7 @@ class LatticeFilter:
                 (eights,),
                 *("estimate", "loss", "near_votes", "unsupported", "counts"),
                 *("variance", "chosen", *owns, "gain_down", "gain_along", "rows_risk"),
-                *("weights", "values", "mixed_variance", "left_share"),
+                *("weights", "values", "mixed_variance"),
             ),
             self._of_nodes(
                 "finish",
@@ -407,8 +408,8 @@ class LatticeFilter:
             self._of_rows(
                 "slopes",
                 (),
-                *("weights", "mixed_variance", "left_share", "votes", "rough"),
-                *("gram_mean_down", "gram_slope_down"),
+                *("weights", "estimate", "variance", "votes", "rough"),
+                *("span_down", "span_along", "gram_mean_down", "gram_slope_down"),
                 *("gram_mean_along", "gram_slope_along", "slopes"),
             ),
         ]

@@ -29,9 +29,11 @@ class AxisTables:
     squares. pilot, pilot_matrix, pilot_own, pilot_side: the same for the filter that shows the
     noise. bend: (n, 3, S), the weights of the value of the line and of the first and second
     derivative of the parabola fitted to S nodes.
-    gram_mean: (2, n, F, F), the products of the weights of the nodes behind the mean of what each
-    filter gives over the window of a strain: of a node with itself, and with its two neighbours.
-    gram_slope: the same for the slope of a line fitted to the window.
+    span: (2, n, W), the weights of the W nodes of the window of a strain in their mean, and in the
+    slope of the line fitted to them, 0 beyond the axis.
+    gram_mean: (2, n, F, F), the products of the weights of the nodes behind this mean of what each
+    filter gives: of a node with itself, and with its two neighbours. gram_slope: the same for the
+    slope.
     """
 
     sides: NDArray[np.int32]
@@ -44,6 +46,7 @@ class AxisTables:
     pilot_own: Single
     pilot_side: int
     bend: Single
+    span: Single
     gram_mean: Single
     gram_slope: Single
 
@@ -60,7 +63,8 @@ def axis_tables(n: int) -> AxisTables:
     if bend_side:
         for order, (degree, derivative) in enumerate(((1, 0), (2, 1), (2, 2))):
             bend[:, order] = _windows(polynomial(n, bend_side, degree, derivative), bend_side)
-    gram_mean, gram_slope = _grams(filters)
+    span = _spans(n)
+    gram_mean, gram_slope = (_gram(each, filters) for each in span)
     return AxisTables(
         sides=np.array([side for side, _ in fitting], np.int32),
         filters=np.stack(
@@ -74,27 +78,38 @@ def axis_tables(n: int) -> AxisTables:
         pilot_own=np.diag(pilot).astype(np.float32),
         pilot_side=pilot_side,
         bend=bend,
+        span=np.stack([_around(each) for each in span]),
         gram_mean=gram_mean,
         gram_slope=gram_slope,
     )
 
 
-def _grams(filters: Array) -> tuple[Single, Single]:
-    """Return `gram_mean` and `gram_slope` of filters (F, n, n). Windows are cut at the ends."""
-    n = filters.shape[1]
-    mean, slope = np.zeros((2, n, n))
+def _spans(n: int) -> Array:
+    """Return the weights of all nodes in the mean of the window of a strain around each node, and
+    in the slope of the line fitted to it, (2, n, n). Windows are cut at the ends."""
+    spans = np.zeros((2, n, n))
     for node in range(n):
         window = np.arange(max(node - STRAIN_REACH, 0), min(node + STRAIN_REACH + 1, n))
         offset = window - window.mean()
-        mean[node, window] = 1 / len(window)
-        slope[node, window] = offset / max(np.square(offset).sum(), 1)
+        spans[0, node, window] = 1 / len(window)
+        spans[1, node, window] = offset / max(np.square(offset).sum(), 1)
+    return spans
+
+
+def _around(span: Array) -> Single:
+    """Return the weights (n, n) of the nodes from STRAIN_REACH before each to as many behind."""
+    padded = np.pad(span, [(0, 0), (STRAIN_REACH, STRAIN_REACH)])
+    wide = 2 * STRAIN_REACH + 1
+    return np.stack([row[i : i + wide] for i, row in enumerate(padded)]).astype(np.float32)
+
+
+def _gram(span: Array, filters: Array) -> Single:
+    """Return `gram_mean` or `gram_slope` of filters (F, n, n)."""
+    n = len(span)
     apart = np.abs(np.arange(n)[:, None] - np.arange(n))
-    found = []
-    for over_window in (mean, slope):
-        weights = np.einsum("iw,awj->iaj", over_window, filters)
-        products = [weights @ (apart == lag) @ weights.transpose(0, 2, 1) for lag in (0, 1)]
-        found.append(np.stack(products).astype(np.float32))
-    return found[0], found[1]
+    weights = np.einsum("iw,awj->iaj", span, filters)
+    products = [weights @ (apart == lag) @ weights.transpose(0, 2, 1) for lag in (0, 1)]
+    return np.stack(products).astype(np.float32)
 
 
 def _gaussian(deviation: float, reach: int) -> Single:

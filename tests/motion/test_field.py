@@ -249,7 +249,7 @@ def test_the_strain_is_the_oracles(run, device, case, views, at_once):
     correlations = strains.shared(moved, votes, found.noise**2)
     assert max(shape) < 10 or max(correlations) > 0.1
     slopes = strains.slope_variances(
-        found.weights, found.sigma / np.sqrt(found.gain), votes, filters, correlations
+        found.weights, found.noise, votes, filters, correlations, found.estimates
     )
     quiet = AtRest(moment, device, slopes=True)
     still = tuple(np.moveaxis(quiet.filtered.slopes, 2, 0))

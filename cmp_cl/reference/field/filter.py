@@ -56,7 +56,8 @@ class Filtered:
     rejected nodes. margin: the smallest relative distance from its bound of a quantity that rejects
     or accepts a node; if it is tiny, float32 may decide otherwise. common: (R, C, K, K), the
     covariance of the coordinates from the residuals of the votes around, over its mean diagonal.
-    weights: (A, B, R, C), of the pairs. gain: (R, C), the share of the variance that they leave.
+    weights: (A, B, R, C), of the pairs. estimates: (A, B, R, C, K), what each pair gives, but for
+    the surface of 1.
     """
 
     values: Floats
@@ -66,7 +67,7 @@ class Filtered:
     margin: float
     common: Floats
     weights: Floats
-    gain: Floats
+    estimates: Floats
 
 
 def filter_positions(values: Floats, measured: Bools) -> Filtered:
@@ -107,7 +108,7 @@ def _filtered(values: Floats, measured: Bools, most: Floats | None) -> Filtered:
     if most is not None:
         chosen = _least_noise(data, kept, s2)
         chosen = np.where(np.isnan(most), chosen, np.minimum(chosen, most**2))
-    smooth, variance, weights, gain = _mixture(data, kept, s2, chosen)
+    smooth, variance, weights, estimates = _mixture(data, kept, s2, chosen)
     gone = votes & ~kept
     off = ((values - smooth) ** 2).mean(axis=2)
     variance = np.where(kept, variance, s2)
@@ -122,7 +123,7 @@ def _filtered(values: Floats, measured: Bools, most: Floats | None) -> Filtered:
         margin=margin,
         common=_common(residual, kept),
         weights=weights.reshape(rows, columns, *there.shape),
-        gain=gain,
+        estimates=estimates.reshape(rows, columns, *values.shape),
     )
 
 
@@ -227,7 +228,7 @@ def _rejected(residual: Floats, s2: Floats, own: Floats, votes: Bools) -> tuple[
 def _mixture(
     data: Floats, votes: Bools, s2: Floats, chosen: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the values, their variance, the weights (P, R, C), and the share of the variance."""
+    """Return the values, their variance, and the weights (P, R, C) and the values of the pairs."""
     rows, columns, _ = data.shape
     estimates, risks, gains, owns = [], [], [], []
     for h_row, p_row in PAIRED:
@@ -255,7 +256,7 @@ def _mixture(
     mean_own = (weights * np.array(owns)).sum(axis=0)
     expected = chosen * mean_risk + 2 * (s2 - chosen) * mean_own - s2
     share = (weights * gain).sum(axis=0)
-    return values, np.maximum(expected, s2 * share), weights, share
+    return values, np.maximum(expected, s2 * share), weights, estimate
 
 
 def _least_noise(data: Floats, votes: Bools, s2: Floats) -> Floats:

@@ -5,11 +5,13 @@
 2. On a surface, Q are orthonormal axes of the tangent plane at rest, axis 1 along its first slope;
    in a plane they are x and y. F are the current slopes along them: E = (F F' - I) / 2.
 3. The slope of a filtered displacement is a combination of nodes before the filter. Each node has
-   the weights w_ab of the pairs of filters, times the root of its variance over its gain. They are
-   replaced by their mean over the votes of the 5 x 5, and the 5 x 5 by all of it that lies inside
-   the lattice: the slope weighs all nodes, by the mean along one axis and the slope of a line along
-   the other. Its variance is the sum of the products of these weights over all pairs of nodes,
-   times their correlation.
+   the weights w_ab of the pairs of filters, times the deviation of its noise. They are replaced by
+   their mean over the votes of the 5 x 5, and the 5 x 5 by all of it that lies inside the lattice:
+   the slope weighs all nodes, by the mean along one axis and the slope of a line along the other.
+   The variance of its noise is the sum of the products of these weights over all pairs of nodes,
+   times their correlation. The bias of smoothing shows in how far apart the pairs are: the square
+   of the mean distance of their slopes from the mixture, under the weights of the node in the
+   middle, is added, mean over the coordinates.
 4. Neighbours in a column correlate by a, those in a row by b. Let r be the second differences along
    rows of the second differences along columns, over the deviation of the noise, where all nine
    nodes have votes. For noise of variance v, the mean of r r is (36 - 48 a - 48 b) v, that of r and
@@ -71,11 +73,12 @@ def slope_variances(
     votes: Bools,
     filters: tuple[Floats, Floats],
     correlations: tuple[float, float],
+    estimates: Floats,
 ) -> tuple[Floats, Floats]:
     """Return the variances of the slopes by column and by row, (R, C), over windows without a hole.
 
-    weights: (A, B, R, C). size: (R, C), the root of the variance over the gain. filters: (A, R, R)
-    and (B, C, C). correlations: a and b of 4.
+    weights: (A, B, R, C). size: (R, C), the deviation of the noise. filters: (A, R, R) and (B, C,
+    C). correlations: a and b of 4. estimates: (A, B, R, C, K).
     """
     shape = votes.shape
     by_column, by_row = np.full(shape, np.nan), np.full(shape, np.nan)
@@ -96,17 +99,29 @@ def slope_variances(
             _mean_and_line(down),
             _mean_and_line(along),
         )
-        for result, one, two in (
-            (by_column, mean_down, line_along),
-            (by_row, line_down, mean_along),
+        near = estimates[:, :, rows][:, :, :, columns]
+        for result, one, two, axis in (
+            (by_column, mean_down, line_along, 3),
+            (by_row, line_down, mean_along, 2),
         ):
             slope = np.einsum("ab,ai,bj->ij", mean, one, two)
             result[r, c] = (slope * (together[0] @ slope @ together[1])).sum()
+            result[r, c] += _spread(weights[:, :, r, c], near, axis)
     return by_column, by_row
 
 
 def _window(i: int, n: int) -> NDArray[np.intp]:
     return np.arange(max(i - REACH, 0), min(i + REACH + 1, n))
+
+
+def _spread(weights: Floats, near: Floats, axis: int) -> float:
+    """Return the square of the mean distance of the slopes along an axis of windows (A, B, S, T, K)
+    from their mean, under weights (A, B), mean over K."""
+    lines = near.mean(axis=5 - axis)  # (A, B, n, K)
+    off = np.arange(lines.shape[2]) - (lines.shape[2] - 1) / 2
+    slopes = np.einsum("n,abnk->abk", off, lines) / max(np.square(off).sum(), 1)
+    mean = np.einsum("ab,abk->k", weights, slopes)
+    return float(np.square(np.einsum("ab,abk->k", weights, np.abs(slopes - mean))).mean())
 
 
 def _mean_and_line(rows: Floats) -> tuple[Floats, Floats]:
