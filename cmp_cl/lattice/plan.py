@@ -145,13 +145,15 @@ class LatticePlan:
     def _bound(self, table: Iterable[Kernel]) -> list[Launch]:
         """Bind kernels to their arguments.
 
-        On a CPU a kernel over pixels has groups of whole rows, one over the places of a board some
-        rows for each work-item, and one work-group is one work-item. Groups of corners are small
-        there, because PoCL gives a thread 32 of them at a time.
+        On a CPU a kernel over pixels has groups of whole rows, as far as the device has so large
+        ones, one over the places of a board some rows for each work-item, and one work-group is one
+        work-item. Groups of corners are small there, because PoCL gives a thread 32 of them at a
+        time.
         """
         cpu = self.device.kind is DeviceKind.CPU
+        rows = cpu and self.step <= self.device.handle.max_work_group_size
         items_and_group = {
-            Over.PIXELS: ((self.step, self.shape[0]), (self.step if cpu else GROUP, 1)),
+            Over.PIXELS: ((self.step, self.shape[0]), (self.step if rows else GROUP, 1)),
             Over.CORNERS: ((self.capacity,), (GROUP // 4 if cpu else GROUP,)),
             Over.HALF_EDGES: ((4 * self.capacity,), (GROUP,)),
             Over.PLACES: ((1, ROWS), (1, 1)) if cpu else ((GROUP, 4 * ROWS), (GROUP, 1)),

@@ -142,6 +142,14 @@ def test_a_turned_or_mirrored_image_has_the_same_nodes(name, change):
     assert np.quantile(np.abs(again.xy - xy)[both], 0.98 if torn else 1) < (0.2 if torn else 0.02)
 
 
+def test_a_board_in_an_image_wider_than_a_work_group_is_numbered(device):
+    wide = device.handle.max_work_group_size + 50
+    image = np.full((120, wide), 200, np.uint8)
+    row, column = np.indices((120, 180)) // 20
+    image[:, -180:] = cv2.blur(np.uint8((row + column) % 2 * 150 + 50), (3, 3))
+    assert build_grid(detect(image, device=device), image, device=device).shape == (5, 8)
+
+
 @pytest.mark.parametrize("name", ["gel, severity 1.5", "torn gel 61", "board before blocks, 1"])
 def test_the_order_of_the_corners_changes_no_number(name):
     view, corners = seen(name)
