@@ -9,7 +9,6 @@ A row of results/detection.csv is a method on the scenes of one density, severit
 
 import argparse
 import itertools
-import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -17,15 +16,14 @@ import methods
 import numpy as np
 from environment import run
 from peers import PEERS, Pattern, available
-from scenes import TEST_SEED, View, rendered
+from scenes import DENSITIES, INDENTERS, TEST_SEED, rendered
 from tqdm import tqdm
 
-from cmp_cl.synthetic import Indenter, Mode, Scene, random_scene
+from cmp_cl.synthetic import Mode, Scene, random_scene
 from cmp_cl.synthetic.scoring import Score, total
 
-DENSITIES = (20, 30, 40, 44)
 SEVERITIES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
-INDENTERS = [kind for kind in Indenter if kind is not Indenter.NONE]
+REPEATS = 3  # scenes of each object and severity
 
 
 def scenes(markers: int, severities: Sequence[float], repeats: int) -> Iterator[list[Scene]]:
@@ -58,19 +56,11 @@ def figures(scores: Sequence[Score], spent: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def timed(method: methods.Method, frame: View) -> tuple[Score, float]:
-    """Return the score of a method on a frame, and its time, ms."""
-    start = time.perf_counter()
-    xy = method.detect(frame.image)
-    spent = time.perf_counter() - start
-    return frame.score(xy), 1e3 * getattr(method.detect, "seconds", spent)
-
-
 def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     names = [name for name in available() if not (arguments.quick and PEERS[name].slow)]
     severities = (0.5, 1.0) if arguments.quick else SEVERITIES
     densities = DENSITIES[:3] if arguments.quick else DENSITIES
-    repeats = 1 if arguments.quick else arguments.repeats
+    repeats = 1 if arguments.quick else REPEATS
     for markers in densities:
         pattern = Pattern(markers)
         used: list[methods.Method] = []
@@ -82,7 +72,8 @@ def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
                 for method in used:  # some compile or allocate only now
                     method.detect(frames[0].image)
             for method in used:
-                scores, spent = zip(*(timed(method, frame) for frame in frames), strict=True)
+                found, spent = zip(*(method.timed(frame.image) for frame in frames), strict=True)
+                scores = [frame.score(xy) for frame, xy in zip(frames, found, strict=True)]
                 which = {
                     "method": method.name,
                     "markers": markers,
@@ -93,14 +84,7 @@ def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    repeats = {"type": int, "default": 3, "help": "scenes of each object and severity"}
-    return run(
-        __doc__,
-        {"detection": rows},
-        argv,
-        quick="30 scenes, no slow peers",
-        options={"repeats": repeats},
-    )
+    return run(__doc__, {"detection": rows}, argv, quick="30 scenes, no slow peers")
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ import boards
 import numpy as np
 from boards import board, drawn, photographed
 
-from cmp_cl import Detector, RingHarmonic
+from cmp_cl import RingHarmonic, detect
 from cmp_cl.image import GreyImage
 from cmp_cl.reference import harmonic
 from cmp_cl.stages import refine
@@ -108,15 +108,12 @@ def of_kind(kind: str, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
 
 def sigma(count: int) -> Judged:
     """Yield the share of the errors of each board within two sigma."""
-    detectors: dict[tuple[int, ...], Detector] = {}
     for seed, kind in itertools.product(range(FIRST_SEED, FIRST_SEED + count), KINDS):
         image, truth, cell = of_kind(kind, seed)
-        if image.shape not in detectors:
-            detectors[image.shape] = Detector(shape=image.shape)
         margin = max(12, 0.6 * cell)
         for name, value in rows(SIGMA):
             with mock.patch.object(refine, name, np.float32(value)):
-                found = detectors[image.shape](image)
+                found = detect(image)
             partner = match(found.xy, truth, max(3.0, 0.1 * cell))
             inside = boards.inside(found.xy, image.shape, margin)
             good = (partner >= 0) & np.isfinite(found.sigma) & inside

@@ -9,7 +9,9 @@ single cases and the differences to the oracle, each beside what is expected.
 """
 
 import argparse
+import contextlib
 import dataclasses
+import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -21,10 +23,11 @@ from peers import Pattern, available
 from scenes import MILD, TEST_SEED, rendered
 from tqdm import tqdm
 
-from cmp_cl import DetectorConfig, EdgeLines, detect, reference
+from cmp_cl import Detector, DetectorConfig, EdgeLines, GridError, detect, reference
 from cmp_cl.errors import ConfigError
 from cmp_cl.synthetic import Scene, Surround, random_scene
-from cmp_cl.synthetic.scoring import match, total
+from cmp_cl.synthetic.boards import drawn, plane
+from cmp_cl.synthetic.scoring import total
 
 SEED = TEST_SEED + 900_000
 CLOSE = 1e-4  # a check so near to its bound may decide either way in float32
@@ -44,9 +47,6 @@ def sweeps() -> dict[str, tuple[list[float], Make]]:
         scene = random_scene(seed, markers=markers, **MILD)
         return dataclasses.replace(scene, surround=Surround.GREY, **changes)
 
-    def small(cell: float, seed: int) -> Scene:
-        return base(seed, max(3, min(100, round(0.92 * 480 / cell) - 1)))
-
     return {
         "blur, px": ([0.5, 1, 1.5, 2, 2.5, 3, 4, 5], lambda v, s: base(s, blur=v)),
         "noise, grey levels": ([0, 10, 20, 25, 35, 50, 70], lambda v, s: base(s, noise=v)),
@@ -55,7 +55,10 @@ def sweeps() -> dict[str, tuple[list[float], Make]]:
             [1, 1.5, 2.6, 4, 6, 8, 10],
             lambda v, s: base(s, vignetting=v, light=0.0),
         ),
-        "cell, px": ([6, 7, 8, 10, 12, 15, 20, 30, 45, 60], small),
+        "cell, px": (
+            [6, 7, 8, 10, 12, 15, 20, 30, 45, 60],
+            lambda v, s: base(s, max(3, min(100, round(0.92 * 480 / v) - 1))),
+        ),
         "severity": (
             [0, 0.5, 1, 1.25, 1.5, 1.75, 2],
             lambda v, s: random_scene(s, markers=MARKERS, severity=v),
@@ -120,19 +123,6 @@ def against_oracle(scenes: Sequence[Scene]) -> Iterator[Row]:
         yield case(f"{name}: frames with other corners than the oracle's", other, "0")
 
 
-def along_the_image(image: np.ndarray) -> Iterator[Row]:
-    """Yield by how much positions change where float32 has coarser steps."""
-    at_zero = detect(image).xy.astype(float)
-    for offset in (1000, 8000, 15_500):
-        wide = np.full((image.shape[0], image.shape[1] + offset), image[0, 0], np.uint8)
-        wide[:, offset:] = image
-        xy = detect(wide).xy.astype(float) - (offset, 0)
-        partner = match(xy, at_zero, 1.0)
-        moved = np.hypot(*(xy[partner >= 0] - at_zero[partner[partner >= 0]]).T)
-        step = float(np.spacing(np.float32(offset + image.shape[1] // 2)))
-        yield case(f"moved right by {offset} px: largest change, px", moved.max(), f"< {step:.1g}")
-
-
 def blank() -> Iterator[Row]:
     """Yield the corners of images that have none."""
     draw = np.random.default_rng(SEED)
@@ -146,14 +136,34 @@ def blank() -> Iterator[Row]:
         yield case(f"blank frame, noise of {sd}, correlated over 2 px", len(detect(soft)), "< 3")
 
 
+def numbering() -> Iterator[Row]:
+    """Yield the time of numbering where corners or boards are most."""
+    fine = drawn(plane(cell=6, middle=(0, 0), turn=17), (1200, 1600), blur=0, count=3).image
+    squares = 60 + 130 * np.kron(np.indices((6, 6)).sum(axis=0) % 2, np.ones((10, 10)))
+    boards = np.tile(np.pad(squares, (0, 15), constant_values=125), (20, 20))
+    boards = cv2.GaussianBlur(boards, (0, 0), 0.8).astype(np.uint8)
+    for name, image in {"cells of 6 px": fine, "400 boards": boards}.items():
+        spent = []
+        with Detector(shape=image.shape) as detector:
+            count = len(detector(image))
+            for _ in range(5):
+                moments = [time.perf_counter()]
+                for find in (detector, detector.grid):
+                    with contextlib.suppress(GridError):
+                        find(image)
+                    moments.append(time.perf_counter())
+                spent.append(np.diff(moments))
+        alone, with_grid = np.median(spent[1:], axis=0)  # the first compiles
+        yield case(f"{name}: numbering, us a corner", 1e6 * (with_grid - alone) / count, "")
+
+
 def single(arguments: argparse.Namespace) -> Iterator[Row]:
     mixed = [
         random_scene(SEED + k, markers=MARKERS, severity=severity)
         for k in range(1 if arguments.quick else 3)
         for severity in (0.25, 1.0, 1.5)
     ]
-    image = rendered(random_scene(SEED, markers=MARKERS, severity=0.5)).image
-    yield from (*blank(), *along_the_image(image), *against_oracle(mixed))
+    yield from (*blank(), *against_oracle(mixed), *numbering())
 
 
 def main(argv: Sequence[str] | None = None) -> int:

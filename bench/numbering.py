@@ -121,32 +121,22 @@ def of_lattice(constants: LatticeConstants) -> Method:
     return find
 
 
-def calib_targets(view: View, corners: Corners) -> Answer:
+def calib_targets(view: View, _: Corners) -> Answer:
     import calib_targets as peer
 
-    del corners
     answer = peer.detect_chessboard(view.image)
     if answer is None:
         return NOTHING
-    xy = np.array([_pair(corner.position) for corner in answer.corners]).reshape(-1, 2)
-    number = [_pair(corner.grid)[::-1] for corner in answer.corners]
-    return Answer(xy, np.array(number, int).reshape(-1, 2))
+    xy = [corner.position for corner in answer.corners]
+    number = [(corner.grid.v, corner.grid.u) for corner in answer.corners]
+    return Answer(np.reshape(xy, (-1, 2)), np.reshape(number, (-1, 2)).astype(int))
 
 
-def _pair(value: Any) -> tuple[float, float]:
-    """Return two numbers from a tuple or from an object with x and y, or i and j."""
-    for names in (("x", "y"), ("i", "j"), ("u", "v")):
-        if hasattr(value, names[0]):
-            return getattr(value, names[0]), getattr(value, names[1])
-    return value[0], value[1]
-
-
-def sector_based(view: View, corners: Corners) -> Answer:
+def sector_based(view: View, _: Corners) -> Answer:
     """Run cv2.findChessboardCornersSB with LARGER, beginning with the smallest board.
 
     It draws random numbers; the seed makes its answer the same in every run.
     """
-    del corners
     cv2.setRNGSeed(0)
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
     hit, xy, meta = cv2.findChessboardCornersSBWithMeta(view.image, (3, 3), flags)
@@ -155,11 +145,10 @@ def sector_based(view: View, corners: Corners) -> Answer:
     return Answer(xy.reshape(-1, 2).astype(np.float64), np.indices(meta.shape).reshape(2, -1).T)
 
 
-def libcbdetect(view: View, corners: Corners) -> Answer:
+def libcbdetect(view: View, _: Corners) -> Answer:
     """Return libcbdetect's largest board, with its own settings."""
     import libCBDetect as peer
 
-    del corners
     board = peer.Checkerboard()
     board.show_processing = False
     board.array_to_image(view.image.astype(np.float64).ravel(), *view.image.shape)
@@ -184,13 +173,11 @@ PEERS: dict[str, Method] = {
 
 
 class Family(NamedTuple):
-    """Views from a seed, how many; whether a node that is none of the board makes a frame wrong;
-    whether peers are asked."""
+    """Views from a seed, how many; whether a node that is none of the board makes a frame wrong."""
 
     views: Callable[[int, int], Views]
     frames: int
     alone: bool = False
-    peers: bool = True
 
 
 FAMILIES: dict[str, Family] = {
@@ -233,7 +220,7 @@ def verdict(*, good: bool, told: bool) -> int:
 
 
 def singles(
-    methods: dict[str, Method], peers: dict[str, Method], arguments: argparse.Namespace, fewer: int
+    methods: dict[str, Method], arguments: argparse.Namespace, fewer: int
 ) -> Iterator[dict[str, Any]]:
     """Run every method on every view, and sum by family."""
     for name in arguments.families or FAMILIES:
@@ -247,7 +234,7 @@ def singles(
                 start = time.perf_counter()
                 corners = detector(view.image)
                 found = time.perf_counter() - start
-            for method, ask in (methods | (peers if family.peers else {})).items():
+            for method, ask in methods.items():
                 try:
                     start = time.perf_counter()
                     answer = ask(view, corners)
@@ -382,7 +369,7 @@ def numbered(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     if arguments.ablation:
         return
     fewer = FEWER if arguments.quick else 1
-    yield from singles(OURS, PEERS, arguments, fewer)
+    yield from singles(OURS | PEERS, arguments, fewer)
     if not arguments.families:
         yield wrong_sizes(fewer)
         yield from liked(arguments.seed, max(120 // fewer, 1))
@@ -393,7 +380,7 @@ def ablation(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     if arguments.ablation:
         changed = {name: dataclasses.replace(K, **each) for name, each in ABLATION.items()}
         methods = {f"lattice, {name}": of_lattice(each) for name, each in changed.items()}
-        yield from singles(OURS | methods, {}, arguments, FEWER if arguments.quick else 1)
+        yield from singles(OURS | methods, arguments, FEWER if arguments.quick else 1)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

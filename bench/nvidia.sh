@@ -52,14 +52,14 @@ step devices "$python" -m cmp_cl devices
 if [ "${1:-}" = quick ]; then
     tests tests/lattice tests/motion tests/kernels tests/grid tests/test_measure.py \
         tests/test_portability.py
-    for part in numbering_time field speed; do
+    for part in field speed; do
         step $part "$python" bench/$part.py --quick --out "$out"
     done
 else
     tests
     step fuzz "$python" tests/fuzz.py --images 5000 --configs 50
     step endurance "$python" bench/endurance.py --minutes 3
-    for part in numbering_time field speed report; do
+    for part in field speed report; do
         step $part "$python" bench/$part.py --out "$out"
     done
 fi

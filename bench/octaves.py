@@ -21,8 +21,7 @@ from environment import DATA, run
 from photographs import folder, small_boards
 from scenes import View
 
-from cmp_cl import Corners, Detector, DetectorConfig, RingHarmonic
-from cmp_cl.image import GreyImage
+from cmp_cl import DetectorConfig, RingHarmonic, detect
 from cmp_cl.synthetic.scoring import match, total
 
 FIRST_SEED = 800_000
@@ -35,19 +34,6 @@ SETTINGS = {
 CELLS = (8, 12, 20, 40, 80, 140, 200)
 BLURS = (0.4, 1, 2, 4, 8)
 CORRELATIONS = (0, 0.7, 1, 1.5, 2, 3, 5)
-
-
-class Finder:
-    """Finds corners with some settings, with a detector for each shape of image."""
-
-    def __init__(self, config: DetectorConfig) -> None:
-        self._config = config
-        self._detectors: dict[tuple[int, ...], Detector] = {}
-
-    def __call__(self, image: GreyImage) -> Corners:
-        if image.shape not in self._detectors:
-            self._detectors[image.shape] = Detector(shape=image.shape, config=self._config)
-        return self._detectors[image.shape](image)
 
 
 def spread_ink() -> Iterator[tuple[str, list[View]]]:
@@ -72,39 +58,38 @@ def noisy(count: int) -> Iterator[tuple[str, list[View]]]:
     yield "drawn", [each for each, _ in drawn]
 
 
-def judged(group: Sequence[View], finder: Finder) -> dict[str, Any]:
+def judged(group: Sequence[View], config: DetectorConfig) -> dict[str, Any]:
     """Return the counts of a group of images."""
-    whole = total(each.score(finder(each.image).xy) for each in group)
+    whole = total(each.score(detect(each.image, config).xy) for each in group)
     counts = {"corners": whole.expected, "missed": whole.missed, "false": whole.false}
     return {"images": len(group), **counts}
 
 
 def every_cell_and_blur() -> dict[str, Any]:
     """Return by how many of the corners the default is behind the best `for_cell`, at most."""
-    finders = [Finder(DetectorConfig.for_cell(cell)) for cell in (8, 15, 30)]
-    default, behind, worst = Finder(DetectorConfig()), [], ""
+    configs = [DetectorConfig.for_cell(cell) for cell in (8, 15, 30)]
+    behind: dict[str, float] = {}
     for cell, blur in itertools.product(CELLS, BLURS):
         if blur > cell / 3:
             continue
         rng = np.random.default_rng(FIRST_SEED + cell)
         reflectance, truth = board(cell, angle=0.3, blur=blur)
         each = view(photographed(reflectance, rng, noise=3), truth, cell)
-        ours = each.score(default(each.image).xy)
-        best = min(each.score(finder(each.image).xy).missed for finder in finders)
-        behind.append(100 * (ours.missed - best) / ours.expected)
-        if behind[-1] == max(behind):
-            worst = f"cells of {cell} px, blur {blur} px"
-    return {"set": "every cell and blur", "behind_percent": max(behind), "worst": worst}
+        ours = each.score(detect(each.image).xy)
+        best = min(each.score(detect(each.image, config).xy).missed for config in configs)
+        share = 100 * (ours.missed - best) / ours.expected
+        behind[f"cells of {cell} px, blur {blur} px"] = share
+    worst = max(behind, key=behind.__getitem__)
+    return {"set": "every cell and blur", "behind_percent": behind[worst], "worst": worst}
 
 
-def blank(correlation: float, finder: Finder) -> dict[str, Any]:
+def blank(correlation: float, config: DetectorConfig) -> dict[str, Any]:
     """Return the corners a megapixel in grey frames with noise of 8 grey levels."""
     counts, said = [], []
     for seed in range(FIRST_SEED, FIRST_SEED + 3):
-        grey = np.full(boards.SHAPE, 0.5)
         rng = np.random.default_rng(seed)
-        image = photographed(grey, rng, noise=8, correlation=correlation)
-        found = finder(image)
+        image = photographed(np.full(boards.SHAPE, 0.5), rng, noise=8, correlation=correlation)
+        found = detect(image, config)
         counts.append(len(found))
         said.append("noise" in found.advice(image))
     false = float(np.mean(counts)) / math.prod(boards.SHAPE) * 1e6
@@ -112,7 +97,7 @@ def blank(correlation: float, finder: Finder) -> dict[str, Any]:
     return {"set": name, "false_a_megapixel": false, "said": float(np.mean(said))}
 
 
-def covered(finder: Finder) -> dict[str, Any]:
+def covered() -> dict[str, Any]:
     """Return how many errors two sigma cover, of corners that halved frames found."""
     within = []
     for seed in range(FIRST_SEED, FIRST_SEED + COVERED):
@@ -122,7 +107,7 @@ def covered(finder: Finder) -> dict[str, Any]:
         reflectance, truth = board(cell, angle=angle, blur=blur, ink=cell * rng.choice([0, 0.05]))
         noise, correlation = rng.choice([1, 4, 8]), rng.choice([0, 1])
         image = photographed(reflectance, rng, noise=noise, correlation=correlation)
-        found = finder(image)
+        found = detect(image)
         partner = match(found.xy, truth, 0.1 * cell)
         good = (partner >= 0) & (found.octave > 0) & np.isfinite(found.sigma)
         error = np.abs(found.xy[good] - truth[partner[good]])
@@ -141,13 +126,12 @@ def groups() -> Iterator[tuple[str, list[View]]]:
 
 
 def rows(_: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    finders = {name: Finder(config) for name, config in SETTINGS.items()}
     for name, group in groups():
-        for setting, finder in finders.items():
-            yield {"settings": setting, "set": name, **judged(group, finder)}
-    for correlation, (setting, finder) in itertools.product(CORRELATIONS, finders.items()):
-        yield {"settings": setting, **blank(correlation, finder)}
-    yield {"settings": "octaves=3", **covered(finders["octaves=3"])}
+        for setting, config in SETTINGS.items():
+            yield {"settings": setting, "set": name, **judged(group, config)}
+    for correlation, (setting, config) in itertools.product(CORRELATIONS, SETTINGS.items()):
+        yield {"settings": setting, **blank(correlation, config)}
+    yield {"settings": "octaves=3", **covered()}
     yield {"settings": "octaves=3", **every_cell_and_blur()}
 
 

@@ -8,16 +8,17 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from environment import DATA
-from scenes import View, photograph
+from scenes import View, photograph, rendered
 
 from cmp_cl.image import GreyImage
-from cmp_cl.synthetic import Indenter, Scene, boards, random_scene
+from cmp_cl.synthetic import Indenter, boards, random_scene
 
 HIGH, WIDE = 420, 560  # px, of boards in clutter
 SHAPE = (480, 640)  # of marked boards
 SAMPLES = 3  # of a pixel, along each axis
 MARKS = ("dot", "ring", "cross", "square", "code")
 CELLS = (24, 36, 50)  # px, of marked boards
+Views = Iterator[View]
 GROUNDS = ("plain", "squares", "keys", "bars", "noise")
 SETS = {"stereo_opencv": (0.25,), "stereo_bumblebee2": (0.2, 0.4), "puzzleboard": (0.2, 0.4)}
 SETS |= {"curved": (0.2, 0.4)}  # photographs, and the shares that are cut off
@@ -27,14 +28,6 @@ NAMES = {
     "puzzleboard": ["example1"],
     "curved": ["curve_4"],
 }
-
-
-Views = Iterator[View]
-
-
-def gel(scene: Scene) -> View:
-    seen = boards.gel(scene)
-    return View(seen.image, seen.corners, seen.cell, seen.shape)
 
 
 def cut(view: View, box: tuple[float, float, float, float]) -> View:
@@ -61,7 +54,7 @@ def cuts(view: View, share: float) -> Views:
 def gels(seed: int, count: int) -> Views:
     draw = np.random.default_rng(seed + 1)
     for n in range(count):
-        yield gel(
+        yield rendered(
             random_scene(
                 seed + n,
                 markers=int(draw.integers(30, 45)),
@@ -75,7 +68,7 @@ def crops(seed: int, count: int) -> Views:
     """Yield gels cut at each of four sides, and windows of them."""
     draw = np.random.default_rng(seed + 2)
     while True:
-        whole = gel(
+        whole = rendered(
             random_scene(seed + 10_000 + count, markers=40, severity=draw.uniform(0.5, 1.5))
         )
         rows, columns = whole.image.shape
@@ -91,7 +84,7 @@ def crops(seed: int, count: int) -> Views:
 def torn(seed: int, count: int) -> Views:
     for n in range(count):
         scene = {"markers": 40 + n % 13, "indenter": Indenter.TORUS, "severity": 2.0}
-        yield gel(random_scene(seed + 20_000 + n, **scene))
+        yield rendered(random_scene(seed + 20_000 + n, **scene))
 
 
 def torn_otherwise(seed: int, count: int) -> Views:
@@ -99,7 +92,7 @@ def torn_otherwise(seed: int, count: int) -> Views:
     draw = np.random.default_rng(seed + 3)
     objects = (Indenter.TORUS, Indenter.CUBE, Indenter.WEDGE, Indenter.RIB)
     for n in range(count):
-        yield gel(
+        yield rendered(
             random_scene(
                 seed + 30_000 + n,
                 markers=int(draw.integers(36, 53)),
@@ -110,9 +103,8 @@ def torn_otherwise(seed: int, count: int) -> Views:
         )
 
 
-def photographs(seed: int, count: int) -> Views:
+def photographs(_: int, count: int) -> Views:
     """Yield photographs cut at each of their sides. There is no chance in them: no seed."""
-    del seed
     if not DATA.is_dir():
         return
     every = (
@@ -172,19 +164,19 @@ def before_ground(seed: int) -> View:
     rows, columns = int(draw.integers(4, 11)), int(draw.integers(5, 13))
     columns += rows == columns
     cell = draw.uniform(0.35, 0.8) * min(WIDE / (columns + 1), HIGH / (rows + 1))
-    turn = np.exp(1j * draw.choice([draw.normal(0, 0.15), draw.uniform(-np.pi, np.pi)]))
-    turn *= cell
-    moved = np.array([[turn.real, -turn.imag, 0], [turn.imag, turn.real, 0], [0, 0, 1]])
-    tilt, shift = np.eye(3), np.eye(3)
-    tilt[2, :2] = draw.normal(0, 0.0009, 2)  # perspective
-    shift[:2, 2] = WIDE / 2 + draw.normal(0, 60), HIGH / 2 + draw.normal(0, 45)
-    to_view = shift @ tilt @ moved
+    turn = draw.choice([draw.normal(0, 0.15), draw.uniform(-np.pi, np.pi)])
+    camera = boards.plane(
+        cell=cell,
+        about=((columns - 1) / 2, (rows - 1) / 2),
+        turn=np.degrees(turn),
+        tilt=tuple(draw.normal(0, 0.0009, 2)),
+        middle=(WIDE / 2 + draw.normal(0, 60), HIGH / 2 + draw.normal(0, 45)),
+    )
     ground = background(GROUNDS[seed % len(GROUNDS)], draw)
     paper, margin = draw.uniform(140, 240), float(draw.choice([0, 0.3, 1, 2]))
     other = bool(draw.integers(2))  # the colour of the first square
-    to_cells = np.array([[1, 0, -(columns - 1) / 2], [0, 1, -(rows - 1) / 2], [0, 0, 1]])
     seen = boards.drawn(
-        boards.homography(to_view @ to_cells),
+        camera,
         (HIGH, WIDE),
         (rows, columns),
         levels=(draw.uniform(10, 60), paper),

@@ -10,7 +10,6 @@ cell, found on rendered scenes.
 """
 
 import argparse
-import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -67,12 +66,15 @@ def before(room: GreyImage, seed: int) -> View:
     cell = float(draw.uniform(7, 14))
     top, left = (int(draw.integers(size - size // ENLARGED + 1)) for size in room.shape)
     part = room[top : top + high // ENLARGED, left : left + wide // ENLARGED]
-    turn = cell * np.exp(1j * draw.uniform(-0.4, 0.4))
-    to_view = np.array([[turn.real, -turn.imag, 0], [turn.imag, turn.real, 0], [0, 0, 1]])
-    to_view[2, :2] = draw.normal(0, 0.004, 2)  # perspective
-    to_view[:2] += np.outer(draw.uniform([0.35, 0.35], [0.65, 0.65]) * (wide, high), to_view[2])
-    to_cells = np.array([[1, 0, -(columns - 1) / 2], [0, 1, -(rows - 1) / 2], [0, 0, 1]])
-    camera = boards.homography(to_view @ to_cells)
+    turn = draw.uniform(-0.4, 0.4)
+    lean = complex(*draw.normal(0, 0.004, 2)) * np.exp(1j * turn) / cell
+    camera = boards.plane(
+        cell=cell,
+        about=((columns - 1) / 2, (rows - 1) / 2),
+        turn=np.degrees(turn),
+        tilt=(lean.real, lean.imag),
+        middle=tuple(draw.uniform(0.35, 0.65, 2) * (wide, high)),
+    )
     margin, paper, ink = (float(draw.uniform(*ends)) for ends in ((0.3, 1), (140, 240), (10, 60)))
     seen = boards.drawn(
         camera,
@@ -101,9 +103,8 @@ def rows_of(name: str, views: Sequence[View], names: Sequence[str]) -> Iterator[
         spent, scores, outside = [], [], 0
         for view in views:
             for _ in range(1 if method.slow else 4):
-                start = time.perf_counter()
-                xy = np.asarray(method.detect(view.image))
-                spent.append(getattr(method.detect, "seconds", time.perf_counter() - start))
+                xy, ms = method.timed(view.image)
+                spent.append(ms)
             scores.append(view.score(xy))
             outside += len(xy) - scores[-1].found - scores[-1].false
         whole = total(scores)
@@ -111,7 +112,7 @@ def rows_of(name: str, views: Sequence[View], names: Sequence[str]) -> Iterator[
             "photograph": name,
             "photographs": len(views),
             "method": method.name,
-            "ms": 1e3 * float(np.median(spent[1:] or spent)),
+            "ms": float(np.median(spent[1:] or spent)),
             "expected": whole.expected,
             "missed": whole.missed,
             "false": whole.false,

@@ -10,12 +10,10 @@ what is changed in the rig, and: what 1 mm reads; the RMS error of the displacem
 over .3 mm, um; the mean error of the position, mm. In `drawn`, where cameras are calibrated on 12
 noisy views of a board, and the window on a noisy view at rest: the error of the deepest node along
 the normal, um, and what the covariance of the bias says there, um; the gel's index is exact, or is
-drawn and said to be uncertain by as much. In `time`: that of the kernel that triangulates, over its
-time without a window, in turns.
+drawn and said to be uncertain by as much.
 """
 
 import argparse
-import contextlib
 import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
@@ -26,7 +24,6 @@ import numpy as np
 from environment import run
 
 from cmp_cl import (
-    BinocularSplit,
     Grid,
     NodeStatus,
     StereoRig,
@@ -36,9 +33,8 @@ from cmp_cl import (
     detect,
     displacement,
 )
-from cmp_cl.measure import TwoViews
 from cmp_cl.space import Bias, calibrate_window
-from cmp_cl.synthetic import Scene, binocular_frame, default_rig, render_stereo
+from cmp_cl.synthetic import Scene, default_rig, render_stereo
 from cmp_cl.synthetic.camera import PinholeCamera, Pose, facing_both
 from cmp_cl.synthetic.surface import nodes_at_rest, surface
 
@@ -50,19 +46,14 @@ PRESS = Scene(shape=VIEW, markers=29, side=24.0, severity=0.5, seed=900001)
 PITCH = PRESS.side / (PRESS.markers + 1)
 ACRYLIC = 5.0, 1.49
 NOISE = 0.05  # px
-RIGS, ROUNDS = 100, 200  # drawn rigs, and frames that are timed
-STACKS = {
-    "one layer": (ACRYLIC,),
-    "three layers": ((2.0, 1.49), (1.0, 1.0), (2.0, 1.52)),
-}
+RIGS = 100  # that are drawn
 Row = dict[str, Any]
-Layers = tuple[tuple[float, float], ...]
 
 
-def behind(gel: float, index: float = 1.41, layers: Layers = (ACRYLIC,)) -> StereoRig:
+def behind(gel: float, index: float = 1.41) -> StereoRig:
     """Return the rig with a gel that ends at the pattern."""
-    distance = float(NORMAL @ CENTRE) - gel - sum(thickness for thickness, _ in layers)
-    return dataclasses.replace(AIR, window=Window(NORMAL, distance, layers, index))
+    distance = float(NORMAL @ CENTRE) - gel - ACRYLIC[0]
+    return dataclasses.replace(AIR, window=Window(NORMAL, distance, (ACRYLIC,), index))
 
 
 def seen(rig: StereoRig, xyz: np.ndarray, noise: np.random.Generator | None = None) -> list[Grid]:
@@ -185,31 +176,8 @@ def drawn(*, quick: bool) -> Iterator[Row]:
         }
 
 
-def kernel_times(*, quick: bool) -> Iterator[Row]:
-    scene = dataclasses.replace(PRESS, markers=40)
-    rigs = {"nothing": AIR} | {name: behind(20.0, layers=each) for name, each in STACKS.items()}
-    spent: dict[str, list[float]] = {name: [] for name in rigs}
-    split = BinocularSplit.halves(2 * VIEW[1], VIEW[0])
-    with contextlib.ExitStack() as stack:
-        used = {}
-        for name, rig in rigs.items():
-            rest, now = (
-                binocular_frame(*render_stereo(each, rig)[:2]) for each in (scene.at_rest(), scene)
-            )
-            views = TwoViews(rest, rig, split, shape=(40, 40), profile=True)
-            used[name] = stack.enter_context(views), now
-        for number in range(ROUNDS // 5 if quick else ROUNDS):
-            for name, (measure, now) in used.items():
-                measure(now)
-                if number:  # the first compiles
-                    spent[name].append(measure.times["space"])
-    for name in STACKS:
-        times = np.median(spent[name]) / np.median(spent["nothing"])
-        yield {"part": "time", "gel_mm": 20.0, "changed": name, "times": float(times)}
-
-
 def rows(arguments: argparse.Namespace) -> Iterator[Row]:
-    for part in (without_the_model, wrong_parameters, images, drawn, kernel_times):
+    for part in (without_the_model, wrong_parameters, images, drawn):
         yield from part(quick=arguments.quick)
 
 

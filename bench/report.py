@@ -271,9 +271,6 @@ def refraction(folder: Path) -> str:
         "Cameras and window calibrated on noisy views of drawn rigs. Along the normal, a press of "
         "1 mm errs by:\n",
         *(_of_drawn(str(index), rows) for index, rows in parts["drawn"].groupby("changed")),
-        "The kernel that triangulates takes, over its time without a window:\n",
-        *(f"- {row['changed']}: {row['times']:.2f} times" for _, row in parts["time"].iterrows()),
-        "",
     )
 
 

@@ -9,6 +9,7 @@ from environment import DATA
 
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic import (
+    Indenter,
     Scene,
     binocular_frame,
     default_rig,
@@ -20,6 +21,8 @@ from cmp_cl.synthetic.scoring import Score, match, reach, score
 
 TEST_SEED = 1000  # scenes of the report: 1000 and up
 SEARCH_SEED = 900_000  # scenes that peer settings are searched on: never those of the report
+DENSITIES = (20, 30, 40, 44)  # corners a side
+INDENTERS = [kind for kind in Indenter if kind is not Indenter.NONE]
 MILD = {"severity": 0.25, "corrosion": 0.3}  # hardly pressed, the print nearly new
 
 
@@ -62,9 +65,11 @@ class View(NamedTuple):
 
 
 def rendered(scene: Scene) -> View:
-    """Return a view of the gel, its corners row by row."""
+    """Return a view of the gel, its corners row by row, with their numbers."""
     view, size = render(scene), (scene.markers, scene.markers)
-    return View(view.image, view.truth.reshape(-1, 2), view.cell, size, ignored=view.junctions)
+    numbers = np.indices(size).reshape(2, -1).T
+    truth = np.hstack([view.truth.reshape(-1, 2), numbers])
+    return View(view.image, truth, view.cell, size, ignored=view.junctions)
 
 
 def vga(seed: int) -> View:

@@ -13,12 +13,11 @@ import json
 from collections.abc import Sequence
 
 from peers import FOUND_SETTINGS, PEERS, Pattern, Settings, available
-from scenes import SEARCH_SEED, View, rendered
+from scenes import DENSITIES, SEARCH_SEED, View, rendered
 
 from cmp_cl.synthetic import random_scene
 from cmp_cl.synthetic.scoring import Score, total
 
-DENSITIES = (20, 30, 40, 44)
 SEVERITIES = (0.25, 0.5, 0.75, 1.0)
 SCENES_EACH = 2
 

@@ -18,19 +18,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from environment import run
-from scenes import TEST_SEED, rendered
+from scenes import DENSITIES, INDENTERS, TEST_SEED, rendered
 from tqdm import tqdm
 
 from cmp_cl import Detector, Grid, GridError
 from cmp_cl.grid.grid import MEASURED
 from cmp_cl.motion import displacement
-from cmp_cl.synthetic import Indenter, Scene, random_scene
+from cmp_cl.synthetic import Scene, random_scene
 
 SEVERITIES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 CORROSIONS = (0.0, 0.3, 1.0, 2.0)
-DENSITIES = (20, 30, 40, 44)
 NOISES = (0.5, 8.0)  # grey levels, beside the 2 to 4.5 of other scenes
-INDENTERS = [kind for kind in Indenter if kind is not Indenter.NONE]
 FIRST_SEED = TEST_SEED + 700_000
 
 
@@ -71,9 +69,9 @@ def measured(scene: Scene, detector: Detector) -> dict[str, Errors] | None:
         now = detector.grid(pressed.image, like=rest)[1]
     except GridError:
         return None
-    quarters = turned(rest, still.truth.reshape(*shape, 2))
+    quarters = turned(rest, still.truth[:, :2].reshape(*shape, 2))
     at_rest, truth = (
-        np.rot90(frame.truth.reshape(*shape, 2), quarters) for frame in (still, pressed)
+        np.rot90(frame.truth[:, :2].reshape(*shape, 2), quarters) for frame in (still, pressed)
     )
     wrong = np.linalg.norm(now.xy - truth, axis=2) > 0.6 * pressed.cell
     if np.count_nonzero(wrong) > 0.05 * wrong.size:

@@ -42,11 +42,9 @@ def measure(
             block = 1 if method.slow else BLOCK
             for k in range(block + 1):
                 which = (number * block + k) % len(frames)
-                start = time.perf_counter()
-                xy = method.detect(frames[which].image)
-                spent = time.perf_counter() - start
+                xy, ms = method.timed(frames[which].image)
                 if k or method.slow:
-                    times[method.name].append(1e3 * getattr(method.detect, "seconds", spent))
+                    times[method.name].append(ms)
                     answers[method.name][which] = xy
     return [
         row_of(
