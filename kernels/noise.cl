@@ -25,13 +25,16 @@ __kernel void noise(__global const PIXEL *restrict image, const uint rows, const
            SUM3(NOISE, AT_ROW(6, h5, h6, h7), AT_ROW(7, h6, h7, after), 0));
 }
 
-/* Sum them over the inner columns. One work-group per band. */
+/* Sum them over the inner columns. `bands` is those of the frame, of which a halved one has fewer.
+ * One work-group per band. */
 __kernel void sum_bands(__global const NOISE *restrict sums, const uint columns,
-                            const uint step, __global ulong *restrict noise) {
-  const size_t band = get_global_id(1) * get_num_groups(0) + get_group_id(0);
+                        const uint step, const uint octave, const uint bands,
+                        __global ulong *restrict noise) {
+  const size_t band = get_group_id(0), p = get_global_id(1), frames = get_global_size(1);
+  __global const NOISE *own = sums + (p * get_num_groups(0) + band) * step;
   __local ulong parts[GROUP];
   ROW_NOISE sum = 0;
-  for (uint x = 1 + get_local_id(0); x + 1 < columns; x += GROUP) sum += sums[band * step + PAD + x];
+  for (uint x = 1 + get_local_id(0); x + 1 < columns; x += GROUP) sum += own[PAD + x];
   const ulong total = sum_of_group(sum, parts);
-  if (get_local_id(0) == 0) noise[band] = total;
+  if (get_local_id(0) == 0) noise[(octave * frames + p) * bands + band] = total;
 }

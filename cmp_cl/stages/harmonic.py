@@ -5,19 +5,19 @@ from typing import Any, cast
 import numpy as np
 
 from cmp_cl.config import RingHarmonic
-from cmp_cl.opencl.launches import GROUP, Launch, multiple
+from cmp_cl.opencl.launches import GROUP, Launch
 from cmp_cl.stages import noise
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import CORNER_COLUMNS, PlanBase
 
-FRAME_GROUP = 256  # work-items of a group that decides about a frame
+DECIDING = 256  # work-items of a group that decides about a frame; 1 in the form for CPUs
 
 
 def files(plan: PlanBase) -> list[str]:
     """Return the kernel files."""
     if plan.form is Form.CPU:
         return ["cpu/harmonic"]
-    return [*(["halve"] if plan.octaves else []), "border", "noise", "harmonic"]
+    return [*(["halve"] if plan.octaves else []), "border", "noise", "harmonic", "decide"]
 
 
 def defines(plan: PlanBase) -> dict[str, str | int]:
@@ -26,7 +26,7 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
     rule = _rule(plan)
     return {
         "FINE": int(rule.fine),
-        "FRAME_GROUP": FRAME_GROUP,
+        "DECIDING": 1 if plan.form is Form.CPU else DECIDING,
         "WHOLE_LEVELS": int(whole),
     }
 
@@ -34,42 +34,37 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
 def sizes(plan: PlanBase) -> dict[str, int]:
     """Return the bytes of the buffers."""
     frames, plane = plan.frames, plan.working[0] * plan.step
-    lists = frames * plan.segments * plan.lists * CORNER_COLUMNS * plan.list_capacity
-    sizes = {"area": plane // 8, "lists": 4 * lists}
-    if plan.form is Form.CPU:
-        return {
-            **sizes,
-            "maxima": (1 + (plan.octaves > 0)) * _bits(plan),
-            "work": 2 * frames * plan.bands * _work_rows(plan) * plan.step,
-            "noise": 8 * frames * plan.bands * (1 + plan.octaves),
-            "spans": 8 * frames * plan.bands * plan.lists,
-            "taken": 4 * frames * plan.segments * (1 + plan.octaves),
-            "finished": 4 * frames,
-            "halved": 8 * frames * (plan.octaves > 0),
-        }
-    noises = {f"noise_{n}": 8 * frames * noise.bands(plan, n) for n in range(1, plan.octaves + 1)}
-    return {**sizes, "noise": 8 * frames * noise.bands(plan), **noises}
+    lists, sums = frames * plan.lists, frames * (1 + plan.octaves)
+    cpu = plan.form is Form.CPU
+    bands = plan.bands if cpu else noise.bands(plan)
+    return {
+        "area": plane // 8,
+        "lists": 4 * lists * CORNER_COLUMNS * plan.list_capacity,
+        "counters": 4 * frames * _counters(plan),
+        "noise": 8 * sums * bands,
+        "levels": 8 * lists,
+        "spans": 8 * lists * plan.list_capacity // GROUP,
+        "maxima": frames * plane // 8,
+        "row_counts": 4 * frames * plan.working[0],
+        "row_columns": 4 * frames * plan.corner_capacity,
+        "work": 2 * frames * plan.bands * _work_rows(plan) * plan.step if cpu else 0,
+    }
 
 
 def scratch(plan: PlanBase) -> list[dict[str, int]]:
     """Return the bytes of the temporary arrays, see `Plan`."""
     if plan.form is Form.CPU:
         return []
-    frames, rows = plan.frames, plan.frames * plan.working[0]
-    plane = 2 * (rows + 2) * plan.step
-    decided = {
-        "maxima": _bits(plan),
-        **({"seen": _bits(plan)} if plan.octaves else {}),
-        "row_counts": 4 * rows,
-        "row_starts": 4 * rows,
-        "decision": 16 * frames * (1 + plan.octaves),
-    }
-    return [noise.scratch(plan), dict.fromkeys(("fine", "coarse", "response"), plane), decided]
+    plane = 2 * (plan.frames * plan.working[0] + 2) * plan.step
+    return [noise.scratch(plan), dict.fromkeys(("fine", "coarse", "response"), plane)]
 
 
-def _bits(plan: PlanBase) -> int:
-    """Return the bytes of a buffer with one bit for every pixel, and one more word."""
-    return plan.frames * plan.working[0] * plan.step // 8 + 4
+def _counters(plan: PlanBase) -> int:
+    """Return the counters of a frame: of its lists, and of the work that CPUs share."""
+    if plan.form is not Form.CPU:
+        return plan.lists
+    halving = 2 * (plan.octaves > 0)
+    return plan.lists + 1 + plan.segments * (1 + plan.octaves) + halving
 
 
 def launches(plan: PlanBase) -> list[Launch]:
@@ -99,11 +94,8 @@ def _full_scale(plan: PlanBase) -> int:
 
 
 def _by_pixels(plan: PlanBase) -> list[Launch]:
-    b, frame_rows = plan.arrays, plan.frames * plan.working[0]
-    stages = [
-        plan.few("repeat_border", frame_rows, 1, **plan.size, image=plan.image),
-        plan.few("clear_lists", plan.frames * plan.lists, 1, counts=b["counts"]),
-    ]
+    frame_rows = plan.frames * plan.working[0]
+    stages = [plan.few("repeat_border", frame_rows, 1, **plan.size, image=plan.image)]
     for octave in range(1, plan.octaves + 1):
         larger = plan.size_of(octave - 1)
         halving = plan.dense(
@@ -137,7 +129,7 @@ def _list_maxima(plan: PlanBase, octave: int) -> list[Launch]:
             smooth=b["fine"],
         ),
     ]
-    found = {"counts": b["counts"], "lists": b["lists"]}
+    found = {**_counted(plan), "lists": b["lists"]}
     limits = {**size, "capacity": np.uint32(plan.list_capacity)}
     if _rule(plan).fine and not octave:
         stages += [
@@ -172,93 +164,65 @@ def _list_maxima(plan: PlanBase, octave: int) -> list[Launch]:
 
 def _decide(plan: PlanBase) -> list[Launch]:
     """Return the launches from the lists of maxima to the corners in (y, x) order."""
-    b, rule, size = plan.arrays, _rule(plan), plan.size
-    capacity, rows, step = np.uint32(plan.list_capacity), size["rows"], size["step"]
-    lists = {"lists": b["lists"], "counts": b["counts"]}
-    listed = {"counts": b["counts"], "lists": b["lists"]}
-    row_counts, maxima = b["row_counts"], b["maxima"]
-    kept = {"row_counts": row_counts, "maxima": maxima}
-    seen = {"seen": b["seen"]} if plan.octaves else {}
-    stages = [
-        plan.stage(
-            "clear_maxima",
-            (multiple(plan.step // 32, GROUP), plan.working[0], plan.frames),
-            (GROUP, 1, 1),
-            rows=rows,
-            step=step,
-            **seen,
-            **kept,
-        )
-    ]
-    for octave in range(1 + plan.octaves):
-        of_octave = plan.size_of(octave)
-        stages.append(
-            plan.stage(
-                "find_reference",
-                (FRAME_GROUP, plan.frames),
-                (FRAME_GROUP, 1),
-                noise=b[f"noise_{octave}" if octave else "noise"],
-                **listed,
-                rows=of_octave["rows"],
-                columns=of_octave["columns"],
-                bands=np.uint32(noise.bands(plan, octave)),
-                capacity=capacity,
-                full_scale=np.uint32(_full_scale(plan)),
-                coarse_noise=np.uint32(rule.coarse_noise),
-                octave=np.uint32(octave),
-                found=b["decision"],
-            )
-        )
-    if plan.octaves:
-        stages.append(plan.few("choose_reference", plan.frames, 1, found=b["decision"]))
-
-    def of_maxima(name: str, **arguments: Any) -> Launch:
-        items = (plan.list_capacity, plan.frames)
-        return plan.stage(name, items, (GROUP, 1), **lists, found=b["decision"], **arguments)
-
-    limits = {"rows": rows, "step": step, "capacity": capacity}
-    coarse = {"coarse_share": np.int32(rule.coarse_share)}
-    shares = {**coarse, "fine_share": np.int32(rule.fine_share)}
-    if plan.octaves:
-        stages.append(of_maxima("see_octave", **limits, **coarse, **seen))
-    stages.append(of_maxima("keep_coarse", **limits, **shares, **seen, **kept))
-    if rule.fine:
-        stages.append(of_maxima("keep_fine", **limits, **shares, **seen, **kept))
-    items = (plan.list_capacity, plan.frames)
-    for octave in range(1, plan.octaves + 1):
-        number = {"number": np.uint32(octave)}
-        stages += [
-            of_maxima("keep_octave", **number, maxima=maxima, **limits),
-            plan.stage("mark_octave", items, (GROUP, 1), **lists, **number, **limits, **kept),
-        ]
-    corners = plan.corner_list
-    stages.append(
-        plan.stage(
-            "start_rows",
-            (FRAME_GROUP, plan.frames),
-            (FRAME_GROUP, 1),
-            row_counts=row_counts,
-            rows=rows,
-            count_offset=corners["count_offset"],
-            row_starts=b["row_starts"],
-            counts=b["counts"],
-        )
+    b, capacity = plan.arrays, np.uint32(plan.list_capacity)
+    reference = plan.stage(
+        "find_reference",
+        (DECIDING * plan.lists, plan.frames),
+        (DECIDING, 1),
+        noise=b["noise"],
+        bands=np.uint32(noise.bands(plan)),
+        rows=plan.size["rows"],
+        columns=plan.size["columns"],
+        full_scale=np.uint32(_full_scale(plan)),
+        coarse_noise=np.uint32(_rule(plan).coarse_noise),
+        capacity=capacity,
+        **_counted(plan),
+        lists=b["lists"],
+        levels=b["levels"],
+        spans=b["spans"],
     )
-    stages.append(
-        plan.stage(
-            "put_in_order",
-            (plan.list_capacity, plan.frames * plan.lists),
-            (GROUP, 1),
-            **lists,
-            maxima=maxima,
-            row_starts=b["row_starts"],
-            **limits,
-            corner_capacity=corners["capacity"],
-            length=corners["length"],
-            corners=b["corners"],
-        )
+    decide = plan.stage(
+        "decide",
+        (DECIDING * plan.frames,),
+        (DECIDING,),
+        levels=b["levels"],
+        spans=b["spans"],
+        rows=plan.size["rows"],
+        step=plan.size["step"],
+        capacity=capacity,
+        **_shares(plan),
+        **_counted(plan),
+        lists=b["lists"],
+        **_decided(plan),
     )
-    return stages
+    return [reference, decide]
+
+
+# In both forms
+
+
+def _counted(plan: PlanBase) -> dict[str, Any]:
+    """Return the counters of all frames, by argument."""
+    counters = plan.arrays["counters"]
+    return {"counters_of_frame": np.uint32(_counters(plan)), "counters": counters}
+
+
+def _shares(plan: PlanBase) -> dict[str, Any]:
+    """Return the shares of the reference, and where the corners are, by argument."""
+    rule, corners = _rule(plan), plan.corner_list
+    return {
+        "coarse_share": np.int32(rule.coarse_share),
+        "fine_share": np.int32(rule.fine_share),
+        "corner_capacity": corners["capacity"],
+        "count_offset": corners["count_offset"],
+        "length": corners["length"],
+    }
+
+
+def _decided(plan: PlanBase) -> dict[str, Any]:
+    """Return what is written when a frame is decided, by argument."""
+    names = ("maxima", "row_counts", "row_columns", "corners", "counts")
+    return {name: plan.arrays[name] for name in names}
 
 
 # For CPUs
@@ -275,9 +239,7 @@ def _work_rows(plan: PlanBase) -> int:
 
 def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> Launch:
     """Bind the launch from a frame, its first element and the elements of a row."""
-    b, rule, size = plan.arrays, _rule(plan), plan.size
-    corners = plan.corner_list
-    halved = {"halved": b["halved"]} if plan.octaves else {}
+    b, size = plan.arrays, plan.size
     return plan.stage(
         "harmonic_band",
         (plan.bands, plan.frames),
@@ -293,19 +255,12 @@ def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> Launch:
         inverse=np.float32(1 / _full_scale(plan)),
         work=b["work"],
         work_size=np.uint32(_work_rows(plan) * plan.step),
-        coarse_noise=np.uint32(rule.coarse_noise),
-        coarse_share=np.int32(rule.coarse_share),
-        fine_share=np.int32(rule.fine_share),
-        corner_capacity=corners["capacity"],
-        count_offset=corners["count_offset"],
-        length=corners["length"],
-        taken=b["taken"],
-        finished=b["finished"],
-        **halved,
+        coarse_noise=np.uint32(_rule(plan).coarse_noise),
+        **_shares(plan),
+        **_counted(plan),
         noise=b["noise"],
-        spans=b["spans"],
         lists=b["lists"],
-        maxima=b["maxima"],
-        corners=b["corners"],
-        counts=b["counts"],
+        levels=b["levels"],
+        spans=b["spans"],
+        **_decided(plan),
     )

@@ -70,8 +70,9 @@ class PlanBase:
             self.octaves = min(self.rule.octaves, max(shorter, 1).bit_length() - 1)
             self.lists = 1 + self.rule.fine + self.octaves
             self.pad = LEAST_PAD
-            # One maximum in 128 pixels is one in a cell of 11 px; the lists grow.
-            self.list_capacity = multiple(pixels // 128 // self.segments + 64, GROUP)
+            # One maximum in 128 pixels is one in a cell of 11 px; the lists grow. Each band fills
+            # up its last entries.
+            self.list_capacity = multiple(pixels // 128, GROUP) + GROUP * (1 + self.bands)
         self.step = multiple(self.working[1] + 2 * self.pad, GROUP)
         self.full_step = multiple(shape[1] + 2 * self.pad, GROUP)
         # One corner in 96 pixels is one in a cell of 10 px; the list grows too.

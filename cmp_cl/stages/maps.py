@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.config import BinaryRings, RapidCriteria, RingHarmonic
 from cmp_cl.corners import HarmonicMaps, Maps
+from cmp_cl.stages.layout import CORNER_COLUMNS
 from cmp_cl.stages.paper import spectral
 from cmp_cl.stages.plan import Plan
 
@@ -60,9 +61,23 @@ def _harmonic_maps(plan: Plan) -> dict[str, Any]:
         elif launch.stage == "coarse_maxima":
             for name in ("fine", "coarse"):
                 values[name] = _plane(plan, plan.arrays[name], np.uint16)
-        elif launch.stage == "put_in_order":
-            values["maximum"] = _bits(plan, "maxima")
+        elif launch.stage == "decide":
+            values["maximum"] = _at_corners(plan)
     return values
+
+
+def _at_corners(plan: Plan) -> NDArray[np.bool_]:
+    """Return an image that is True at the pixel of the frame nearest to each corner."""
+    counts = np.empty(plan.lists + 1, np.uint32)
+    cl.enqueue_copy(plan.queue, counts, plan.arrays["counts"])
+    columns = np.zeros((CORNER_COLUMNS + 1, plan.corner_capacity), np.int32)
+    cl.enqueue_copy(
+        plan.queue, columns[: CORNER_COLUMNS + (plan.octaves > 0)], plan.arrays["corners"]
+    )
+    x, y, *_, octave = columns[:, : counts[-1]]
+    image = np.zeros(plan.working, np.bool_)
+    image[(y << octave) + (1 << octave >> 1), (x << octave) + (1 << octave >> 1)] = True
+    return image
 
 
 def _ring_maps(plan: Plan, rule: BinaryRings) -> dict[str, Any]:

@@ -1,5 +1,7 @@
 """The noise of an image, for the grey-level rule and for the contrast gate."""
 
+import numpy as np
+
 from cmp_cl.opencl.launches import GROUP, Launch
 from cmp_cl.stages.layout import PlanBase
 
@@ -38,6 +40,8 @@ def launches(plan: PlanBase, octave: int = 0) -> list[Launch]:
             sums=b["noise_sums"],
             columns=size["columns"],
             step=size["step"],
-            noise=b[f"noise_{octave}" if octave else "noise"],
+            octave=np.uint32(octave),
+            bands=np.uint32(bands(plan)),
+            noise=b["noise"],
         ),
     ]

@@ -1,14 +1,14 @@
-#include "octave.clh"
+#include "decide.clh"
 #if OCTAVES
 #include "cpu/halve.clh"
 #endif
 
-/* The grey-level rule for CPUs: one launch takes bands of rows from the image to the maxima of
- * both responses, and the last band to finish decides for the frame, because a launch of its own
- * costs as much as half of the decision. kernels/harmonic.cl has the equations.
+/* From an image to the lists of its maxima, for CPUs: one launch takes bands of rows from the image
+ * to the maxima of both responses in all octaves, and the last band of a frame to finish decides for
+ * it, because a launch of its own costs as much as half of the decision. kernels/harmonic.clh has
+ * the rule.
  *
- * Only the noise and the reference need the whole frame. A band therefore goes over its rows
- * once; every step keeps a ring buffer of as many rows as the later steps need, and all of them
+ * A band goes over its rows once; every step keeps a ring buffer of as many rows as the later steps need, and all of them
  * stay in the cache. Two bands share the rows between them: one goes down from the first row, the
  * other goes up from the last, and they take a few rows at a time until none is left. So both end
  * together, even if one of them starts late or runs on a slower core. The small octaves come first,
@@ -16,11 +16,6 @@
  * function of its own with restrict pointers and one cast per operation: compilers turn it into
  * vectors of 16-bit numbers. */
 
-#ifndef NMS_RADIUS
-#error "NMS_RADIUS must be that of suppression"
-#endif
-
-#define LEAST 80  /* below every bound of a response */
 #define REACH_OF_RING 5
 #define REACH_OF_WIDE (OCTAVES ? 8 : REACH_OF_RING)
 #define LAG (REACH_OF_RING + 3) /* from an image row to the response that it completes */
@@ -121,7 +116,6 @@ ROW_LOOP ulong take_noise(__global NOISE *restrict noise, const int width) {
   return sum;
 }
 
-#define LIST_COLUMNS 6
 #define ABS(v) (short)((v) < 0 ? -(v) : (v))
 #define QUARTER(v) (short)((v) >> 2)
 #define EIGHTH(v) (short)((v) >> 3)
@@ -231,54 +225,30 @@ int is_maximum(__global const short *const *row, const int x, const short r) {
   return !any_of(larger);
 }
 
-/* The rows that ring (a, d) around row y meets. */
-typedef struct {
-  __global const ushort *north, *upper, *middle, *lower, *south;
-} Ring;
+/* Ring (a, d) around row y. */
 #define RING_OF(rows_of, AT, y, a, d)                                               \
-  {rows_of + AT(HELD((y) - (a))), rows_of + AT(HELD((y) - (d))), rows_of + AT(y),   \
+  (Ring){rows_of + AT(HELD((y) - (a))), rows_of + AT(HELD((y) - (d))), rows_of + AT(y),   \
    rows_of + AT(HELD((y) + (d))), rows_of + AT(HELD((y) + (a)))}
 
-typedef struct {
-  int2 second; /* A, B */
-  int length, odd, centre;
-} Harmonics;
-
-#define MAGNITUDE_OF(v) ((v) < 0 ? -(v) : (v))
-Harmonics harmonics_of(const Ring *ring, const int x, const int a, const int d) {
-  const int s0 = ring->north[x], s1 = ring->upper[x + d], s2 = ring->middle[x + a];
-  const int s3 = ring->lower[x + d], s4 = ring->south[x], s5 = ring->lower[x - d];
-  const int s6 = ring->middle[x - a], s7 = ring->upper[x - d];
-  const int u0 = s0 + s4, u1 = s1 + s5, u2 = s2 + s6, u3 = s3 + s7;
-  const int2 v = (int2)(u0 - u2, u1 - u3);
-  const int p = MAGNITUDE_OF(v.x), q = MAGNITUDE_OF(v.y), low = SMALLER(p, q);
-  const int c = u0 + u1 + u2 + u3 - 8 * ring->middle[x];
-  const Harmonics found = {v, LARGER(p, q) + (low >> 2) + (low >> 3),
-                           MAGNITUDE_OF(s0 - s4) + MAGNITUDE_OF(s1 - s5) +
-                               MAGNITUDE_OF(s2 - s6) + MAGNITUDE_OF(s3 - s7),
-                           MAGNITUDE_OF(c)};
-  return found;
+/* The place of the next entry that a band adds to a list. It takes a block at a time. */
+uint next_place(volatile __global uint *count, uint *place) {
+  if (*place % BLOCK == 0) *place = atomic_add(count, BLOCK);
+  return (*place)++;
 }
 
-int coarse_response_of(const Harmonics h) {
-  return h.length - (h.odd - (h.odd >> 2)) - ((h.centre >> 2) + (h.centre >> 3));
+/* Fill the last block with entries that are none. */
+void fill_block(__global int *list, const uint capacity, uint place) {
+  for (; place % BLOCK && place < capacity; ++place)
+    list[2 * capacity + place] = list[3 * capacity + place] = 0;
 }
 
-int dot_of(const int2 a, const int2 b) { return a.x * b.x + a.y * b.y; }
-
-/* Append a maximum to a list. The columns are x, y, the response, and the sum and the moments in x
- * and y of the positive responses of the 5 x 5 around it. `mark` is CLEAN or WIDE, and the
- * direction. `rows_of` holds the five rows; those outside the image are 0. A response is at most
- * 11 220, so the sum of five fits in 16 bits. */
-#define CLEAN (1 << 30) /* in the column of the sums, of the frame: little is subtracted from the
-                           length. Weak at most in contrast, it may be half as weak as others */
-#define WIDE CLEAN      /* the same bit in a halved frame: the ring of 8 px responds too */
-#define LONE (1 << 29)  /* in the same column: no corner */
+/* Write a maximum to a list. `rows_of` holds the five rows around it; those outside the image are
+ * 0. A response is at most 11 220, so the sum of five fits in 16 bits. */
 #define ABOVE_ZERO(v) ((v) & ~((v) >> (short)15))
 #define POSITIVE(k) ABOVE_ZERO(EIGHT_AT(rows_of[k] + x - 2))
 #define SUM5(v) ((int)v.s0 + (int)v.s1 + (int)v.s2 + (int)v.s3 + (int)v.s4)
-void append(__global int *restrict list, const uint n, const uint capacity, const int x, const int y,
-            const int mark, __global const short *const *rows_of) {
+void append(__global int *restrict list, const uint n, const uint capacity, const int x,
+            const int y, const int marks, __global const short *const *rows_of) {
   const short8 above_2 = POSITIVE(0), above = POSITIVE(1), middle = POSITIVE(2);
   const short8 below = POSITIVE(3), below_2 = POSITIVE(4);
   const ushort8 columns = as_ushort8(above_2 + above + middle + below + below_2);
@@ -286,375 +256,15 @@ void append(__global int *restrict list, const uint n, const uint capacity, cons
   list[n] = x;
   list[capacity + n] = y;
   list[2 * capacity + n] = middle.s2;
-  list[3 * capacity + n] = SUM5(columns) | mark;
-  list[4 * capacity + n] = 2 * ((int)columns.s4 - (int)columns.s0) + (int)columns.s3 - (int)columns.s1;
+  list[3 * capacity + n] = SUM5(columns) | marks;
+  list[4 * capacity + n] =
+      2 * ((int)columns.s4 - (int)columns.s0) + (int)columns.s3 - (int)columns.s1;
   list[5 * capacity + n] = 2 * SUM5(far) + SUM5(near);
 }
-
-/* The least response that the noise allows. */
-int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
-                const ulong full_scale) {
-  if (!pixels) return LEAST;
-  const ulong whole = 100 * pixels * full_scale;
-  const ulong bound = (factor * amplitude * 255 + whole - 1) / whole;
-  return (int)LARGER(LEAST, SMALLER(bound, (ulong)INT_MAX));
-}
-
-/* The lists of a segment: the maxima of the frame, those of the fine response, and those of each
- * halved frame. */
-#define KINDS (1 + FINE + OCTAVES)
-#define KIND_OF_OCTAVE(n) ((n) ? FINE + (n) : 0)
 
 /* How many bands search octave n of `rows` rows: few, because a band has rows beyond its own. */
 uint bands_of(const uint n, const uint rows, const uint bands) {
   return n ? LARGER(SMALLER(bands >> n, (rows >> n) / 32), 1u) : bands;
-}
-
-/* The part of a segment's list that one of its two bands fills: the number of its first entry, and
- * of its entries, which may exceed the capacity. */
-#define SPAN_OF(band, kind) spans[(band) * KINDS + (kind)]
-#define LIST_OF(band, kind)                                                         \
-  (lists + (size_t)((band) / 2 * KINDS + (kind)) * LIST_COLUMNS * capacity +        \
-   SPAN_OF(band, kind).x)
-
-/* The sum of the squares of those responses of a list that are at least `least`. */
-ROW_LOOP ulong squares_from(__global const int *restrict response, const uint count,
-                            const int least) {
-  ulong sum = 0;
-  for (uint n = 0; n < count; ++n)
-    sum += response[n] >= least ? (uint)(response[n] * response[n]) : 0;
-  return sum;
-}
-ulong squares_of_frame(__global const int *lists, __global const uint2 *spans, const uint kind,
-                       const uint bands, const uint capacity, const int least) {
-  ulong sum = 0;
-  for (uint band = 0; band < bands; ++band)
-    sum += squares_from(LIST_OF(band, kind) + 2 * capacity,
-                        SMALLER(SPAN_OF(band, kind).y, capacity), least);
-  return sum;
-}
-
-/* The reference W: the largest number at which the responses from it on have at least half of the
- * sum of the squares of all above a bound; 0 if there are none. It is found bit by bit. */
-#define HIGHEST_BIT_OF_RESPONSE (1 << 13)
-int reference_of(__global const int *lists, __global const uint2 *spans, const uint kind,
-                 const uint bands, const uint capacity, const int bound) {
-#define SQUARES_FROM(least) squares_of_frame(lists, spans, kind, bands, capacity, least)
-  const ulong all = bound < INT_MAX ? SQUARES_FROM(bound + 1) : 0;
-  int reference = 0;
-  for (int bit = HIGHEST_BIT_OF_RESPONSE; all && bit; bit >>= 1)
-    if (2 * SQUARES_FROM(reference + bit) >= all) reference += bit;
-  return reference;
-}
-
-/* Whether a mark is within x - before .. x + behind, and in such rows; behind is before, or one
- * more. The nearest rows come first: most marks are within one or two rows. */
-int is_marked(__global const uint *marks, const int x, const int y, const int before,
-              const int behind, const int last, const uint width) {
-  const uint first = (uint)(PAD + x - before);
-  for (int line = 0; line <= before + behind; ++line) {
-    const int row = y + (line % 2 ? line / 2 + 1 : -(line / 2));
-    if (row < 0 || row > last) continue;
-    __global const uint *word = marks + (uint)row * width + first / 32;
-    const ulong both = (ulong)word[1] << 32 | word[0];
-    if (both >> first % 32 & ((2ul << (before + behind)) - 1)) return 1;
-  }
-  return 0;
-}
-
-/* Copy entries of a list to another one, whose columns lie `length` apart. */
-void copy_entries(__global const int *from, const uint capacity, const uint count,
-                  __global int *to, const uint length) {
-  for (uint k = 0; k < LIST_COLUMNS; ++k)
-    for (uint n = 0; n < count; ++n) to[(size_t)k * length + n] = from[k * capacity + n];
-}
-
-/* The least response that the noise of octave n allows; noise: of its bands. */
-int bound_of_octave(__global const ulong *noise, const uint n, const uint rows,
-                    const uint columns, const uint bands, const uint full_scale,
-                    const uint factor) {
-  const uint height = rows >> n, width = columns >> n;
-  ulong amplitude = 0;
-  for (uint band = 0; band < bands_of(n, rows, bands); ++band) amplitude += noise[band];
-  const ulong pixels = height > 2 && width > 2 ? (ulong)(height - 2) * (width - 2) : 0;
-  return noise_bound(factor, amplitude, pixels, full_scale);
-}
-
-/* Columns 0, 1 and 6 of a corner: its pixel, and the octave that it is a pixel of. */
-#define CORNER_COLUMN(k, n) corners[(size_t)(k) * length + (n)]
-#define FRAME_X(n) TO_FRAME(CORNER_COLUMN(0, n), CORNER_COLUMN(6, n))
-#define FRAME_Y(n) TO_FRAME(CORNER_COLUMN(1, n), CORNER_COLUMN(6, n))
-
-#if OCTAVES
-
-/* A corner of octave n has no other one within 5 px of the octave, in x and in y. Corners are
- * marked in a map of pixels of the octave, shifted by half a pixel: a maximum at x is near those at
- * x - 4 .. x + 5. */
-#define LEAST_SHARE 48 /* of the reference, in 1/128 */
-#define MARK_AT(x, n) (((x) + (1 << (n) >> 1)) >> (n))
-
-/* Mark the maxima of octave 1 that are above a bound and at least a share of the reference. */
-void mark_octave(const Octave octave, __global const int *lists, __global const uint2 *spans,
-                 const uint bands, const uint capacity, const int bound, const int least,
-                 __global uint *marks) {
-  const uint kind = KIND_OF_OCTAVE(1), width = octave.step / 32;
-  for (uint k = 0; k < octave.rows * width; ++k) marks[k] = 0;
-  for (uint band = 0; band < bands; ++band) {
-    __global const int *list = LIST_OF(band, kind);
-    for (uint k = 0; k < SMALLER(SPAN_OF(band, kind).y, capacity); ++k) {
-      const int r = list[2 * capacity + k], x = PAD + list[k];
-      if (r <= bound || 128 * r < least) continue;
-      marks[(uint)list[capacity + k] * width + x / 32] |= 1u << x % 32;
-    }
-  }
-}
-
-/* Count those of some maxima that are around (x, y). own: the marks of the maximum there. */
-ROW_LOOP Around count_around(__global const int *restrict columns, __global const int *restrict rows,
-                             __global const int *restrict marks, const uint count, const int x,
-                             const int y, const int own) {
-  const int own_x = DIRECTION_X(own), own_y = DIRECTION_Y(own);
-  int aligned = 0, askew = 0;
-  for (uint n = 0; n < count; ++n) {
-    const int across = MAGNITUDE_OF(columns[n] - x), down = MAGNITUDE_OF(rows[n] - y);
-    const int near = (across <= AROUND) & ((across > NMS_RADIUS) | (down > NMS_RADIUS));
-    const int is_askew = are_askew(own_x, own_y, DIRECTION_X(marks[n]), DIRECTION_Y(marks[n]));
-    aligned += near & !is_askew;
-    askew += near & is_askew;
-  }
-  const Around around = {aligned, askew};
-  return around;
-}
-
-/* The first entry of a list in row y or below it. */
-uint first_from(__global const int *rows, const uint count, const int y) {
-  uint first = 0;
-  for (uint end = count; first < end;) {
-    const uint middle = (first + end) / 2;
-    if (rows[middle] < y) first = middle + 1;
-    else end = middle;
-  }
-  return first;
-}
-
-/* Whether a weak maximum of the frame is lone. `marks` holds the maxima of octave 1. */
-int is_lone(__global const int *lists, __global const uint2 *spans, const uint bands,
-            const uint capacity, const int x, const int y, const int own,
-            __global const uint *marks, const Octave smaller) {
-  Around around = {0, 0};
-  for (uint kind = 0; kind <= FINE; ++kind)
-    for (uint band = 0; band < bands; ++band) {
-      __global const int *list = LIST_OF(band, kind), *rows = list + capacity;
-      const uint count = SPAN_OF(band, kind).y, first = first_from(rows, count, y - AROUND);
-      const uint end = first + first_from(rows + first, count - first, y + AROUND + 1);
-      const Around here = count_around(list + first, rows + first, list + 3 * capacity + first,
-                                       end - first, x, y, own);
-      around.aligned += here.aligned;
-      around.askew += here.askew;
-    }
-  return IS_LONE_IN(
-      around, is_marked(marks, x >> 1, y >> 1, 1, 1, (int)smaller.rows - 1, smaller.step / 32));
-}
-#define IS_LONE(list, n)                                                            \
-  (IS_WEAK(list[2 * capacity + (n)], reference) &&                                  \
-   is_lone(lists, spans, bands, capacity, list[n], list[capacity + (n)],            \
-           list[3 * capacity + (n)], marks, smaller))
-
-/* Add the corners of octave n to those of the frame and of the octaves before. Return how many
- * there are then. `marks` has room for the bits of the octave. */
-uint add_octave(const uint n, const Octave octave, __global uint2 *spans, __global int *lists,
-                const uint bands, const uint capacity, const int bound, const int reference,
-                const uint total, const uint corner_capacity, const uint length,
-                __global uint *marks, __global int *corners) {
-  const uint kind = KIND_OF_OCTAVE(n), width = octave.step / 32;
-  uint added = 0;
-  for (uint band = 0; band < bands; ++band) {
-    __global int *list = LIST_OF(band, kind);
-    uint kept = 0;
-    for (uint k = 0; k < SMALLER(SPAN_OF(band, kind).y, capacity); ++k) {
-      const int r = list[2 * capacity + k];
-      if (r <= bound || 128 * r < LEAST_SHARE * reference) continue;
-      if (!(list[3 * capacity + k] & WIDE)) continue;
-      list[3 * capacity + k] &= SUM_MASK;
-      if (kept < k) copy_entries(list + k, capacity, 1, list + kept, capacity);
-      ++kept;
-    }
-    SPAN_OF(band, kind).y = kept;
-    added += kept;
-  }
-  if (!added || total > corner_capacity) return total + added;
-  for (uint k = 0; k < (octave.rows + 2) * width; ++k) marks[k] = 0;
-  for (uint k = 0; k < total; ++k) {
-    const int x = PAD + MARK_AT(FRAME_X(k), n);
-    marks[(uint)MARK_AT(FRAME_Y(k), n) * width + x / 32] |= 1u << x % 32;
-  }
-  added = 0;
-  for (uint band = 0; band < bands; ++band) {
-    __global int *list = LIST_OF(band, kind);
-    uint kept = 0;
-    for (uint k = 0; k < SPAN_OF(band, kind).y; ++k) {
-      if (is_marked(marks, list[k], list[capacity + k], 4, 5, (int)octave.rows + 1, width)) continue;
-      if (kept < k) copy_entries(list + k, capacity, 1, list + kept, capacity);
-      ++kept;
-    }
-    SPAN_OF(band, kind).y = kept;
-    added += kept;
-  }
-  if (total + added > corner_capacity) return total + added;
-  /* Merge from the end: both are in (y, x) order. */
-  int last = (int)total - 1, place = (int)(total + added) - 1;
-  for (int band = (int)bands - 1; band >= 0; --band) {
-    __global const int *list = LIST_OF(band, kind);
-    for (int k = (int)SPAN_OF(band, kind).y - 1; k >= 0; --k, --place) {
-      const int x = TO_FRAME(list[k], n), y = TO_FRAME(list[capacity + k], n);
-      for (; last >= 0 && (FRAME_Y(last) > y || (FRAME_Y(last) == y && FRAME_X(last) > x));
-           --last, --place)
-        for (uint c = 0; c <= LIST_COLUMNS; ++c)
-          CORNER_COLUMN(c, place) = CORNER_COLUMN(c, last);
-      copy_entries(list + k, capacity, 1, corners + place, length);
-      CORNER_COLUMN(6, place) = (int)n;
-    }
-  }
-  return total + added;
-}
-
-#endif
-
-/* Shorten the lists of a kind to the maxima above the bound from the noise, and not below a share
- * of the reference, or half of that share if they are clean; or to those that are not LONE. */
-#define SHORTEN(IS_KEPT)                                                            \
-  for (uint band = 0; band < bands; ++band) {                                       \
-    __global int *list = LIST_OF(band, kind);                                       \
-    const uint count = SMALLER(SPAN_OF(band, kind).y, capacity);                    \
-    uint kept = 0;                                                                  \
-    for (uint n = 0; n < count; ++n) {                                              \
-      const int r = list[2 * capacity + n], marks = list[3 * capacity + n];         \
-      if (!(IS_KEPT)) continue;                                                     \
-      if (kept < n) copy_entries(list + n, capacity, 1, list + kept, capacity);     \
-      ++kept;                                                                       \
-    }                                                                               \
-    SPAN_OF(band, kind).y = kept;                                                   \
-  }
-void keep_strong(__global int *lists, __global uint2 *spans, const uint kind, const uint bands,
-                 const uint capacity, const int bound, const int least) {
-  SHORTEN(r > bound && (marks & CLEAN ? 256 : 128) * r >= least)
-}
-void remove_lone(__global int *lists, __global uint2 *spans, const uint kind, const uint bands,
-                 const uint capacity) {
-  SHORTEN(r > 0 && !(marks & LONE))
-}
-
-/* Write the maxima that are corners, in (y, x) order: those that are strong enough and not lone; a
- * fine one counts only if no coarse corner is within NMS_RADIUS. `maxima` gets a bit for each coarse
- * corner. The lists keep the corners. */
-void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
-            __global int *lists, const uint rows, const uint columns, const uint step,
-            const uint bands, const uint capacity, const uint full_scale,
-            const uint coarse_noise, const int coarse_share, const int fine_share,
-            const uint corner_capacity, const uint count_offset, const uint length,
-            __global uint *maxima, __global int *corners, __global uint *counts) {
-  noise += p * bands * (1 + OCTAVES);
-  const int least[2] = {coarse_share, fine_share}; /* of the reference, 1/128 */
-  const int bound[2] = {
-      bound_of_octave(noise, 0, rows, columns, bands, full_scale, coarse_noise),
-      bound_of_octave(noise, 0, rows, columns, bands, full_scale, 2 * coarse_noise)};
-  lists += p * ((bands + 1) / 2) * KINDS * LIST_COLUMNS * capacity;
-  spans += p * bands * KINDS;
-  maxima += p * (1 + (OCTAVES > 0)) * rows * step / 32;
-  corners += p * corner_capacity;
-  const uint width = step / 32;
-  int reference = reference_of(lists, spans, 0, bands, capacity, bound[0]);
-#if OCTAVES
-  int bounds[OCTAVES + 1];
-  for (uint n = 1; n <= OCTAVES; ++n) {
-    const uint own = bands_of(n, rows, bands);
-    bounds[n] =
-        bound_of_octave(noise + n * bands, n, rows, columns, bands, full_scale, coarse_noise);
-    const int other = reference_of(lists, spans, KIND_OF_OCTAVE(n), own, capacity, bounds[n]);
-    reference = LARGER(reference, other);
-  }
-#endif
-#if FINE
-  if (reference == 0)
-    reference = reference_of(lists, spans, 1, bands, capacity, bound[1]);
-#endif
-  uint total = 0, most = 0;
-  for (uint kind = 0; kind < KINDS; ++kind)
-    for (uint band = 0; band < bands_of(kind > FINE ? kind - FINE : 0, rows, bands); ++band) {
-      const uint before = band % 2 ? SPAN_OF(band - 1, kind).y : 0;
-      most = LARGER(most, before + SPAN_OF(band, kind).y);
-    }
-  for (uint kind = 0; kind <= FINE; ++kind)
-    keep_strong(lists, spans, kind, bands, capacity, bound[kind], least[kind] * reference);
-#if OCTAVES
-  __global uint *marks = maxima + rows * width;
-  const Octave smaller = octave_of(1, rows, columns, step, 1);
-  mark_octave(smaller, lists, spans, bands_of(1, rows, bands), capacity, bounds[1],
-              coarse_share * reference, marks);
-#else
-#define IS_LONE(list, n) 0
-#endif
-#if FINE
-  for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
-#endif
-  for (uint band = 0; band < bands; ++band) {
-    __global int *list = LIST_OF(band, 0);
-    for (uint n = 0; n < SPAN_OF(band, 0).y; ++n) {
-      const uint x = (uint)list[n] + PAD;
-      if (IS_LONE(list, n)) list[3 * capacity + n] |= LONE;
-#if FINE
-      else maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
-#endif
-    }
-  }
-#if FINE
-  for (uint band = 0; band < bands; ++band) {
-    __global int *list = LIST_OF(band, 1);
-    for (uint n = 0; n < SPAN_OF(band, 1).y; ++n)
-      if (is_marked(maxima, list[n], list[capacity + n], NMS_RADIUS, NMS_RADIUS, (int)rows - 1,
-                    width) ||
-          IS_LONE(list, n))
-        list[3 * capacity + n] |= LONE;
-  }
-#endif
-  for (uint kind = 0; kind <= FINE; ++kind) remove_lone(lists, spans, kind, bands, capacity);
-  for (uint band = 0; band < bands; ++band) {
-    const uint coarse_count = SPAN_OF(band, 0).y;
-    __global const int *coarse = LIST_OF(band, 0);
-#if FINE
-    const uint fine_count = SPAN_OF(band, 1).y;
-    __global const int *fine = LIST_OF(band, 1);
-#else
-    const uint fine_count = 0;
-    __global const int *fine = coarse;
-#endif
-    for (uint c = 0, f = 0; c < coarse_count || f < fine_count;) {
-      uint next = f == fine_count ? coarse_count : c;
-      while (next < coarse_count &&
-             (coarse[capacity + next] < fine[capacity + f] ||
-              (coarse[capacity + next] == fine[capacity + f] && coarse[next] < fine[f])))
-        ++next;
-      const int is_fine = next == c;
-      const uint count = is_fine ? 1 : next - c;
-      const uint room = corner_capacity - SMALLER(total, corner_capacity);
-      copy_entries(is_fine ? fine + f : coarse + c, capacity, SMALLER(count, room),
-                   corners + total, length);
-      total += count;
-      f += is_fine ? 1 : 0;
-      c = next;
-    }
-  }
-  for (uint k = 0; k < SMALLER(total, corner_capacity); ++k) CORNER_COLUMN(3, k) &= SUM_MASK;
-#if OCTAVES
-  for (uint k = 0; k < SMALLER(total, corner_capacity); ++k) CORNER_COLUMN(6, k) = 0;
-  for (uint n = 1; n <= OCTAVES; ++n)
-    total = add_octave(n, octave_of(n, rows, columns, step, 1), spans, lists,
-                       bands_of(n, rows, bands), capacity, bounds[n], reference, total,
-                       corner_capacity, length, maxima, corners);
-#endif
-  counts[p * KINDS] = most;
-  for (uint kind = 1; kind < KINDS; ++kind) counts[p * KINDS + kind] = 0;
-  counts[count_offset + p] = total;
 }
 
 /* Take rows of a segment, which two bands share, and return how many: the next ones are down from
@@ -669,16 +279,16 @@ int take_rows(volatile __global uint *taken, const int next, const int height, c
 #define IMAGE_ROW(y) (image + (size_t)(y) * step)
 
 /* List the maxima of a band of an octave, copy its rows to `image` unless the frame lies there, and
- * fill their padding. frame, image: the first pixel. An odd band goes up. Two bands share a segment
- * of the image and its list, which the second one fills from the end; together they may count more
- * than its capacity. `taken` counts how often the bands of a segment have taken rows. `area` has a
- * bit for every pixel of the frame, in rows of `frame_words`. Return the sum of the noise. */
+ * fill their padding. frame, image: the first pixel. An odd band goes up. `taken` counts how often
+ * the two bands of a segment have taken rows. `area` has a bit for every pixel of the frame, in rows
+ * of `frame_words`. lists, counts: of the frame. Return the sum of the noise. */
 ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_step,
                   __global PIXEL *image, __global const uint *restrict area,
                   const uint frame_words, const Octave octave, const uint band,
                   const uint bands, const uint capacity, const uint full_scale,
                   const float inverse, __global ushort *restrict work,
-                  volatile __global uint *taken, __global uint2 *spans, __global int *lists) {
+                  volatile __global uint *taken, volatile __global uint *counts,
+                  __global int *lists) {
   const uint step = octave.step, columns = octave.columns;
   const int height = (int)octave.rows, width = (int)columns;
   const int upward = band % 2, way = upward ? -1 : 1;
@@ -691,9 +301,9 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
   __global short *nothing = (__global short *)(column + 2 * step) + PAD;
   __global NOISE *noise_of_column = (__global NOISE *)(column + 3 * step) + PAD;
   __global short *first_response = (__global short *)(column + 5 * step);
-  const size_t kind = (size_t)RESPONSE_ROWS * step;
+  const size_t fine_from_coarse = (size_t)RESPONSE_ROWS * step;
   ulong noise_of_band = 0;
-  uint found[2] = {0, 0};
+  uint places[2] = {0, 0};
   for (int x = -PAD; x < (int)step - PAD; ++x) nothing[x] = 0;
   take_noise(noise_of_column, width);
 
@@ -737,7 +347,7 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
       if (n == 0)
         fine_response_of_row(s1 + SMOOTH_AT(HELD(y - 3)), s1 + SMOOTH_AT(HELD(y - 2)),
                              s1 + SMOOTH_AT(y), s1 + SMOOTH_AT(HELD(y + 2)),
-                             s1 + SMOOTH_AT(HELD(y + 3)), 3, 2, response + kind, width);
+                             s1 + SMOOTH_AT(HELD(y + 3)), 3, 2, response + fine_from_coarse, width);
 #endif
     }
     if (done < 0) continue;
@@ -752,7 +362,7 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
 #pragma unroll
     for (int fine = 0; fine <= FINE; ++fine) {
       if (n && fine) break;
-      __global const short *responses = first_response + fine * kind;
+      __global const short *responses = first_response + fine * fine_from_coarse;
       __global const short *rows_of[2 * BESIDE_MAXIMUM + 1], *const *row = rows_of + BESIDE_MAXIMUM;
       for (int dy = -BESIDE_MAXIMUM; dy <= BESIDE_MAXIMUM; ++dy)
         rows_of[BESIDE_MAXIMUM + dy] =
@@ -763,55 +373,44 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
       const Ring s3_4 = RING_OF(s3, COARSE_AT, y, 4, 3), s3_5 = RING_OF(s3, COARSE_AT, y, 5, 4);
       const Ring s3_8 = RING_OF(s3, COARSE_AT, y, 8, 6);
       __global const uint *allowed = area + (uint)TO_FRAME(y, n) * frame_words;
-      __global int *list = lists + (n ? FINE + n : fine) * LIST_COLUMNS * (size_t)capacity;
+      const uint kind = fine ? 1 : KIND_OF_OCTAVE(n);
+      __global int *list = lists + kind * LIST_COLUMNS * (size_t)capacity;
       for (int k = 0; k < peaks; ++k) {
         const int x = column[upward ? peaks - 1 - k : k];
         const uint bit = PAD + (uint)TO_FRAME(x, n);
         if (!(allowed[bit / 32] >> bit % 32 & 1) || !is_maximum(row, x, row[0][x])) continue;
-        int mark = 0;
+        const int r = row[0][x];
+        const Harmonics three = harmonics_of(s1_3, x, 3, 2);
+        int marks;
         if (fine) {
-          const int2 v2 = harmonics_of(&s1_2, x, 2, 1).second;
-          const Harmonics h3 = harmonics_of(&s1_3, x, 3, 2);
-          if (4 * dot_of(v2, h3.second) < dot_of(h3.second, h3.second)) continue;
-          mark = OCTAVES ? direction_bits(h3.second, h3.length) : 0;
+          const Harmonics two = harmonics_of(s1_2, x, 2, 1);
+          if (!are_aligned(4, two, three)) continue;
+          marks = marks_of(r, true, three);
         } else {
-          const Harmonics h5 = harmonics_of(&s3_5, x, 5, 4);
-          const int2 v3 = harmonics_of(&s1_3, x, 3, 2).second;
-          const int along = dot_of(v3, h5.second), all = dot_of(h5.second, h5.second);
-          if (8 * (long)along < all) continue;
-          const int r = row[0][x], r4 = coarse_response_of(harmonics_of(&s3_4, x, 4, 3));
-          if (32 * r4 < r || r4 > 2 * r) continue;
-          if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along))
-            continue;
-          mark = 4 * r < 3 * h5.length ? 0 : CLEAN;
-#if OCTAVES
-          if (n)
-            mark = 4 * coarse_response_of(harmonics_of(&s3_8, x, 8, 6)) < r ? 0 : WIDE;
-          else
-            mark |= direction_bits(h5.second, h5.length);
-#endif
+          const Harmonics four = harmonics_of(s3_4, x, 4, 3);
+          const Harmonics five = harmonics_of(s3_5, x, 5, 4);
+          if (!looks_alike(r, three, four, five)) continue;
+          marks = n ? marks_of_octave(r, harmonics_of(s3_8, x, 8, 6))
+                    : marks_of(r, false, five);
         }
-        if (found[fine] < capacity) {
-          const uint place = upward ? capacity - 1 - found[fine] : found[fine];
-          append(list, place, capacity, x, y, mark, row - 2);
-        }
-        ++found[fine];
+        const uint place = next_place(counts + kind, places + fine);
+        if (place < capacity) append(list, place, capacity, x, y, marks, row - 2);
       }
     }
     if (--left == 0) left = take_rows(taken, y + way - top, end - top, upward);
   }
-  for (int fine = 0; fine <= (n ? 0 : FINE); ++fine) {
-    const uint start = upward ? capacity - SMALLER(found[fine], capacity) : 0;
-    spans[n ? FINE + n : fine] = (uint2)(start, found[fine]);
-  }
+  for (int fine = 0; fine <= (n ? 0 : FINE); ++fine)
+    fill_block(lists + (fine ? 1 : KIND_OF_OCTAVE(n)) * LIST_COLUMNS * (size_t)capacity, capacity,
+               places[fine]);
   return noise_of_band + take_noise(noise_of_column, width);
 }
 
-/* List the maxima of all octaves, and decide for the frame. The frame has its first pixel at
- * `frame_start` and rows of `frame_step` elements; the octaves lie behind the frames in `image`.
- * One work-item per band. The last band of a frame to finish decides; `finished` counts them. It and
- * `taken` are 0 between launches. The fences and the counts order the lists of all bands before the
- * decision, on every CPU: OpenCL 1.2 alone does not promise it between groups. */
+/* List the maxima of all octaves, and decide for the frame. It has its first pixel at `frame_start`
+ * and rows of `frame_step` elements; the octaves lie behind the frames in `image`. The counters of a
+ * frame are those of its lists, of the bands that have finished, of the rows taken in each segment
+ * of each octave, and of halving. The fences and the counts order the lists of all bands before the
+ * decision, on every CPU: OpenCL 1.2 alone does not promise it between groups. One work-item per
+ * band. */
 __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
                             const uint frame_step, __global PIXEL *image,
                             __global const uint *restrict area, const uint rows,
@@ -821,45 +420,43 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
                             const uint coarse_noise, const int coarse_share,
                             const int fine_share, const uint corner_capacity,
                             const uint count_offset, const uint length,
-                            volatile __global uint *taken, volatile __global uint *finished,
-#if OCTAVES
-                            volatile __global uint *halved,
-#endif
-                            __global ulong *noise, __global uint2 *spans, __global int *lists,
-                            __global uint *restrict maxima, __global int *restrict corners,
+                            const uint counters_of_frame, __global uint *counters,
+                            __global ulong *noise, __global int *lists,
+                            __global Level *restrict levels, __global int2 *restrict spans,
+                            __global uint *restrict maxima, __global uint *restrict row_counts,
+                            __global int *restrict row_columns, __global int *restrict corners,
                             __global uint *restrict counts) {
   const uint band = get_global_id(0), bands = get_global_size(0), segments = (bands + 1) / 2;
-  const size_t p = get_global_id(1), own = p * bands + band;
+  const size_t p = get_global_id(1), frames = get_global_size(1);
+  volatile __global uint *listed = counters + p * counters_of_frame, *finished = listed + KINDS;
+  volatile __global uint *taken = finished + 1;
 #if OCTAVES
+  volatile __global uint *halved = taken + segments * (1 + OCTAVES);
   halve_frame(frame + frame_start + p * rows * frame_step, frame_step, image, rows, columns, step,
-              p, get_global_size(1), halved + 2 * p, halved + 2 * p + 1);
+              p, frames, halved, halved + 1);
 #endif
   uint before = 0; /* bands of the smaller octaves: these spread over the work-items */
   for (int n = OCTAVES; n >= 0; --n) {
-    const Octave octave = octave_of((uint)n, rows, columns, step, get_global_size(1));
+    const Octave octave = octave_of((uint)n, rows, columns, step, frames);
     const uint searching = bands_of((uint)n, rows, bands);
     const uint b = (band + bands - before % bands) % bands;
     before += searching;
     if (b >= searching) continue;
     __global PIXEL *first = image + octave.start + (p * octave.rows + 1) * octave.step + PAD;
     __global const PIXEL *from = n ? first : frame + frame_start + p * rows * frame_step;
-    const size_t segment = p * segments + b / 2;
-    noise[(p * (1 + OCTAVES) + n) * bands + b] =
-        search_band((uint)n, from, n ? octave.step : frame_step, first, area, step / 32, octave, b,
-                    searching, capacity, full_scale, inverse, work + own * work_size,
-                    taken + (p * (1 + OCTAVES) + n) * segments + b / 2,
-                    spans + (p * bands + b) * KINDS,
-                    lists + segment * KINDS * LIST_COLUMNS * capacity);
+    noise[(n * frames + p) * bands + b] = search_band(
+        (uint)n, from, n ? octave.step : frame_step, first, area, step / 32, octave, b, searching,
+        capacity, full_scale, inverse, work + (p * bands + band) * work_size,
+        taken + n * segments + b / 2, listed, lists + p * KINDS * LIST_COLUMNS * capacity);
   }
   mem_fence(CLK_GLOBAL_MEM_FENCE);
-  if (atomic_inc(finished + p) + 1 < bands) return;
+  if (atomic_inc(finished) + 1 < bands) return;
   mem_fence(CLK_GLOBAL_MEM_FENCE);
-  finished[p] = 0;
-#if OCTAVES
-  halved[2 * p] = halved[2 * p + 1] = 0;
-#endif
-  for (uint k = 0; k < segments * (1 + OCTAVES); ++k) taken[p * segments * (1 + OCTAVES) + k] = 0;
-  decide(p, noise, spans, lists, rows, columns, step, bands, capacity, full_scale,
-         coarse_noise, coarse_share, fine_share, corner_capacity, count_offset, length, maxima,
-         corners, counts);
+  __local uint sums[DECIDING];
+  for (uint kind = 0; kind < KINDS; ++kind)
+    find_level(kind, p, frames, noise, bands, rows, columns, full_scale, coarse_noise, capacity,
+               counters_of_frame, counters, lists, levels, spans, 0);
+  decide_frame(p, levels, spans, rows, step, capacity, coarse_share, fine_share, counters_of_frame,
+               corner_capacity, count_offset, length, counters, lists, maxima, row_counts,
+               row_columns, corners, counts, sums);
 }
