@@ -473,15 +473,16 @@ float8 exp_below(const float8 x) {
   return as_float8((as_int8(rounded) - as_int(12582912.0f) + 127) << 23) * power;
 }
 
-/* The mean of all pairs with weights by their risk, and its variance. One work-item for eight nodes
- * of a row. */
+/* The mean of all pairs with weights by their risk, and its variance. keep: whether the weights are
+ * kept, for a strain. One work-item for eight nodes of a row. */
 __kernel void blend(__global const float *estimate, __global const float *loss,
                     __global const float *near_votes, __global const float *unsupported,
                     __global const int *counts, __global const float *variance,
                     __global const float *chosen, __global const float *own_down,
                     __global const float *own_along, __global const float *gain_down,
                     __global const float *gain_along, __global const float *rows_risk,
-                    __global float *weights, __global float *values, __global float *result) {
+                    const int keep, __global float *weights, __global float *values,
+                    __global float *result) {
   const int row = get_global_id(0), c = LANES * get_global_id(1), at = row * LINE + c;
   if (row >= ROWS || c >= COLUMNS) return;
   const float8 s1 = EIGHT_AT(chosen + at), s2 = EIGHT_AT(variance + at);
@@ -527,10 +528,9 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
   const float8 stein = s1 * mean_risk * share + 2 * (s2 - s1) * mean_own * share - s2;
   for (int k = 0; k < K; ++k) EIGHT_AT(values + k * PLANE + at) = value[k] * share;
   EIGHT_AT(result + at) = s2 != s2 ? s2 : stein > noise ? stein : noise;
-#if STRAINED
+  if (!keep) return;
   for (int pair = 0; pair < PAIRS; ++pair)
     EIGHT_AT(weights + pair * PLANE + at) = risk[pair] * share;
-#endif
 }
 
 /* The planes of a covariance: xx xy xz yy yz zz in space; in the plane the variance, which is that

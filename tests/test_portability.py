@@ -27,9 +27,9 @@ from cmp_cl.opencl.program import kernel_folder
 from cmp_cl.stages.form import form_for
 
 VECTORS = sorted((Path(__file__).resolve().parent / "data").glob("*.npz"))
-QUICK = [path for path in VECTORS if path.stem in ("deep-paper", "harmonic-puzzle")]
-FRAME = images.scene().image[20:53, 30:61].copy()  # 33 x 31
-FEW = np.where(np.arange(31) < 16, FRAME, 128).astype(np.uint8)
+QUICK = [path for path in VECTORS if path.stem in ("ties-paper", "harmonic-noise")]
+FRAME = images.scene().image[20:53, 30:71].copy()  # 33 x 41
+FEW = np.where(np.arange(41) < 16, FRAME, 128).astype(np.uint8)
 DEEP = FRAME.astype(np.uint16) * 16 + 7
 SIXTEEN_BITS = {
     "harmonic": DetectorConfig(full_scale=4095),
@@ -89,7 +89,7 @@ def test_few_corners_after_many_are_not_mixed_with_them(device):
     """Work-items without a corner must not see the results of an earlier frame."""
     many = images.texture((97, 61))
     few = np.full_like(many, 128)
-    few[:33, :31] = FRAME
+    few[:33, :41] = FRAME
     config = DetectorConfig(
         detection=BinaryRings(contrast=None), nms_radius=1, refinement=EdgeStep()
     )

@@ -207,7 +207,7 @@ def strain_of(
         "strain_covariance": ((covariances(3), rows, columns), np.float32),
     }
     found = Memory(queue, layout)
-    kernels = programs.kernels(["strain"], defines_of((rows, columns), axes))
+    kernels = programs.kernels(["strain"], defines_of((rows, columns), axes, device))
     launch = of_nodes(kernels, (rows, columns), given.parts | found.parts, "strain", STRAIN)
     launch.start(queue)
     found.download()
@@ -254,8 +254,7 @@ class LatticeFilter:
         for memory in (self.inputs, self._tables, self._work, results):
             self.parts |= memory.parts
         files = ["filter", *(["strain"] if slopes else [])]
-        defines = {**defines_of(shape, axes), "STRAINED": int(slopes), "IS_CPU": int(self._is_cpu)}
-        self._kernels = programs.kernels(files, defines)
+        self._kernels = programs.kernels(files, defines_of(shape, axes, device))
         self.launches = self._listed(bends=np.int32(bends))
         if slopes:
             self.launches += self._of_slopes()
@@ -392,7 +391,7 @@ class LatticeFilter:
                 (eights,),
                 *("estimate", "loss", "near_votes", "unsupported", "counts"),
                 *("variance", "chosen", *owns, "gain_down", "gain_along", "rows_risk"),
-                *("weights", "values", "mixed_variance"),
+                *(np.int32(self._slopes), "weights", "values", "mixed_variance"),
             ),
             self._of_nodes(
                 "finish",
@@ -424,10 +423,11 @@ class LatticeFilter:
         return bound(self._kernels, self.parts, name, items, group, arguments)
 
 
-def defines_of(shape: tuple[int, int], axes: int) -> dict[str, str | int]:
+def defines_of(shape: tuple[int, int], axes: int, device: Device) -> dict[str, str | int]:
     """Return the macros of the kernels of a lattice with that many coordinates."""
     down, along = (axis_tables(n) for n in shape)
     return {
+        "IS_CPU": int(device.kind is DeviceKind.CPU),
         "ROWS": shape[0],
         "COLUMNS": shape[1],
         "K": axes,

@@ -80,7 +80,12 @@ class FieldPlan:
         self._filter.inputs.arrays["bound_rest"][:, : self.shape[1]] = self._at_rest.most
         self._filter.inputs.upload()
         files = [geometry.file, *(["strain"] if strain else [])]
-        self._kernels = programs.kernels(files, self._defines())
+        defines = {
+            **defines_of(self.shape, geometry.axes, device),
+            "DOUBLE": int(self._double),
+            **geometry.defines(double=self._double),
+        }
+        self._kernels = programs.kernels(files, defines)
         self._parts = self._filter.parts | self._constants.parts
         self.launches = self._listed()
 
@@ -89,13 +94,6 @@ class FieldPlan:
         self._queue.finish()
         for memory in (self._filter, self._constants, self.frame):
             memory.release()
-
-    def _defines(self) -> dict[str, str | int]:
-        return {
-            **defines_of(self.shape, self._geometry.axes),
-            "DOUBLE": int(self._double),
-            **self._geometry.defines(double=self._double),
-        }
 
     def _constant_arrays(self) -> dict[str, NDArray[Any]]:
         rest, real = self._at_rest.moment, np.float64 if self._double else np.float32

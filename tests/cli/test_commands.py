@@ -55,12 +55,13 @@ def test_demo_measures_what_it_rendered(run, small_demo, tmp_path):
 
 @pytest.fixture(scope="session")
 def boards():
-    """Return frames that show a tilted board of 7 x 7 corners, 4 mm apart, to both cameras."""
+    """Return frames that show a tilted board of 12 x 12 corners, 2 mm apart, to both cameras."""
     tilts = (0.4, 0.1), (-0.3, 0.3), (0.1, -0.45), (-0.4, -0.2)
     frames = []
     for number, tilt in enumerate(tilts):
         scene = Scene(
-            markers=7,
+            markers=12,
+            side=26.0,
             shape=VIEW,
             severity=0.0,
             corrosion=0.0,
@@ -74,7 +75,7 @@ def boards():
     return frames
 
 
-BOARD = "--board", "7x7", "--square", "4", "--out", "rig.yaml"
+BOARD = "--board", "12x12", "--square", "2", "--out", "rig.yaml"
 
 
 def test_calibrate_finds_the_cameras_again(run, boards):
@@ -83,7 +84,7 @@ def test_calibrate_finds_the_cameras_again(run, boards):
     cv2.imwrite("4.png", np.full((VIEW[0], 2 * VIEW[1]), 90, np.uint8))
     status, out, err = run("calibrate", "--stereo", *(f"{n}.png" for n in range(5)), *BOARD)
     assert status == 0
-    assert err.startswith("cmp-cl: left out 4.png (left): no pattern of 7 x 7 corners is found")
+    assert err.startswith("cmp-cl: left out 4.png (left): no pattern of 12 x 12 corners is found")
     assert "advice: 4 different views" in out
     rig = StereoRig.load("rig.yaml")
     assert rig.K1[0, 0] == pytest.approx(RIG.K1[0, 0], rel=0.02)
@@ -98,7 +99,7 @@ def test_calibrate_finds_the_cameras_again(run, boards):
         ([], ["--left IMAGE... --right IMAGE..."]),
         (["--stereo", "0.png", "1.png"], ["3 different views", "not 2"]),
         (["--stereo", "0.png", "--board", "9x6"], ["looks like", "--board counts the inner"]),
-        (["plain.png"], ["no view shows a board of 7 x 7 corners", "--stereo"]),
+        (["plain.png"], ["no view shows a board of 12 x 12 corners", "--stereo"]),
         (["--stereo", "--left", "0.png", "--right", "1.png"], ["--stereo is for IMAGE"]),
         (["none.png"], ["none.png"]),
         (

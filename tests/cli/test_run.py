@@ -492,9 +492,9 @@ def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
 
 def test_a_video_of_12_bits_is_measured_without_options_and_keeps_its_times(run):
     camera = boards.plane(cell=12, middle=(36, 36))
-    picture = boards.drawn(camera, (150, 150), (7, 7), noise=0).image
+    picture = boards.drawn(camera, (200, 200), (12, 12), noise=0).image
     write_deep_video("deep.mkv", picture.astype(np.uint16) << 3)  # in half of the light
-    assert run("run", "deep.mkv", "--grid", "7x7", "--out", "deep.npz")[0] == 0
+    assert run("run", "deep.mkv", "--grid", "12x12", "--out", "deep.npz")[0] == 0
     assert read_series("deep.npz")["time_ms"] == pytest.approx([0, 35, 110])
-    status, out, _ = run("detect", "deep.mkv", "--grid", "7x7")
-    assert (status, "49.0 of 49 nodes" in out) == (0, True)
+    status, out, _ = run("detect", "deep.mkv", "--grid", "12x12")
+    assert (status, "144.0 of 144 nodes" in out) == (0, True)

@@ -15,7 +15,7 @@ VIEW = (320, 270)
 AIR = default_rig(VIEW)
 BEHIND = dataclasses.replace(AIR, window=Window(AIR.R[2] + (0, 0, 1), 20.0, ((5.0, 1.49),), 1.41))
 TILTS = (0.4, 0.1), (-0.3, 0.3), (0.1, -0.45), (-0.4, -0.2), (0.2, 0.3), (-0.2, -0.4)
-BOARD = "--stereo", "--board", "7x7", "--square", "4", "--out", "rig.yaml"
+BOARD = "--stereo", "--board", "12x12", "--square", "2", "--out", "rig.yaml"
 THROUGH = "--rest", "rest.png", "--grid", "20x20", "--pitch", "0.8"
 
 
@@ -30,7 +30,10 @@ def frames():
     still = {"shape": VIEW, "corrosion": 0.0, "noise": 1.0}
     found = {
         f"{n}.png": frame(
-            Scene(markers=7, severity=0.0, tilt=tilt, rotation=0.1 * n, seed=n, **still), AIR
+            Scene(
+                markers=12, side=26.0, severity=0.0, tilt=tilt, rotation=0.1 * n, seed=n, **still
+            ),
+            AIR,
         )
         for n, tilt in enumerate(TILTS)
     }

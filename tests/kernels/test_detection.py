@@ -169,7 +169,7 @@ def test_odd_scales(detector_for, factor):
 
 def test_a_threshold_beyond_32_bits_does_not_overflow(detector_for):
     """The sums of 255 x 255 pixels at full scale, and of as many offsets, are near 2^32 each."""
-    config = rings(PLAIN, threshold=AdaptiveMean(window=255, offset=65535), contrast=None)
+    config = rings(PLAIN, threshold=AdaptiveMean(window=255, offset=65535))
     assert not assert_maps_equal(detector_for(DEEP["white"], config), DEEP["white"]).binary.any()
 
 
@@ -194,12 +194,13 @@ def summed(detector, image):
     return int(sums.sum())
 
 
-@pytest.mark.parametrize("config", [DetectorConfig(), rings()], ids=["harmonic", "rings"])
+@pytest.mark.parametrize("config", [harmonic(), PLAIN], ids=["harmonic", "rings"])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
-@pytest.mark.parametrize("columns", some([1, 2, 3, 4, 5, 6, 7, 8, 9, 31, 33, 64], (2, 3, 31)))
-def test_the_noise_is_the_oracles_for_every_width(detector_in_form, dtype, columns, config):
+@pytest.mark.parametrize("columns", some([1, 2, 3, 4, 5, 6, 7, 8, 9, 31, 33, 64], (2, 3, 33)))
+def test_the_noise_is_the_oracles_for_every_width(detector_for, dtype, columns, config):
+    """On a CPU too the rings have the noise of the portable kernels."""
     image = np.random.default_rng(6).integers(0, np.iinfo(dtype).max + 1, (19, columns), dtype)
-    assert summed(detector_in_form(image, config), image) == gate.noise_amplitude(image)[0]
+    assert summed(detector_for(image, config), image) == gate.noise_amplitude(image)[0]
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
@@ -207,10 +208,10 @@ def test_the_largest_noise_does_not_overflow(detector_in_form, dtype):
     """Black and white pixels in turn: eight full scales at every inner pixel. The bound of the
     responses is above all, and the product that gives it is near 64 bits."""
     most = np.iinfo(dtype).max
-    image = (np.indices((200, 220)).sum(0) % 2 * most).astype(dtype)
+    image = (np.indices((500, 88)).sum(0) % 2 * most).astype(dtype)
     for config in (harmonic(noise=100), PLAIN):
         detector = detector_in_form(image, config)
-        assert summed(detector, image) == 8 * most * 198 * 218
+        assert summed(detector, image) == 8 * most * 498 * 86
         assert len(assert_corners_equal(detector, image)) == 0
 
 
@@ -267,7 +268,7 @@ def test_frames_of_a_batch_do_not_see_each_other(detector_in_form, config):
 
 def test_more_maxima_than_the_capacity_are_counted_and_found_all_the_same(device_in_form):
     """Noise has more maxima in windows of 3 x 3 than the list can hold."""
-    image = noise((600, 200), seed=3)
+    image = noise((1300, 90), seed=3)
     config = DENSE.replace(max_corners=1)
     with Detector(shape=image.shape, config=config, device=device_in_form) as detector:
         capacity, memory = detector._plans.lend().list_capacity, detector.memory
@@ -282,7 +283,7 @@ def test_more_maxima_than_the_capacity_are_counted_and_found_all_the_same(device
 
 
 @pytest.mark.parametrize(("count", "regrown"), [(64, False), (65, True)])
-@pytest.mark.parametrize("config", [harmonic(1, noise=0, relative=0, fine=False), DENSE_RINGS])
+@pytest.mark.parametrize("config", [DENSE, DENSE_RINGS])
 def test_a_list_that_overflows_is_made_again_and_holds_every_maximum(
     device_in_form, config, count, regrown
 ):

@@ -49,14 +49,15 @@ def drawn(seed):
 def test_corners_of_all_octaves_equal_the_oracle(detector_in_form, seed, config):
     image = drawn(seed)
     assert_corners_equal(detector_in_form(image, config), image)
-    deep = image.astype(np.uint16) * 257
-    assert_corners_equal(detector_in_form(deep, config), deep)
+    if config is OCTAVES:
+        deep = image.astype(np.uint16) * 257
+        assert_corners_equal(detector_in_form(deep, config), deep)
 
 
 @pytest.mark.parametrize(("rows", "halved"), [(95, False), (96, True)])
-def test_the_shorter_side_of_a_halved_frame_has_48_px_or_more(detector_in_form, rows, halved):
+def test_the_shorter_side_of_a_halved_frame_has_48_px_or_more(detector_for, rows, halved):
     image = ink(40, 0.08)[0][:rows]
-    found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
+    found = assert_corners_equal(detector_for(image, OCTAVES), image)
     assert (found.octave > 0).any() == halved
 
 

@@ -154,18 +154,18 @@ def expected(rig, rest, now):
     return Expected(status, moved, by_images, found, displaced)
 
 
-USUAL = 18, 16  # nodes; each other shape is compiled anew
+USUAL = 18, 19  # nodes; each other shape is compiled anew
 CASES = {  # shape, holes, wrong nodes
     "whole": (USUAL, [], []),
     "holes and a tear": (USUAL, [(5, 5), (0, 3), (9, 9), (9, 10), (10, 10)], []),
-    "a border line is missing": (USUAL, [(0, c) for c in range(16)], []),
+    "a border line is missing": (USUAL, [(0, c) for c in range(19)], []),
     "two parts": (USUAL, [(r, c) for r in range(18) for c in range(6, 10)], []),
     "outliers": (USUAL, [(3, 3)], [(8, 8), (15, 4)]),
-    "narrow": ((3, 9), [], []),
+    "narrow": ((15, 3), [], []),
     "too small to filter": ((4, 4), [], []),
     "wide": ((7, 40), [(3, 20)], []),
 }
-ONCE = {"narrow": 1, "wide": 2}  # the views of a shape by default
+ONCE = {"narrow": 2, "too small to filter": 1, "wide": 2}  # the views of a shape by default
 
 
 def in_views(cases, *others):
@@ -247,7 +247,7 @@ def test_the_strain_is_the_oracles(run, device, case, views, at_once):
     )
     votes = field.valid & ~found.refused
     correlations = strains.shared(moved, votes, found.noise**2)
-    assert max(shape) < 10 or max(correlations) > 0.1
+    assert min(shape) < 5 or max(correlations) > 0.1
     slopes = strains.slope_variances(
         found.weights, found.noise, votes, filters, correlations, found.estimates
     )
