@@ -27,21 +27,3 @@ __kernel void close_faces(__global const float *restrict corners, const uint cap
   face[h] = least;
   steps[h] = (float4)((p1 - p0) + (p2 - p3), (p3 - p0) + (p2 - p1));
 }
-
-/* apart[h]: how far the faces on both sides of a link differ, and their size, px^2; an infinite
- * difference where there are no two faces. One work-item per half-edge. */
-float size_of(const float4 steps) {
-  return (steps.x * steps.x + steps.y * steps.y) + (steps.z * steps.z + steps.w * steps.w);
-}
-
-__kernel void compare_faces(__global const float *restrict corners, const uint capacity,
-                            __global const int *restrict twin, __global const int *restrict face,
-                            __global const float4 *restrict steps, __global float2 *restrict apart) {
-  const int h = get_global_id(0);
-  if (h >= 4 * (int)COUNT(corners)) return;
-  const int other = twin[h];
-  apart[h] = (float2)(INFINITY, 0.0f);
-  if (face[h] == NONE || face[other] == NONE) return;
-  const float one = size_of(steps[h]), two = size_of(steps[other]);
-  apart[h] = (float2)(size_of(steps[h] + steps[other]), SMALLER(one, two));
-}

@@ -22,12 +22,20 @@ void unite(__global volatile int *part, int a, int b) {
   }
 }
 
+/* Whether the steps of two faces, each from the link that they share, differ little for their size. */
+float size_of(const float4 steps) {
+  return (steps.x * steps.x + steps.y * steps.y) + (steps.z * steps.z + steps.w * steps.w);
+}
+bool agree(const float4 one, const float4 other, const float tolerance) {
+  return size_of(one + other) < tolerance * SMALLER(size_of(one), size_of(other));
+}
+
 /* beyond[h]: the half-edge on the other side of a link if both faces agree, else NONE. part[h]: the
  * least half-edge of the part, NONE outside of faces. size[root]: its faces, 0 of a part with two
  * numbers for a corner. `cut` is that of the faces before. One work-group. */
 __kernel void number_parts(__global const float *restrict corners, const uint capacity,
                            __global const int *restrict twin, __global const int *restrict face,
-                           __global const float2 *restrict apart,
+                           __global const float4 *restrict steps,
                            __constant float *tolerances, const int most_cuts,
                            __global uchar *restrict cut, __global int *restrict beyond,
                            __global int *restrict part, __global int *restrict waiting,
@@ -38,17 +46,18 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
     FOR_ALL(h, ends) {
       part[h] = face[h];
       size[h] = 0;
+      beyond[h] = NONE;
     }
     if (get_local_id(0) == 0) listed = contradictions = 0;
     ALL_TOGETHER;
     FOR_ALL(h, ends) {
-      beyond[h] = NONE;
-      if (apart[h].x == INFINITY) continue;
-      const int other = twin[h], f = face[h], g = face[other];
-      const float tolerance = tolerances[LARGER(cut[f], cut[g])];
-      if (!(apart[h].x < tolerance * apart[h].y)) continue;
+      const int other = twin[h], f = face[h];
+      if (f == NONE || other < h || face[other] == NONE) continue;
+      const int g = face[other];
+      if (!agree(steps[h], steps[other], tolerances[LARGER(cut[f], cut[g])])) continue;
       beyond[h] = other;
-      if (other > h) unite(part, f, g);
+      beyond[other] = h;
+      unite(part, f, g);
     }
     ALL_TOGETHER;
     FOR_ALL(h, ends) {

@@ -95,43 +95,38 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
   if (part[h] == layout[MAIN] || !is_node(part, size, least_part, h) || !is_at_rim(part, i)) return;
   __global const float2 *at = POSITIONS(corners);
   const float own_step = mean_step(at, twin, i), own_reach = reach * own_step;
-  const int shift = layout[BIN_SHIFT], across = layout[BINS_ACROSS];
-  const float2 low = at[i] - own_reach, high = at[i] + own_reach;
-  const int top = BIN_ROW(low), bottom = BIN_ROW(high);
-  const int left = BIN_COLUMN(low), right = BIN_COLUMN(high);
-  for (int k = top; k <= bottom; ++k)
-    for (int n = starts[k * across + left]; n < starts[k * across + right + 1]; ++n) {
-      const int j = binned[n];
-      const float dx = at[i].x - at[j].x, dy = at[i].y - at[j].y, squared = dx * dx + dy * dy;
-      if (!(squared < own_reach * own_reach) || !is_at_rim(part, j)) continue;
-      for (int g = 4 * j; g < 4 * j + 4; ++g) {
-        if (!is_node(part, size, least_part, g) || !IS_LARGER(part[g], part[h])) continue;
-        if (i == j) {
-          add_vote(part, state, g, h, (ROTATION(g) - ROTATION(h)) & 3, state[g].xy, 1.0f, room,
-                   layout, votes);
-          continue;
-        }
-        const float held = LARGER(squared, 1.0f), length = held * inverse_root(held);
-        const Boundary near = boundary_along(lines[j], dx, dy);
-        const Boundary far = boundary_along(lines[i], -dx, -dy);
-        const float along = SMALLER(near.length, far.length), step = mean_step(at, twin, j);
-        const float mean = 0.5f * (own_step + step);
-        const int direction = (near.side + ROTATION(g)) & 3;
-        const int quarter = (direction - far.side + 2 - ROTATION(h)) & 3;
-        for (int m = 1; m <= SPAN; ++m) {
-          const Way way = ways[m - 1];
-          if (!(along > way.cosine * length) || (near.side + far.side - m) & 1) continue;
-          if (!(MAGNITUDE(length - (float)m * mean) < mean)) continue; /* a step off at most */
-          const int sum = difference_of_way(LEVELS, at[j], dx * way.part, dy * way.part, m, depth,
-                                            depth_px);
-          const int seen = near.side & 1 ? -sum : sum;
-          if (seen <= 0) continue;
-          const float product = (float)contrast[i] * (float)contrast[j];
-          const float share = ((float)seen * way.factor) * inverse_root(product);
-          const int2 number = state[g].xy + m * (int2)(TO_X(direction), TO_Y(direction));
-          add_vote(part, state, g, h, quarter, number, SMALLER(share, 1.0f) * way.weight, room,
-                   layout, votes);
-        }
+  const Window window = window_around(layout, rows, columns, at[i], own_reach);
+  FOR_CORNERS_IN(window, j) {
+    const float dx = at[i].x - at[j].x, dy = at[i].y - at[j].y, squared = dx * dx + dy * dy;
+    if (!(squared < own_reach * own_reach) || !is_at_rim(part, j)) continue;
+    for (int g = 4 * j; g < 4 * j + 4; ++g) {
+      if (!is_node(part, size, least_part, g) || !IS_LARGER(part[g], part[h])) continue;
+      if (i == j) {
+        add_vote(part, state, g, h, (ROTATION(g) - ROTATION(h)) & 3, state[g].xy, 1.0f, room,
+                 layout, votes);
+        continue;
+      }
+      const float held = LARGER(squared, 1.0f), length = held * inverse_root(held);
+      const Boundary near = boundary_along(lines[j], dx, dy);
+      const Boundary far = boundary_along(lines[i], -dx, -dy);
+      const float along = SMALLER(near.length, far.length), step = mean_step(at, twin, j);
+      const float mean = 0.5f * (own_step + step);
+      const int direction = (near.side + ROTATION(g)) & 3;
+      const int quarter = (direction - far.side + 2 - ROTATION(h)) & 3;
+      for (int m = 1; m <= SPAN; ++m) {
+        const Way way = ways[m - 1];
+        if (!(along > way.cosine * length) || (near.side + far.side - m) & 1) continue;
+        if (!(MAGNITUDE(length - (float)m * mean) < mean)) continue; /* a step off at most */
+        const int sum = difference_of_way(LEVELS, at[j], dx * way.part, dy * way.part, m, depth,
+                                          depth_px);
+        const int seen = near.side & 1 ? -sum : sum;
+        if (seen <= 0) continue;
+        const float product = (float)contrast[i] * (float)contrast[j];
+        const float share = ((float)seen * way.factor) * inverse_root(product);
+        const int2 number = state[g].xy + m * (int2)(TO_X(direction), TO_Y(direction));
+        add_vote(part, state, g, h, quarter, number, SMALLER(share, 1.0f) * way.weight, room,
+                 layout, votes);
       }
     }
+  }
 }

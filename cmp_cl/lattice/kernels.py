@@ -40,7 +40,7 @@ Kernel = tuple[str, Over, str]
 AT = "corners capacity"
 LEVELS = "levels level_step rows columns"
 BINS = "layout starts binned"
-PRICE, SIDE = "least_cosine turn_price", "depth depth_px"
+SIDE = "depth depth_px"
 NODES, CLAIMS = "seen owner torn used", "best_score best_place"
 POSITIONS, MEASURES = "at result rough predictions", "cell sides cells"
 
@@ -48,20 +48,17 @@ PARTS_OF_CORNERS: tuple[Kernel, ...] = (
     ("smooth_levels", Over.PIXELS, "image step full_scale rows columns levels"),
     ("direct_corners", Over.CORNERS, f"{AT} {LEVELS} circle radius lines contrast"),
     ("fill_bins", Over.GROUP, f"{AT} rows columns {BINS}"),
-    ("choose_near", Over.CORNERS, f"{AT} lines {BINS} rows columns rings {PRICE} first"),
-    ("choose_mutual", Over.HALF_EDGES, f"{AT} {LEVELS} {SIDE} first choice"),
     (
-        "choose_far",
+        "choose_links",
         Over.CORNERS,
-        f"{AT} lines {BINS} {LEVELS} neighbours rings {PRICE} {SIDE} choice",
+        f"{AT} lines {BINS} rows columns neighbours rings least_cosine turn_price choice",
     ),
-    ("keep_mutual", Over.HALF_EDGES, f"{AT} choice twin"),
+    ("keep_links", Over.HALF_EDGES, f"{AT} {LEVELS} {SIDE} choice twin"),
     ("close_faces", Over.HALF_EDGES, f"{AT} twin cuts face cut steps"),
-    ("compare_faces", Over.HALF_EDGES, f"{AT} twin face steps apart"),
     (
         "number_parts",
         Over.GROUP,
-        f"{AT} twin face apart tolerances most_cuts cut beyond part waiting state faces_of_part",
+        f"{AT} twin face steps tolerances most_cuts cut beyond part waiting state faces_of_part",
     ),
     ("number_corners", Over.GROUP, f"{AT} part state faces_of_part least_part numbers layout"),
 )
@@ -110,9 +107,9 @@ def sizes(plan: "LatticePlan") -> dict[str, int]:
     bins = 4 * corners + rows // 4 + columns // 4 + 2
     of_corners = {
         **dict.fromkeys(("contrast", "binned", *CLAIMS.split()), 4),
-        **dict.fromkeys(("lines", "first", "choice", "twin", "face", "beyond", "part"), 16),
+        **dict.fromkeys(("lines", "choice", "twin", "face", "beyond", "part"), 16),
         **dict.fromkeys(("waiting", "faces_of_part", "numbers"), 16),
-        **{"used": 1, "cut": 4, "apart": 32, "steps": 64, "state": 64},
+        **{"used": 1, "cut": 4, "steps": 64, "state": 64},
         "votes": 4 * VOTE * ROOM,
     }
     of_places = {

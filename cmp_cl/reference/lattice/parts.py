@@ -180,8 +180,8 @@ def candidates(shape: tuple[int, int], corners: Directed, constants: LatticeCons
 def links(plane: NDArray[np.integer], corners: Directed, constants: LatticeConstants) -> Whole:
     """Return the twin of each half-edge, (4 N,), -1 without one.
 
-    Of each half-edge the two cheapest candidates are looked at; the first with a side in the image
-    is its choice. A link is a choice of both its ends.
+    A half-edge chooses its cheapest candidate. A link is a choice of both its ends, and a side in the
+    image.
     """
     count = len(corners.x)
     if np.count_nonzero(corners.known) < 2:
@@ -200,14 +200,13 @@ def links(plane: NDArray[np.integer], corners: Directed, constants: LatticeConst
     order = np.lexsort((other, key, h))
     h, other = h[order], other[order]
     first = np.concatenate([[True], h[1:] != h[:-1]]) if len(h) else np.zeros(0, np.bool_)
-    second = np.concatenate([[False], first[:-1]]) & ~first
     choice = np.full(4 * count, -1)
-    for rank in (second, first):
-        seen = rank.copy()
-        seen[rank] = has_side(plane, corners, h[rank], other[rank], constants)
-        choice[h[seen]] = other[seen]
-    twin = np.where(choice[choice] == np.arange(4 * count), choice, -1)
-    return np.where(choice >= 0, twin, -1)
+    choice[h[first]] = other[first]
+    h = np.flatnonzero((choice >= 0) & (choice[choice] == np.arange(4 * count)))
+    h = h[has_side(plane, corners, h, choice[h], constants)]
+    twin = np.full(4 * count, -1)
+    twin[h] = choice[h]
+    return twin
 
 
 def boundary(angle: Whole, dx: Real, dy: Real) -> tuple[Whole, Real]:
