@@ -24,7 +24,6 @@
 #define ROOM_OF 3
 #define FOLLOWS_OF 7
 #define REACH_OF 11
-#define FURTHER_OF 15
 
 /* A place, by its line from a side and its number there. box: top, bottom, left, right, the ends not
  * included. */
@@ -44,7 +43,7 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
                         const float edge, __global const int *restrict layout,
                         __global const float2 *restrict result,
                         __global const int *restrict owner, __global const uchar *restrict rough,
-                        __global uchar *restrict used, __global float2 *restrict nodes,
+                        __global float2 *restrict nodes,
                         __global int *restrict node_owner, __global uchar *restrict node_rough,
                         __global int *restrict border) {
   const int width = layout[BOARD_COLUMNS];
@@ -84,10 +83,6 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
       }
     }
     if (!any && line == NONE) break;
-    FOR_ALL(k, any ? 0 : line < 2 ? across : height) {
-      const int cut = owner[place_on(line, 0, k, box, width)];
-      if (cut >= 0) used[cut] = 0;
-    }
     box.x += any ? !there[0] : line == 0;
     box.y -= any ? !there[1] : line == 1;
     box.z += any ? !there[2] : line == 2;
@@ -224,26 +219,6 @@ bool has_room(__global const float2 *nodes, __global const int *owner, const int
   return 2 * inside > known;
 }
 
-/* Whether a corner of no node lies so many steps before a place on a side's last line, and a way
- * could join them: boundaries point to each other, of unlike colours if the steps are odd. */
-bool leads_on(__global const float *corners, const uint capacity, __global const float4 *lines,
-              __global const int *layout, __global const int *starts, __global const int *binned,
-              __global const uchar *used, const uint rows, const uint columns, const float reach,
-              const float least_cosine, const int own, const float2 at, const float2 step,
-              const int steps) {
-  const float2 p = at + (float)steps * step;
-  if (!IS_HERE(p) || !is_in_view(p, rows, columns)) return false;
-  float square;
-  const int i = nearest_corner(corners, capacity, layout, starts, binned, rows, columns, p,
-                               reach * length_of(step), &square);
-  if (i == NONE || used[i]) return false;
-  const float2 way = POSITIONS(corners)[i] - at;
-  const Boundary near = boundary_along(lines[own], way.x, way.y);
-  const Boundary far = boundary_along(lines[i], -way.x, -way.y);
-  return SMALLER(near.length, far.length) > least_cosine * length_of(way) &&
-         !((near.side + far.side + steps) & 1);
-}
-
 /* How far pairs of squares reach, twice the sum of their shares; UNSEEN if the medians of both
  * halves of a side differ by over a step, as along an oblique edge. */
 int common_reach(__local const int *reach, const int count) {
@@ -254,29 +229,14 @@ int common_reach(__local const int *reach, const int count) {
 
 /* Measure the sides of a board. One work-group. */
 __kernel void measure_border(__global const PIXEL *restrict image, const uint step, const uint rows,
-                             const uint columns, __global const float *restrict corners,
-                             const uint capacity, __global const float4 *restrict lines,
-                             __global const int *restrict layout, __global const int *restrict starts,
-                             __global const int *restrict binned, __global const uchar *restrict used,
-                             const float passing, const float least_line, const float least_cosine,
-                             const float beside, __global const float2 *restrict nodes,
+                             const uint columns, const float passing,
+                             __global const float2 *restrict nodes,
                              __global const int *restrict owner, __global int *restrict border) {
   const int height = border[ROWS_OF], width = border[COLUMNS_OF];
   __local int first[SIDES * PAIRS], pairs[SIDES], near[SIDES], shown[SIDES * PAIRS];
   __local int levels[SIDES * PAIRS * DEPTHS * 2], squares[SIDES * PAIRS];
-  __local int room[SIDES], ahead[SIDES * SPAN], any_longer;
-  FOR_ALL(m, SIDES * SPAN) ahead[m] = 0;
+  __local int room[SIDES], any_longer;
   if (get_local_id(0) == 0) any_longer = 0;
-  ALL_TOGETHER;
-  FOR_ALL(m, height < 2 || width < 2 ? 0 : SIDES * SPAN * LARGER(height, width)) {
-    const int side = m & 3, steps_on = (m >> 2) % SPAN + 1, k = (m >> 2) / SPAN;
-    if (k >= LENGTH_OF(side)) continue;
-    const int own = owner[place_on(side, 0, k, (int4)(0, height, 0, width), width)];
-    const float2 at = AT(side, 0, k);
-    if (leads_on(corners, capacity, lines, layout, starts, binned, used, rows, columns, beside,
-                 least_cosine, own, at, at - AT(side, 1, k), steps_on))
-      atomic_inc(ahead + side * SPAN + steps_on - 1);
-  }
   FOR_ALL(side, SIDES) {
     room[side] = height && width && has_room(nodes, owner, side, height, width, rows, columns);
     pairs[side] = height < 2 || width < 2
@@ -333,17 +293,7 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
     int reached = read && (float)MAGNITUDE_OF(beyond) < passing * whole
                       ? common_reach(squares + start, some)
                       : UNSEEN;
-    /* A line of corners past a side follows, though no sides of cells link it. One that is farther
-     * away, behind a bar, is counted alone: it may be another board's. */
-    bool follows = read && (float)change < 2.0f * passing * whole;
-    int further = 0;
-    for (int n = reached != UNSEEN; n < SPAN; ++n) {
-      const int on_line = ahead[side * SPAN + n];
-      if ((float)on_line < least_line * (float)LENGTH_OF(side)) continue;
-      further = LARGER(further, on_line);
-      follows |= !n && on_line;
-    }
-    border[FURTHER_OF + side] = further;
+    const bool follows = read && (float)change < 2.0f * passing * whole;
     /* What reaches farther than a square is not the last one. */
     const float reach = REACH(reached) * last_over_next(nodes, owner, side, height, width);
     if (reached != UNSEEN && reach > 1 + STEP_OF_LEVELS) {

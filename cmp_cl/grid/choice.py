@@ -236,14 +236,9 @@ def chosen_of(
             f"the largest board has {chosen.size} of {count} corners, expected at least "
             f"{math.ceil(least)}; give the shape, or a cut-out of the image"
         )
-    missing = int(chosen.board.border.further.sum())
-    if asked.shape is None:
-        missing = max(missing, chosen.beyond)
-    elif chosen.size == math.prod(asked.shape):
-        missing = 0
     if not (sure or chosen.is_whole):
         others = others or _hanging(chosen.board, image)
-    return chosen, others or chosen.gap or missing
+    return chosen, others or chosen.gap or (chosen.beyond if asked.shape is None else 0)
 
 
 def _alike(found: list[Found]) -> tuple[Found, int]:

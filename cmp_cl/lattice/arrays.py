@@ -53,21 +53,19 @@ class Border(NamedTuple):
 
     reach: cells, of its last squares beyond its last nodes, 1 if they are whole; NaN where the
     pattern is not seen to end. follows: the pattern goes on. room: most places of a further line
-    lie in the image, and that there is none can be seen. further: corners on a line that follows,
-    and are no nodes.
+    lie in the image, and that there is none can be seen.
     """
 
     reach: Float
     follows: Mask
     room: Mask
-    further: Whole
 
     @classmethod
     def of(cls, found: NDArray[np.int32]) -> "Border":
         """Return the sides from what kernels/borders.cl found: the numbers after FOUND."""
-        room, follows, share, further = found.reshape(4, 4)
+        room, follows, share = found.reshape(3, 4)
         reach = np.where(share == UNSEEN, np.nan, share / WHOLE)
-        return cls(reach, follows.astype(np.bool_), room.astype(np.bool_), further.astype(np.int64))
+        return cls(reach, follows.astype(np.bool_), room.astype(np.bool_))
 
     @property
     def ends(self) -> Mask:
@@ -86,7 +84,6 @@ NOT_SEEN = Border(
     reach=np.full(4, np.nan),
     follows=np.zeros(4, np.bool_),
     room=np.zeros(4, np.bool_),
-    further=np.zeros(4, np.int64),
 )
 
 

@@ -20,7 +20,7 @@ DIRECTIONS = 1024  # unit vectors in a full turn
 PARTS, VOTES, LAYOUT = 7, 9, 10  # in the layout, see kernels/lattice.clh; numbers in all
 ROUNDS = 12  # times that nodes are looked for, three less than the margin in kernels/nodes.cl
 LISTS = 8  # of places, see `settle_nodes`
-SIDES, FOUND = 3, 19  # what is found of a board: its size, from here its sides; numbers in all
+SIDES, FOUND = 3, 15  # what is found of a board: its size, from here its sides; numbers in all
 VOTE = 6  # numbers of a vote
 ROOM = 16  # votes for each corner; a board that is cut into parts of 16 cells has 10
 
@@ -70,20 +70,6 @@ VOTES_OF_PARTS: tuple[Kernel, ...] = (
         f"reach {SIDE} room layout votes",
     ),
 )
-MEASURE: Kernel = (
-    "measure_border",
-    Over.GROUP,
-    f"image step rows columns {AT} lines {BINS} used passing least_line least_cosine beside "
-    "nodes node_owner border",
-)
-CUT: Kernel = (
-    "cut_board",
-    Over.GROUP,
-    "rows columns least_line radius layout result owner rough used "
-    "nodes node_owner node_rough border",
-)
-
-
 BOARD_OF_NUMBERS: tuple[Kernel, ...] = (
     ("lay_board", Over.GROUP, f"{AT} numbers places nats layout {NODES} {CLAIMS} tried marks"),
     ("blend_nodes", Over.PLACES, f"nats layout seen torn {POSITIONS}"),
@@ -95,8 +81,17 @@ BOARD_OF_NUMBERS: tuple[Kernel, ...] = (
         f"{AT} {LEVELS} nats rounds starts binned layout {NODES} tried {POSITIONS} {MEASURES} "
         f"score candidate found key listed asked {CLAIMS} marks lists places",
     ),
-    CUT,
-    MEASURE,
+    (
+        "cut_board",
+        Over.GROUP,
+        "rows columns least_line radius layout result owner rough nodes node_owner node_rough "
+        "border",
+    ),
+    (
+        "measure_border",
+        Over.GROUP,
+        "image step rows columns passing nodes node_owner border",
+    ),
 )
 
 
@@ -152,7 +147,6 @@ def values(plan: "LatticePlan") -> dict[str, Any]:
         "reach": k.span + 0.5,
         "passing": k.passing,
         "least_line": k.least_line,
-        "beside": k.reach_cells,
     }
     count = {
         "capacity": plan.capacity,

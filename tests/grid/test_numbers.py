@@ -281,16 +281,18 @@ def test_a_view_without_a_border_does_not_say_which_part_of_a_board_it_is():
     assert "ambiguous" in grid.doubts[0]
 
 
-@pytest.mark.parametrize("shape", [None, BOARD])
-def test_corners_of_a_line_that_no_side_links_are_told(shape):
+def test_corners_of_a_line_that_no_side_links_are_told():
     camera = plane(cell=30, middle=(200, 150), about=(4, 2.5), turn=2)
     u, _ = camera(*samples(SIZE))
     tape = np.where(abs(u - 7.5) < 0.33, 120.0, np.nan)
     view = drawn(camera, SIZE, BOARD, front=tape)
-    grid = grid_of(view, shape=shape)
+    grid = grid_of(view)
     assert np.count_nonzero(grid.valid) == 48
     assert grid.others == 6
     assert "of this one are no nodes" in grid.doubts[0]
+    sized = grid_of(view, shape=BOARD)
+    assert scored(sized, view, known="board").right == 48
+    assert not sized.doubts
 
 
 @pytest.mark.parametrize(("middle", "width"), [(1.7, 0.7), (2.5, 1.4)])

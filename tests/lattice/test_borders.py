@@ -8,9 +8,7 @@ from lattice_plans import K, gel, plan_for
 
 from cmp_cl import detect
 from cmp_cl.lattice.arrays import NONE, UNSEEN, Board, Border
-from cmp_cl.lattice.kernels import CUT, LAYOUT, MEASURE, SIDES
-from cmp_cl.reference.harmonic import smoothed
-from cmp_cl.reference.lattice import parts
+from cmp_cl.lattice.kernels import LAYOUT, SIDES
 from cmp_cl.reference.lattice.borders import Sides, trimmed
 
 
@@ -26,16 +24,13 @@ def part_of(board, box):
     return Board(**arrays, sign=1)
 
 
-def assert_equal_to_the_oracle(plan, board, image, corners):
+def assert_equal_to_the_oracle(plan, board, image):
     plan.write("border", np.array(board.owner.shape, np.int32))
     plan.write("nodes", np.stack([board.x, board.y], axis=2))
     plan.write("node_owner", board.owner.astype(np.int32))
-    plan.write("used", np.isin(np.arange(len(corners)), board.owner))
-    plan.enqueue(plan.bound([MEASURE]))
+    plan.enqueue([each for each in plan.lay if each[0] == "measure_border"])
     found = plan.read("border", np.int32)[SIDES:]
-    plane = smoothed(image, plan.full_scale)[0]
-    directed = parts.directed(plane, corners.xy, corners.edges, K)
-    border, sides = Border.of(found), Sides(board, image, directed, K)
+    border, sides = Border.of(found), Sides(board, image, K)
     assert found.tolist() == sides.found()
     np.testing.assert_array_equal(border.ends, sides.reach != UNSEEN)
     return border
@@ -46,7 +41,7 @@ def test_a_whole_gel_ends_at_all_sides(device, bits):
     image = gel(0.5, bits=bits)
     corners = detect(image)
     plan, board = settled(device, image, corners, 2**bits - 1)
-    border = assert_equal_to_the_oracle(plan, board, image, corners)
+    border = assert_equal_to_the_oracle(plan, board, image)
     assert border.ends.all()
     np.testing.assert_allclose(border.reach, 1, atol=0.1)
 
@@ -55,7 +50,7 @@ def test_where_cells_follow_no_pattern_ends(device):
     image = gel(0.5)
     corners = detect(image)
     plan, board = settled(device, image, corners)
-    border = assert_equal_to_the_oracle(plan, part_of(board, np.s_[5:, 4:-4]), image, corners)
+    border = assert_equal_to_the_oracle(plan, part_of(board, np.s_[5:, 4:-4]), image)
     assert border.follows.tolist() == [True, False, True, True]
     assert border.ends.tolist() == [False, True, False, False]
 
@@ -73,7 +68,7 @@ def test_parts_of_boards(device, seed):
         box = np.s_[first[0] : last[0] + 2, first[1] : last[1] + 2]
         nodes = draw.random(board.owner.shape) >= share
         part = part_of(dataclasses.replace(board, owner=np.where(nodes, board.owner, NONE)), box)
-        assert_equal_to_the_oracle(plan, part, image, corners)
+        assert_equal_to_the_oracle(plan, part, image)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -100,7 +95,7 @@ def test_outer_lines_of_few_nodes_are_taken_off(device, seed):
     plan.write("result", np.stack([x, y], axis=2))
     plan.write("owner", owner.astype(np.int32))
     plan.write("rough", board.torn)
-    plan.enqueue(plan.bound([CUT]))
+    plan.enqueue([each for each in plan.lay if each[0] == "cut_board"])
     wanted = trimmed(board, shape, K)
     count = wanted.owner.size
     assert plan.read("border", np.int32, 3).tolist() == [*wanted.owner.shape, wanted.sign]

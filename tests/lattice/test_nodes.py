@@ -72,8 +72,7 @@ def assert_equal_to_the_oracle(device, image, corners, *, change=None):
         plane, corners.xy, torn, board_of(alone(numbers), corners.xy, torn), K
     )
     wanted = borders.trimmed(wanted, image.shape, K)
-    directed = lattice.directed(plane, corners.xy, corners.edges, K)
-    sides = borders.Sides(wanted, image, directed, K)
+    sides = borders.Sides(wanted, image, K)
     assert plan.read("border", np.int32)[SIDES:].tolist() == sides.found()
     wanted = wanted.upright()
     np.testing.assert_array_equal(found.owner, wanted.owner)

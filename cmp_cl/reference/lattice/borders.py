@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 from cmp_cl.image import GreyImage
 from cmp_cl.lattice.arrays import UNSEEN, WHOLE, Board
 from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.reference.lattice.nodes import inverse, nearest_corner
+from cmp_cl.reference.lattice.nodes import inverse
 from cmp_cl.reference.lattice.parts import (
-    Directed,
     F,
     Mask,
     Real,
     Whole,
-    boundary,
     length_of,
 )
 
@@ -78,34 +76,23 @@ class Sides:
     """What is seen at the sides of a board, (4,) each: top, bottom, left, right.
 
     room: most places of a further line lie in the image, and it can be seen that there is none.
-    follows: cells follow, or corners that could be linked. reach: of the last squares beyond the
-    last nodes, 1/4096 cell, UNSEEN where the pattern is not seen to end. further: corners on a
-    line that follows, and are no nodes.
+    follows: cells follow. reach: of the last squares beyond the last nodes, 1/4096 cell, UNSEEN
+    where the pattern is not seen to end.
     """
 
-    def __init__(
-        self, board: Board, image: GreyImage, corners: Directed, k: LatticeConstants
-    ) -> None:
+    def __init__(self, board: Board, image: GreyImage, k: LatticeConstants) -> None:
         there = board.owner >= 0
-        self.image, self.corners, self.k = image, corners, k
-        self.free = np.ones(len(corners.x), np.bool_)
-        self.free[board.owner[there]] = False
+        self.image, self.k = image, k
         self.x = np.where(there, board.x, F(np.nan))
         self.y = np.where(there, board.y, F(np.nan))
         self.ways = list(zip(_ways(self.x), _ways(self.y), strict=True))
         self.room = np.array([self._has_room(*way) for way in self.ways])
         self.follows, self.reach = np.zeros(4, np.bool_), np.full(4, UNSEEN)
-        self.further = np.zeros(4, np.int64)
         if min(there.shape) < 2:
             return
         reach = np.zeros(4, np.float32)
-        for n, (way, owner) in enumerate(zip(self.ways, _ways(board.owner), strict=True)):
+        for n, way in enumerate(self.ways):
             self.follows[n], reach[n] = self._read(*way)
-            line = F(self.k.least_line) * F(way[0].shape[1])
-            leading = np.array(self._leading(*way, owner)) * [reach[n] == 0, *[True] * (k.span - 1)]
-            leading[F(1) * leading < line] = 0
-            self.follows[n] |= leading[0] > 0
-            self.further[n] = leading.max()
         cells = reach * np.array([self._last_over_next(*way) for way in self.ways])
         longer = cells > F(1) + F(k.border_step_cells)
         reach[longer] = 0
@@ -118,7 +105,6 @@ class Sides:
             *self.room.tolist(),
             *self.follows.tolist(),
             *self.reach.tolist(),
-            *self.further.tolist(),
         ]
 
     def _in_view(self, x: Real, y: Real) -> Mask:
@@ -192,25 +178,6 @@ class Sides:
         steps = np.floor(F(32) * self._length(dx[:, known], dy[:, known]) + F(0.5))
         last, before = steps.sum(axis=1, dtype=np.int64).astype(np.float32)[:, None]
         return F((before * inverse(last))[0])
-
-    def _leading(self, x: Real, y: Real, owner: Whole) -> list[int]:
-        """Return how many places of each of the next lines have a corner of no node that a way
-        could join: boundaries point to each other, of unlike colours if the steps are odd."""
-        k, corners, found = self.k, self.corners, []
-        for steps in range(1, k.span + 1):
-            ox, oy = x[0] - x[1], y[0] - y[1]
-            px, py = x[0] + F(steps) * ox, y[0] + F(steps) * oy
-            some = np.flatnonzero(~np.isnan(px) & self._in_view(px, py))
-            own, far = owner[0][some], F(k.reach_cells) * self._length(ox[some], oy[some])
-            other, square = nearest_corner(corners.x, corners.y, px[some], py[some])
-            dx, dy = corners.x[other] - x[0][some], corners.y[other] - y[0][some]
-            s, one = boundary(corners.angle[own], dx, dy)
-            t, two = boundary(corners.angle[other], -dx, -dy)
-            leads = (square < far * far) & self.free[other] & ((s + t + steps) % 2 == 0)
-            leads &= corners.known[own] & corners.known[other]
-            leads &= np.minimum(one, two) > F(k.least_cosine) * self._length(dx, dy)
-            found.append(int(np.count_nonzero(leads)))
-        return found
 
     @staticmethod
     def _length(x: Real, y: Real) -> Real:

@@ -180,8 +180,8 @@ def candidates(shape: tuple[int, int], corners: Directed, constants: LatticeCons
 def links(plane: NDArray[np.integer], corners: Directed, constants: LatticeConstants) -> Whole:
     """Return the twin of each half-edge, (4 N,), -1 without one.
 
-    A half-edge chooses its cheapest candidate. A link is a choice of both its ends, and a side in the
-    image.
+    A half-edge chooses its cheapest candidate. A link is a choice of both its ends, and a side in
+    the image.
     """
     count = len(corners.x)
     if np.count_nonzero(corners.known) < 2:
