@@ -156,7 +156,8 @@ def calibrate(
 
     Raises CalibrationError if a camera has fewer than three different views of at least eight
     nodes, if they do not determine the focal length (the board faces the camera in all of them), if
-    a camera shares no moment with the others, or if no pose between the cameras fits the views.
+    a camera shares no moment with the others, if no pose between the cameras fits the views, or if a
+    node lies far outside of its image.
     """
     views, sizes = _checked(views, sizes)
     check_positive("spacing", spacing, CalibrationError)
@@ -230,9 +231,16 @@ def _checked(
         raise CalibrationError(
             f"sizes must be of the cameras in views, at least one: {list(views)}, not {list(sizes)}"
         )
-    return every, {
-        name: as_size(f"sizes[{name!r}]", sizes[name], CalibrationError) for name in views
-    }
+    known = {name: as_size(f"sizes[{name!r}]", sizes[name], CalibrationError) for name in views}
+    for name, grids in every.items():
+        for grid in filter(None, grids):
+            far = np.abs(grid.xy) > 2 * np.array(known[name])
+            if far.any():
+                at = grid.xy[far.any(axis=2)][0].tolist()
+                raise CalibrationError(
+                    f"{name}: a node at {at} px is far outside of an image of {known[name]} px"
+                )
+    return every, known
 
 
 def _large(grid: Grid) -> bool:
