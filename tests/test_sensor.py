@@ -162,6 +162,11 @@ def test_errors_reach_the_caller(video, tmp_path):
             sensor.record(tmp_path / "two.npz")
         with pytest.raises(ConfigError, match="stop recording first"):
             sensor.calibrate()
+        sensor.record(None)
+        for path, error in (("one.txt", ConfigError), ("none/one.npz", FileNotFoundError)):
+            with pytest.raises(error):  # here, and no error that ends the loop
+                sensor.record(tmp_path / path)
+        assert all_frames(sensor)
     plane = tmp_path / "plane.npz"
     np.savez(
         plane,

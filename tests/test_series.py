@@ -270,6 +270,9 @@ def test_names_and_packages_that_no_format_has_are_refused(tmp_path, monkeypatch
     with pytest.raises(OSError, match="none"):
         SeriesWriter(tmp_path / "none" / "a.npz")
     assert list(tmp_path.iterdir()) == []
+    (tmp_path / "link.npz").symlink_to(tmp_path / "press.bin")
+    with pytest.raises(ConfigError, match=r"press\.bin"):  # now, and not when it is complete
+        SeriesWriter(tmp_path / "link.npz")
 
 
 # what was there before

@@ -19,6 +19,7 @@ from cmp_cl.measure.two_views import TwoViews
 from cmp_cl.media.ahead import Ahead
 from cmp_cl.media.cameras import Source
 from cmp_cl.series import SeriesWriter, read_series
+from cmp_cl.series.writer import check_series
 from cmp_cl.space import BinocularSplit, StereoRig
 
 Frame = dict[str, Any]
@@ -133,13 +134,16 @@ class Sensor(Frames):
         """Write the frames from the next one on to a series, in the format of the suffix; after
         `calibrate`, from the frame at rest on.
 
-        None ends it and completes the file. Raises ConfigError if one is being written already.
+        None ends it and completes the file. Raises ConfigError if one is being written already, and
+        what `SeriesWriter` does for a path.
         """
         with self._lock:
             if path is None:
                 self._end_series()
             elif self._path is not None or self._series is not None:
                 raise ConfigError("a series is being recorded; end it by record(None)")
+            else:
+                check_series(path)
             self._path = path
 
     @staticmethod

@@ -67,7 +67,8 @@ def read_series(
     except ConfigError:
         raise
     except Exception as error:  # damaged bytes raise any of them, in zipfile, NumPy and h5py
-        raise FieldError(f"{str(path)!r} is damaged or no series: {error}") from error
+        what = "damaged, no series, or only begun" if part else "damaged or no series"
+        raise FieldError(f"{str(path)!r} is {what}: {error}") from error
     return found
 
 
