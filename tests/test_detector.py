@@ -11,7 +11,7 @@ import numpy as np
 import pyopencl as cl
 import pytest
 from cases import some
-from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
+from comparison import assert_same_bytes
 from configs import all_settings, settings_of
 from corner_images import board, to_nearest
 
@@ -205,18 +205,6 @@ def test_streams_and_calls_may_alternate(detector):
 
 
 # --- masks ---------------------------------------------------------------------------------
-
-
-def test_a_mask_limits_where_candidates_are_centred(detector_for, device):
-    mask = np.zeros(images.SHAPE, np.bool_)
-    mask[15:45, 20:70] = True
-    image = EIGHT["texture"]
-    detector = detector_for(image, DetectorConfig(), mask)
-    assert_maps_equal(detector, image, mask=mask)
-    corners = assert_corners_equal(detector, image, mask=mask)
-    assert 0 < len(corners) < len(detector_for(image)(image))
-    for one, other in zip(detector.batch([image] * 3), [corners] * 3, strict=True):
-        assert_same_bytes(one, other)
 
 
 @pytest.mark.parametrize(

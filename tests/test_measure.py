@@ -94,10 +94,10 @@ def grainy(image, deviation=6):
 
 def torn(node, half, by):
     """Return what moves the square of so many px around a node of the second frame of FILM."""
-    x, y = np.rint(pressed(FILM[1]).left.truth[node]).astype(int)
-    top, left, side = y - half, x - half, 2 * half + 1
 
     def change(image):
+        x, y = np.rint(pressed(FILM[1]).left.truth[node]).astype(int)
+        top, left, side = y - half, x - half, 2 * half + 1
         image = image.copy()
         moved = image[top - by : top - by + side, left - by : left - by + side].copy()
         image[top : top + side, left : left + side] = moved

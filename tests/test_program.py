@@ -109,13 +109,3 @@ def test_compilers_give_no_warnings(
     assert programs
     logs = [built.get_build_info(device_in_form.handle, LOG) for built in programs]
     assert "warning" not in ("".join(logs) + capfd.readouterr().err).lower()
-
-
-def test_one_changed_offset_of_a_ring_changes_its_bits(altered, device, detector_for):
-    expected = detector_for(IMAGE, rings()).maps(IMAGE)
-    altered("ring.clh", "F(1, 1, -3)", "F(1, 2, -3)")
-    with Detector(shape=IMAGE.shape, config=rings(), device=device) as detector:
-        found = detector.maps(IMAGE)
-    np.testing.assert_array_equal(found.binary, expected.binary)
-    changed = np.bitwise_or.reduce((found.inner ^ expected.inner).ravel())
-    assert changed == 1 << 1

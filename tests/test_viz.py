@@ -1,8 +1,7 @@
 """Pictures: each shows every corner, node and value where it is, with its unit."""
 
+import importlib.util
 import os
-import subprocess
-import sys
 import urllib.error
 import urllib.request
 
@@ -34,8 +33,7 @@ from cmp_cl.viz.overlays import moved_overlay
 from cmp_cl.viz.video import VideoFile
 
 needs_matplotlib = pytest.mark.skipif(
-    subprocess.run([sys.executable, "-c", "import matplotlib"], capture_output=True).returncode,
-    reason="matplotlib is not installed",
+    importlib.util.find_spec("matplotlib") is None, reason="matplotlib is not installed"
 )
 
 

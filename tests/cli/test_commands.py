@@ -111,7 +111,7 @@ def test_calibrate_finds_the_cameras_again(run, boards):
 def test_a_wrong_argument_of_calibrate_is_one_line_and_no_file(
     run, boards, tmp_path, arguments, words
 ):
-    cv2.imwrite("plain.png", np.full((120, 160), 90, np.uint8))
+    cv2.imwrite("plain.png", np.full(VIEW, 90, np.uint8))
     for number in range(2):
         cv2.imwrite(f"{number}.png", np.hstack(boards[number]))
     fails_in_one_line(run("calibrate", *BOARD, *arguments), *words)

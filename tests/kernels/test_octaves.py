@@ -124,7 +124,11 @@ def test_an_octave_keeps_to_the_mask_and_a_batch_equals_the_loop(detector_in_for
     image, _ = ink(50, 0.08)
     mask = np.zeros(SHAPE, np.bool_)
     mask[:, :150] = True
-    corners = assert_corners_equal(detector_in_form(image, OCTAVES, mask), image, mask=mask)
+    masked = detector_in_form(image, OCTAVES, mask)
+    assert_maps_equal(masked, image, mask=mask)
+    corners = assert_corners_equal(masked, image, mask=mask)
+    for one in masked.batch([image] * 3):
+        assert_same_bytes(one, corners)
     assert 0 < len(corners) < len(detector_in_form(image, OCTAVES)(image))
     assert (corners.pixel[:, 0] < 150).all()
     detector = detector_in_form(image, OCTAVES)
