@@ -20,15 +20,9 @@ __kernel void in_plane(__global const float2 *nodes, __global const uchar *seen_
   const int i = get_global_id(0);
   if (i >= NODES) return;
   __global const REAL *h = homography;
-  const int there = seen_status[i] != MISSING;
-  source[i] = there && rest_source[i] != MISSING ? max(seen_status[i], rest_source[i])
-                                                 : (uchar)MISSING;
-  status[i] = there ? rest_status[i] : (uchar)MISSING;
-  const int good = status[i] == VALID;
-  const int vote = good && source[i] != MISSING && source[i] <= LAST_MEASURED;
-  valid[i] = good;
-  measured[i] = votes[i] = vote;
-  if (!vote) atomic_inc(counts + HOLES);
+  const int now = seen_status[i] != MISSING ? VALID : MISSING;
+  const int good = judge(i, now, seen_status[i], rest_status, rest_source, status, source, valid,
+                         measured, votes, counts);
   const REAL x = nodes[i].x, y = nodes[i].y, share = 1 / (h[6] * x + h[7] * y + h[8]);
   const REAL u = share * (h[0] * x + h[1] * y + h[2]), v = share * (h[3] * x + h[4] * y + h[5]);
   const REAL slope[4] = {share * (h[0] - u * h[6]), share * (h[1] - u * h[7]),

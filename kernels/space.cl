@@ -181,8 +181,6 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
   __global const uchar *status_left = seen_status, *status_right = seen_status + NODES;
   __global const float *sigma_left = sigma, *sigma_right = sigma + NODES;
   const int there = status_left[i] != MISSING && status_right[i] != MISSING;
-  const uchar worse = max(status_left[i], status_right[i]);
-  source[i] = there && rest_source[i] != MISSING ? max(worse, rest_source[i]) : (uchar)MISSING;
   const REAL pixel[4] = {nodes_left[i].x, nodes_left[i].y, nodes_right[i].x, nodes_right[i].y};
   REAL one[3], two[3], seen[4], slope[4];
   int now = VALID;
@@ -260,12 +258,8 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
   }
   if (now == VALID && !(error <= 2 * largest_error * largest_error)) now = INCONSISTENT;
   if (!there) now = MISSING;
-  status[i] = now == VALID ? rest_status[i] : now;
-  const int good = status[i] == VALID;
-  const int vote = good && source[i] != MISSING && source[i] <= LAST_MEASURED;
-  valid[i] = good;
-  measured[i] = votes[i] = vote;
-  if (!vote) atomic_inc(counts + HOLES);
+  const int good = judge(i, now, max(status_left[i], status_right[i]), rest_status, rest_source,
+                         status, source, valid, measured, votes, counts);
   own[i] = good && known ? (float)((v[0] + v[3] + v[5]) / 3) : NAN;
   for (int k = 0; k < 3; ++k) {
     moved[k * NODES + i] = good ? (float)(point[k] + better[k] - rest[k * NODES + i]) : 0.0f;
