@@ -4,7 +4,7 @@
  * the window, border repeated. A pixel of the binary image is 1 where black.
  *
  * WINDOW_SUM(T, F) adds F(-w/2) .. F(w/2) in type T; WIDE_SUM(T, F) adds as many of them in
- * type COLUMN as it can hold, and these sums in type T. */
+ * type SUM_OF_COLUMN as it can hold, and these sums in type T. */
 
 #ifndef WINDOW_SUM
 #error "WINDOW_SUM must add over the window"
@@ -35,16 +35,17 @@ __kernel void repeat_border_binary(const uint rows, const uint columns, const ui
 
 /* Sum of each pixel's column within the window. */
 __kernel void column_sums(__global const PIXEL *restrict image, const uint rows,
-                          const uint step, const COLUMN zero, __global COLUMN *restrict sums) {
+                          const uint step, const SUM_OF_COLUMN zero,
+                          __global SUM_OF_COLUMN *restrict sums) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
 #define TERM(k) image[NEAR_ROW(p, (int)y + (k)) + x]
-  sums[ROW(p, y) + x] = WINDOW_SUM(COLUMN, TERM);
+  sums[ROW(p, y) + x] = WINDOW_SUM(SUM_OF_COLUMN, TERM);
 #undef TERM
 }
 
 /* Sum the column sums over the window, and compare. */
 __kernel void binarize(__global const PIXEL *restrict image,
-                       __global const COLUMN *restrict sums, const uint rows,
+                       __global const SUM_OF_COLUMN *restrict sums, const uint rows,
                        const uint step, const LEVEL count, const LEVEL offset, const uint zero,
                        __global uchar *restrict binary) {
   const size_t i = ROW(get_global_id(2), get_global_id(1)) + get_global_id(0);

@@ -223,7 +223,7 @@ def test_a_node_far_outside_of_its_image_is_refused(place):
     seen = views({"a": THREE["a"]})["a"]
     xy = seen[1].xy.copy()
     xy[2, 3, 1] = place
-    with pytest.raises(CalibrationError, match="a: a node at .* far outside of an image"):
+    with pytest.raises(CalibrationError, match=r"a: a node at .* far outside of an image"):
         calibrated({"a": [seen[0], grid_of(xy), *seen[2:]]})
 
 

@@ -14,7 +14,7 @@ _BY_PIXEL: dict[str, tuple[type[np.generic], type[np.generic]]] = {
     "NOISE": (np.uint16, np.uint32),  # eight absolute curvatures
     "ROW_NOISE": (np.uint32, np.uint64),  # the same, summed over a row
     "WEIGHTED": (np.uint32, np.uint64),  # a resampled pixel, times the sum of its weights
-    "COLUMN": (np.uint16, np.uint32),  # the sum of a window's column
+    "SUM_OF_COLUMN": (np.uint16, np.uint32),  # the sum of a window's column
     "LEVEL": (np.int32, np.uint32),  # (I + C) n, compared with the sum of a window
     "CONTRAST": (np.int16, np.int32),  # of the gate
 }

@@ -156,8 +156,8 @@ def calibrate(
 
     Raises CalibrationError if a camera has fewer than three different views of at least eight
     nodes, if they do not determine the focal length (the board faces the camera in all of them), if
-    a camera shares no moment with the others, if no pose between the cameras fits the views, or if a
-    node lies far outside of its image.
+    a camera shares no moment with the others, if no pose between the cameras fits the views, or if
+    a node lies far outside of its image.
     """
     views, sizes = _checked(views, sizes)
     check_positive("spacing", spacing, CalibrationError)

@@ -17,7 +17,7 @@ def macros(plan: PlanBase, rule: BinaryRings) -> dict[str, str]:
     terms = [f"F({k})" for k in range(-(window // 2), window // 2 + 1)]
     fits = window if plan.dtype == np.uint16 else 65535 // (255 * window)
     groups = [
-        f"(T)({sum_of_terms(terms[start : start + fits], 'COLUMN')})"
+        f"(T)({sum_of_terms(terms[start : start + fits], 'SUM_OF_COLUMN')})"
         for start in range(0, window, fits)
     ]
     return {
@@ -31,7 +31,7 @@ def launches(plan: PlanBase, rule: BinaryRings) -> list[Launch]:
     b, threshold, frame_rows = plan.arrays, rule.threshold, plan.frames * plan.working[0]
     rows = {"rows": plan.size["rows"], "step": plan.size["step"]}
     image, sums, binary = {"image": plan.image}, {"sums": b["sums"]}, {"binary": b["binary"]}
-    column, level = plan.types["COLUMN"].type, plan.types["LEVEL"].type
+    column, level = plan.types["SUM_OF_COLUMN"].type, plan.types["LEVEL"].type
     # A mean of bytes is never above 255.
     offset = threshold.offset if plan.dtype == np.uint16 else min(threshold.offset, 255)
     levels = {"count": level(threshold.window**2), "offset": level(offset), "zero": np.uint32(0)}

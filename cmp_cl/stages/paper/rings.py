@@ -67,7 +67,7 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
     gated = {} if rule.contrast is None else gate.scratch(plan)
     response = {"response": element * plane}
     return [
-        {"sums": plan.types["COLUMN"].itemsize * plane},
+        {"sums": plan.types["SUM_OF_COLUMN"].itemsize * plane},
         *({**response, **later} for later in (lists, keys, gated)),
     ]
 
