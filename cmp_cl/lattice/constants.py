@@ -49,7 +49,9 @@ class LatticeConstants:
         the corners beside a board that must lie on its lattice. With .7 a line of noise beside one
         of 75 boards was taken for theirs; .8 loses nothing on 50 005 corners of gels, and .9
         refuses two of 110 boards in clutter.
-    span: steps, of the longest way across a tear, and cells beside it whose nodes show the surface.
+    span: steps, of the longest way across a tear; nodes within half of that and a half cell beside
+        it show the surface. Within 4 cells 4 of 45 parts of torn gels were ranked wrong, within 2.5
+        one, and none of 24 others.
     join_votes: votes, that a placement needs; and corners beside a board, that are told. With 4,
         waves that stretch cells 2.5 times had wrong joins; right ones in torn gels have 8 to 80.
     join_bend: factor, by which the second placement must bend the surface more. None of 140 parts

@@ -168,7 +168,7 @@ def bending(fixed: Side, moved: Side, offsets: Numbers, k: LatticeConstants) -> 
     """
     middle, number = moved.at.mean(), moved.number - moved.number.mean()
     cell = float(np.abs(np.vdot(number, moved.at - middle)) / np.vdot(number, number).real)
-    reach = k.span * cell
+    reach = (k.span + 1) / 2 * cell  # three lines of nodes, which a quadratic needs
     one, two = fixed.near(moved, reach, k.tear_most), moved.near(fixed, reach, k.tear_most)
     count = len(one.at)
     if count < TREND or len(two.at) < TREND // 2:
