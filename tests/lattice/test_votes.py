@@ -5,6 +5,8 @@ import pytest
 from lattice_plans import K, gel, plan_for
 
 from cmp_cl import detect
+from cmp_cl.lattice import kernels
+from cmp_cl.lattice.boards import boards
 from cmp_cl.reference import harmonic
 from cmp_cl.reference.lattice import parts as lattice
 from cmp_cl.reference.lattice import votes as lattice_votes
@@ -23,13 +25,23 @@ def started(device, image):
     return plan, corners, plane, directed, twin
 
 
+def striped(image, rows, wide):
+    """Return the image with grey stripes from these rows on, which part the pattern."""
+    image = image.copy()
+    for row in rows:
+        image[row : row + wide] = 120
+    return image
+
+
 @pytest.mark.parametrize("seed", [7, 8, 9, 10])
 @pytest.mark.parametrize("holes", [0, 3])
 def test_gels(device, seed, holes):
     """Torn gels, and gels in which grey stripes part the pattern."""
-    image = gel(2.0 if holes == 0 else 0.5, seed=seed, indenter=Indenter.TORUS).copy()
-    for n in range(holes):
-        image[30 + 70 * n : 44 + 70 * n] = 120
+    image = striped(
+        gel(2.0 if holes == 0 else 0.5, seed=seed, indenter=Indenter.TORUS),
+        (30, 100, 170)[:holes],
+        14,
+    )
     plan, corners, plane, directed, twin = started(device, image)
     plan.alone()
     units, got = plan.parts(corners.xy)
@@ -63,3 +75,15 @@ def test_the_nodes_of_parts_are_those_of_the_oracle(device):
     ]
     assert sorted(found, key=str) == sorted(expected, key=str)
     np.testing.assert_array_equal(units.at.real, corners.xy[units.corner, 0])
+
+
+def test_parts_with_more_votes_than_there_is_room_for_stay_apart(device, monkeypatch):
+    image, found = striped(gel(0.5, seed=8), (60, 120, 180), 8), {}
+    for room in (kernels.ROOM, 1):
+        monkeypatch.setattr(kernels, "ROOM", room)
+        plan, corners, *_ = started(device, image)
+        found[room] = [np.count_nonzero(each.there) for each in boards(plan, corners.xy)]
+        counted = plan.read("layout", np.int32)[kernels.VOTES]
+        assert (counted > room * plan.capacity) == (room == 1)
+    assert [len(each) for each in found.values()] == [1, 4]
+    assert sum(found[1]) > 0.9 * len(corners)
