@@ -33,27 +33,16 @@ bool is_at_rim(__global const int *part, const int i) {
   return around.x != around.y || around.x != around.z || around.x != around.w;
 }
 
-/* For each number m of steps: the least cosine, 1 / m, the factor of a sum of differences, and
- * 1 / sqrt(m). */
-typedef struct {
-  float cosine, part, factor, weight;
-} Way;
-
-/* The difference of both sides of a way of m steps, summed over points of each, with the sign that
- * it has if colours change after every step. */
-int difference_of_way(LEVELS_OF_IMAGE, const float2 from, const float x, const float y, const int m,
+/* The differences of both sides of a way of m steps, each with the sign that it has if colours
+ * change after every step. */
+int difference_of_way(LEVELS_OF_IMAGE, const float2 from, const float2 step, const int m,
                       const float depth, const float depth_px) {
-  const float share = share_beside(LARGER(x * x + y * y, 1.0f), depth, depth_px);
-  const float across_x = -(share * y), across_y = share * x;
   int sum = 0;
-  for (int e = 0; e < 8 * m; e += 8)
-    for (int f = 2; f <= 6; f += SIDE_STEP) { /* eighths of a step */
-      const float t = 0.125f * (float)(e + f);
-      const float on_x = from.x + t * x, on_y = from.y + t * y;
-      const int here = level_at(LEVELS, on_x - across_x, on_y - across_y) -
-                       level_at(LEVELS, on_x + across_x, on_y + across_y);
-      sum += e & 8 ? -here : here;
-    }
+  for (int k = 0; k < m; ++k) {
+    const float2 a = from + (float)k * step;
+    const int here = difference(LEVELS, a, a + step, depth, depth_px);
+    sum += k & 1 ? -here : here;
+  }
   return sum;
 }
 
@@ -87,8 +76,9 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
                          __global const int *restrict twin, __global const int *restrict part,
                          __global const int4 *restrict state, __global const int *restrict size,
                          const int least_part, __global const int *restrict starts,
-                         __global const int *restrict binned, __constant Way *ways,
-                         const float reach, const float depth, const float depth_px, const int room,
+                         __global const int *restrict binned,
+                         const float least_cosine, const float point_share, const float reach,
+                         const float depth, const float depth_px, const int room,
                          __global int *restrict layout, __global int *restrict votes) {
   const int h = get_global_id(0), i = h >> 2;
   if (layout[PARTS] < 2 || h >= 4 * (int)COUNT(corners)) return;
@@ -114,17 +104,17 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
       const int direction = (near.side + ROTATION(g)) & 3;
       const int quarter = (direction - far.side + 2 - ROTATION(h)) & 3;
       for (int m = 1; m <= SPAN; ++m) {
-        const Way way = ways[m - 1];
-        if (!(along > way.cosine * length) || (near.side + far.side - m) & 1) continue;
+        if (!(along > least_cosine * length) || (near.side + far.side - m) & 1) continue;
         if (!(MAGNITUDE(length - (float)m * mean) < mean)) continue; /* a step off at most */
-        const int sum = difference_of_way(LEVELS, at[j], dx * way.part, dy * way.part, m, depth,
+        const float weight = inverse_root((float)m), step_share = weight * weight;
+        const int sum = difference_of_way(LEVELS, at[j], step_share * (float2)(dx, dy), m, depth,
                                           depth_px);
         const int seen = near.side & 1 ? -sum : sum;
         if (seen <= 0) continue;
         const float product = (float)contrast[i] * (float)contrast[j];
-        const float share = ((float)seen * way.factor) * inverse_root(product);
+        const float share = ((float)seen * (2 * point_share * step_share)) * inverse_root(product);
         const int2 number = state[g].xy + m * (int2)(TO_X(direction), TO_Y(direction));
-        add_vote(part, state, g, h, quarter, number, SMALLER(share, 1.0f) * way.weight, room,
+        add_vote(part, state, g, h, quarter, number, SMALLER(share, 1.0f) * weight, room,
                  layout, votes);
       }
     }

@@ -66,8 +66,8 @@ VOTES_OF_PARTS: tuple[Kernel, ...] = (
     (
         "find_votes",
         Over.HALF_EDGES,
-        f"{AT} lines contrast {LEVELS} twin part state faces_of_part least_part starts binned ways "
-        f"reach {SIDE} room layout votes",
+        f"{AT} lines contrast {LEVELS} twin part state faces_of_part least_part starts binned "
+        f"least_cosine point_share reach {SIDE} room layout votes",
     ),
 )
 BOARD_OF_NUMBERS: tuple[Kernel, ...] = (
@@ -144,6 +144,7 @@ def values(plan: "LatticePlan") -> dict[str, Any]:
         "turn_price": k.turn_price,
         "depth": k.side_depth_cells,
         "depth_px": k.side_depth_px,
+        "point_share": 1 / len(k.side_points),
         "reach": k.span + 0.5,
         "passing": k.passing,
         "least_line": k.least_line,
@@ -160,7 +161,6 @@ def values(plan: "LatticePlan") -> dict[str, Any]:
         "circle": circle(),
         "cuts": np.array(k.torn_cuts, np.int32),
         "tolerances": k.face_tolerances(),
-        "ways": ways(plan),
         "nats": nats(plan),
     }
     return {
@@ -176,15 +176,6 @@ def circle() -> NDArray[np.float32]:
     cosine = np.cos(np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS))
     rounded: NDArray[np.float32] = (np.rint(16384 * cosine) / 16384).astype(np.float32)
     return rounded
-
-
-def ways(plan: "LatticePlan") -> NDArray[np.float32]:
-    """Return what a way of so many steps must have, (span, 4), see kernels/votes.cl."""
-    k = plan.constants
-    m = np.arange(1, k.span + 1)
-    cosine = np.full(k.span, k.least_cosine)
-    share = 2 / (len(k.side_points) * m)
-    return np.stack([cosine, 1 / m, share, 1 / np.sqrt(m)], axis=1).astype(np.float32)
 
 
 def nats(plan: "LatticePlan") -> NDArray[np.float32]:

@@ -17,8 +17,7 @@ from cmp_cl.reference.lattice.parts import (
     boundary,
     inverse_root,
     length_of,
-    read,
-    side_depth,
+    side_sum,
 )
 
 
@@ -74,29 +73,26 @@ def votes(
         (one, other, units.number[one], rotation[one] - rotation[other], np.ones(len(one)))
     ]
     for m in range(1, k.span + 1):
-        cosine = k.least_cosine
-        good = (along > F(cosine) * length) & ((s + t - m) % 2 == 0)
+        good = (along > F(k.least_cosine) * length) & ((s + t - m) % 2 == 0)
         good &= np.abs(length - F(m) * mean) < mean
         n = np.flatnonzero(good)
-        part_x, part_y = dx[n] * F(1 / m), dy[n] * F(1 / m)
-        square = np.maximum(part_x * part_x + part_y * part_y, F(1))
-        depth = side_depth(inverse_root(square), k)
-        across, down = -(depth * part_y), depth * part_x
+        root = inverse_root(np.full(1, m, np.float32))
+        part = root * root
+        step_x, step_y = dx[n] * part, dy[n] * part
         total = np.zeros(len(n), np.int64)
         for j in range(m):
-            for t_ in k.side_points:
-                x = corners.x[a[n]] + F(j + t_) * part_x
-                y = corners.y[a[n]] + F(j + t_) * part_y
-                difference = read(plane, x - across, y - down) - read(plane, x + across, y + down)
-                total += difference * (1 - 2 * (j % 2))
+            x, y = corners.x[a[n]] + F(j) * step_x, corners.y[a[n]] + F(j) * step_y
+            there = (x + step_x) - x, (y + step_y) - y
+            total += side_sum(plane, (x, y), there, k) * (1 - 2 * (j % 2))
         total *= 1 - 2 * (s[n] % 2)
         product = corners.contrast[a[n]].astype(np.float32) * corners.contrast[b[n]].astype(
             np.float32
         )
-        share = (total.astype(np.float32) * F(2 / (len(k.side_points) * m))) * inverse_root(product)
+        share = 2 * F(1 / len(k.side_points)) * part
+        share = (total.astype(np.float32) * share) * inverse_root(product)
         seen = total > 0
         n, share = n[seen], share[seen]
-        weight = (np.minimum(share, F(1)) * F(1 / np.sqrt(m))).astype(np.float64)
+        weight = (np.minimum(share, F(1)) * root).astype(np.float64)
         one, other = first[n], second[n]
         direction = (s[n] + rotation[one]) % 4
         number = units.number[one] + m * (COLUMN_STEP[direction] + 1j * ROW_STEP[direction])
