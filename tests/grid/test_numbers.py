@@ -4,7 +4,6 @@ import contextlib
 import functools
 import json
 import time
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -31,14 +30,13 @@ from scenes import (
     squares,
     turned,
 )
+from stereo_data import photographs
 
 from cmp_cl import Corners, Detector, Grid, GridError, ImageError, NodeStatus, build_grid, detect
 from cmp_cl.grid import build_grids
 from cmp_cl.synthetic import Indenter, random_scene
 from cmp_cl.synthetic.boards import samples
 from cmp_cl.synthetic.scoring import agreeing
-
-DATA = Path(__file__).parents[3] / "shared" / "data"
 
 
 @functools.cache
@@ -644,9 +642,8 @@ def test_a_detector_gives_the_grid_of_its_own_corners(name):
 
 
 def photograph(name: str) -> View:
-    path = DATA / f"{name}.json"
-    if not path.exists():
-        pytest.skip(f"the shared photographs are not at {DATA}")
+    folder, _, stem = name.partition("/")
+    path = photographs(folder) / f"{stem}.json"
     listed = json.loads(path.read_text())
     image = cv2.imread(str(path.with_name(listed["image"])), cv2.IMREAD_GRAYSCALE)
     corners = np.array([(c["x"], c["y"], c["j"], c["i"]) for c in listed["corners"]], np.float64)

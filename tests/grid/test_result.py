@@ -8,7 +8,7 @@ import pytest
 from lattices import drawn
 from scenes import board, corners_of
 
-from cmp_cl import ConfigError, Grid, GridError, build_grid, detect
+from cmp_cl import Grid, GridError, build_grid, detect
 from cmp_cl.grid import Rival, Sides, align
 
 
@@ -117,8 +117,6 @@ def test_a_grid_says_in_one_line_what_it_is_and_gives_opencv_its_points(grid):
     assert nodes.shape == (54, 1, 3)
     np.testing.assert_array_equal(nodes[-1, 0], [8 * 2.5, 5 * 2.5, 0])
     np.testing.assert_array_equal(points[-1, 0], grid.xy[5, 8])
-    with pytest.raises(ConfigError, match="spacing"):
-        grid.to_opencv(0)
 
 
 def test_a_pattern_without_nine_corners_is_no_board_and_says_so():

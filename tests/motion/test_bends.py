@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from stereo_data import gel, grid_of, project, toed_in_rig
+from stereo_data import gel, grid_of, project, rms, toed_in_rig
 
 from cmp_cl import Detector, DetectorConfig, EdgeStep, RingHarmonic
 from cmp_cl.filter import bend_shift
@@ -23,10 +23,6 @@ def arcs(rows=12, columns=14, cell=10.0, bend=200.0):
     angle = (np.arange(columns) - columns / 2) * cell / bend
     radii = bend + cell * np.arange(rows)[:, None]
     return np.stack([radii * np.sin(angle), radii * np.cos(angle)], axis=-1), radii
-
-
-def rms(error):
-    return float(np.sqrt(np.nanmean(np.square(error))))
 
 
 def test_a_straight_line_through_an_arc_lies_a_sixth_of_curvature_times_radius_squared_inside():

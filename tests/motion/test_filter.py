@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from stereo_data import grid_of, points
+from stereo_data import grid_of, points, rms
 
 from cmp_cl.grid import NodeStatus
 from cmp_cl.motion import displacement, filter_positions
@@ -23,10 +23,6 @@ def surface(rows=40, columns=40, bend=2.0):
 
 def noisy(truth, sigma, seed=0):
     return truth + np.random.default_rng(seed).normal(0, sigma, truth.shape)
-
-
-def rms(error):
-    return float(np.sqrt(np.nanmean(np.square(error))))
 
 
 def moved_by(moved, sigma=np.nan):

@@ -129,3 +129,8 @@ def points(xyz: np.ndarray, sigma: float = 0.01, unit: str = "mm") -> Points3D:
 def field_of(rest: np.ndarray, now: np.ndarray) -> DisplacementField:
     """Return the displacement from positions at rest to current ones, (R, C, 3) each, mm."""
     return displacement(points(rest), points(now))
+
+
+def rms(error: np.ndarray) -> float:
+    """Return the root mean square of what is known of an error."""
+    return float(np.sqrt(np.nanmean(np.square(error))))
