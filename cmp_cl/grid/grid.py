@@ -6,7 +6,7 @@ import functools
 import math
 from numbers import Integral
 from os import PathLike
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from cmp_cl.files import check_path, read_npz, suffix_of, whole_file
 from cmp_cl.filter import bent_sigma
 from cmp_cl.grid.curves import points_between
 from cmp_cl.grid.saved import SAVED, check_shapes, packed, unpacked
+from cmp_cl.lattice.arrays import turned_sides
 from cmp_cl.lattice.constants import LatticeConstants
 
 
@@ -31,8 +32,6 @@ class NodeStatus(enum.IntEnum):
     INTERPOLATED = 4  #: predicted from measured nodes around it
     VIRTUAL = 5  #: a marker on the edge between two neighbours
 
-
-T = TypeVar("T")
 
 # measured in the image; the position of a torn node comes in part from its neighbours
 MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
@@ -50,14 +49,6 @@ class Sides(NamedTuple):
     def turned(self, quarters: int) -> "Sides":
         """Return the same sides after `Grid.turned(quarters)`."""
         return Sides(*turned_sides(self, quarters))
-
-
-def turned_sides(sides: tuple[T, T, T, T], quarters: int) -> tuple[T, T, T, T]:
-    """Return values of (top, bottom, left, right) after `Grid.turned(quarters)`."""
-    for _ in range(quarters % 4):
-        top, bottom, left, right = sides
-        sides = right, left, top, bottom
-    return sides
 
 
 NO_SIDES = Sides()

@@ -3,7 +3,7 @@
 import cmath
 import dataclasses
 import functools
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,18 @@ Real = NDArray[np.float32]
 Float = NDArray[np.float64]
 Numbers = NDArray[np.complex128]  # column + 1j row
 Mask = NDArray[np.bool_]
+T = TypeVar("T")
 
 NONE, LOOKED = -1, -2  # owners of a node: missing, or seen where no corner was found
 UNSEEN, WHOLE = -(2**31), 4096  # a reach that is not seen, and one of a whole cell
+
+
+def turned_sides(sides: tuple[T, T, T, T], quarters: int) -> tuple[T, T, T, T]:
+    """Return values of (top, bottom, left, right) after quarter turns, as np.rot90 turns arrays."""
+    for _ in range(quarters % 4):
+        top, bottom, left, right = sides
+        sides = right, left, top, bottom
+    return sides
 
 
 class Units(NamedTuple):
@@ -74,9 +83,7 @@ class Border(NamedTuple):
 
     def turned(self, quarters: int) -> "Border":
         """Return the same after as many quarter turns of the board, as np.rot90 turns arrays."""
-        order = np.arange(4)
-        for _ in range(quarters % 4):
-            order = order[[3, 2, 0, 1]]
+        order = list(turned_sides((0, 1, 2, 3), quarters))
         return Border._make(values[order] for values in self)
 
 
