@@ -90,10 +90,9 @@ class LatticeConstants:
         With 5, the motion from a board at rest made its numbers ambiguous.
     rest_sd_cells: cells, standard deviation of the motion since rest.
     step_sd_cells: cells, the same from one frame to the next.
-    motion_nats: nats, the most against any motion: one by more than half a cell between frames is
-        not sure then.
     turn_sd_degrees: degrees, standard deviation of the rotation since rest.
-    turn_nats: nats, the most against any rotation and motion.
+    motion_nats: nats, the most against any motion and rotation: a motion by more than half a cell
+        between frames is not sure then, and the borders of a board that a hand turned decide.
     camera_px: px, printing errors as small as that may be the camera's.
     print_clip: times, the median of printing errors, to which larger ones are clipped. Without it
         one of 48 open patterns was wrong in silence; 1 loses a third of those that are sure.
@@ -146,9 +145,8 @@ class LatticeConstants:
     end_nats: float = 6.0
     rest_sd_cells: float = 1.0
     step_sd_cells: float = 0.2
-    motion_nats: float = 8.5
     turn_sd_degrees: float = 8.0
-    turn_nats: float = 14.0
+    motion_nats: float = 8.5
     camera_px: float = 0.1
     print_clip: float = 2.5
     sure_nats: float = 5.0

@@ -77,7 +77,7 @@ def _like(
     along, down = now.steps
     ways = np.array([along, down, -along, -down]) / reference.board.steps[0]
     angles = np.abs(np.degrees(np.angle(ways))).tolist()
-    against = [min(angle**2 / (2 * k.turn_sd_degrees**2), k.turn_nats) for angle in angles]
+    against = [min(angle**2 / (2 * k.turn_sd_degrees**2), k.motion_nats) for angle in angles]
     found: list[Numbering] = []
     for quarters in sorted(range(4), key=lambda q: angles[q]):
         # How well a turn agrees with the print must not keep another from being tried.
@@ -122,9 +122,9 @@ def _scores(
     row, column = (np.arange(low[n], high[n] + 1) for n in (0, 1))
     away = np.square(row - at[0])[:, None] + np.square(column - at[1])
     first = row - origin[0], column - origin[1]
-    moved = np.minimum(away / (2 * sd_cells**2), k.motion_nats)
     score = agreement(rest.prints, prints, *first, k)
-    score -= np.minimum(moved + turn, k.turn_nats)  # what was turned by hand was moved too
+    # What was turned by hand was moved too.
+    score -= np.minimum(away / (2 * sd_cells**2) + turn, k.motion_nats)
     score += _of_ends(first[0], now, rest.board, 0, k)[:, None]
     score += _of_ends(first[1], now, rest.board, 1, k)
     odd = np.add.outer(*first) % 2 == 1
