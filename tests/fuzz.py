@@ -48,7 +48,7 @@ FREE = {  # settings that do not go into the text of the kernels
     *("phase", "minimum", "relative", "noise", "max_shift", "cell", "octaves", "scale"),
     "full_scale",
 }
-ROUNDING = 3e-7  # px: of an edge point some px from the corner, in float32
+ROUNDING = 1e-6  # px: of an edge point some px from the corner, and of its fit, in float32
 Rng = np.random.Generator
 
 
@@ -124,7 +124,7 @@ def movement_by_rounding(image: np.ndarray, config: DetectorConfig) -> np.ndarra
 
     there = reference.detect(image, config).xy
     with mock.patch.object(reference.refine, "edge_points", rounded):
-        moved = [np.abs(reference.detect(image, config).xy - there) for _ in range(20)]
+        moved = [np.abs(reference.detect(image, config).xy - there) for _ in range(60)]
     return np.max(moved, axis=(0, 2))
 
 
