@@ -238,7 +238,8 @@ def chosen_of(
         )
     if not (sure or chosen.is_whole):
         others = others or _hanging(chosen.board, image)
-    return chosen, others or chosen.gap or (chosen.beyond if asked.shape is None else 0)
+    beside = 0 if asked.shape is not None and chosen.fits else chosen.beyond
+    return chosen, others or chosen.gap or beside
 
 
 def _alike(found: list[Found]) -> tuple[Found, int]:
