@@ -5,16 +5,15 @@ __kernel void find_reference(__global const ulong *restrict noise, const uint ba
                              const uint rows, const uint columns, const uint full_scale,
                              const uint coarse_noise, const uint capacity,
                              const uint counters_of_frame, __global const uint *restrict counters,
-                             __global const int *restrict lists, __global Level *restrict levels,
-                             __global int2 *restrict spans) {
+                             __global const int *restrict lists,
+                             __global Level *restrict levels) {
   __local ulong sums[DECIDING];
   find_level(get_group_id(0), get_group_id(1), get_num_groups(1), noise, bands, rows, columns,
-             full_scale, coarse_noise, capacity, counters_of_frame, counters, lists, levels, spans,
-             sums);
+             full_scale, coarse_noise, capacity, counters_of_frame, counters, lists, levels, sums);
 }
 
 /* Decide which maxima of a frame are corners. One work-group per frame. */
-__kernel void decide(__global const Level *restrict levels, __global const int2 *restrict spans,
+__kernel void decide(__global const Level *restrict levels, __global int *strong,
                      const uint rows, const uint step, const uint capacity,
                      const int coarse_share, const int fine_share, const uint corner_capacity,
                      const uint count_offset, const uint length, const uint counters_of_frame,
@@ -22,7 +21,7 @@ __kernel void decide(__global const Level *restrict levels, __global const int2 
                      __global uint *row_counts, __global int *row_columns, __global int *corners,
                      __global uint *counts) {
   __local uint sums[DECIDING];
-  decide_frame(get_group_id(0), levels, spans, rows, step, capacity, coarse_share, fine_share,
+  decide_frame(get_group_id(0), levels, strong, rows, step, capacity, coarse_share, fine_share,
                counters_of_frame, corner_capacity, count_offset, length, counters, lists, maxima,
                row_counts, row_columns, corners, counts, sums);
 }

@@ -5,7 +5,7 @@ from typing import Any, cast
 import numpy as np
 
 from cmp_cl.config import RingHarmonic
-from cmp_cl.opencl.launches import GROUP, Launch
+from cmp_cl.opencl.launches import Launch
 from cmp_cl.stages import noise
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import CORNER_COLUMNS, PlanBase
@@ -43,7 +43,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
         "counters": 4 * frames * _counters(plan),
         "noise": 8 * sums * bands,
         "levels": 8 * lists,
-        "spans": 8 * lists * plan.list_capacity // GROUP,
+        "strong": 8 * frames * (6 * plan.list_capacity + plan.working[0]),
         "maxima": frames * plane // 8,
         "row_counts": 4 * frames * plan.working[0],
         "row_columns": 4 * frames * plan.corner_capacity,
@@ -179,14 +179,13 @@ def _decide(plan: PlanBase) -> list[Launch]:
         **_counted(plan),
         lists=b["lists"],
         levels=b["levels"],
-        spans=b["spans"],
     )
     decide = plan.stage(
         "decide",
         (DECIDING * plan.frames,),
         (DECIDING,),
         levels=b["levels"],
-        spans=b["spans"],
+        strong=b["strong"],
         rows=plan.size["rows"],
         step=plan.size["step"],
         capacity=capacity,
@@ -261,6 +260,6 @@ def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> Launch:
         noise=b["noise"],
         lists=b["lists"],
         levels=b["levels"],
-        spans=b["spans"],
+        strong=b["strong"],
         **_decided(plan),
     )

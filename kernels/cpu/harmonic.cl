@@ -8,11 +8,11 @@
  * it, because a launch of its own costs as much as half of the decision. kernels/harmonic.clh has
  * the rule.
  *
- * A band goes over its rows once; every step keeps a ring buffer of as many rows as the later steps need, and all of them
- * stay in the cache. Two bands share the rows between them: one goes down from the first row, the
- * other goes up from the last, and they take a few rows at a time until none is left. So both end
- * together, even if one of them starts late or runs on a slower core. The small octaves come first,
- * so that the frame evens out what they leave. Each loop over a row is a
+ * A band goes over its rows once; every step keeps a ring buffer of as many rows as the later steps
+ * need, and all of them stay in the cache. Two bands share the rows between them: one goes down from
+ * the first row, the other goes up from the last, and they take a few rows at a time until none is
+ * left. So both end together, even if one of them starts late or runs on a slower core. The small
+ * octaves come first, so that the frame evens out what they leave. Each loop over a row is a
  * function of its own with restrict pointers and one cast per operation: compilers turn it into
  * vectors of 16-bit numbers. */
 
@@ -422,7 +422,7 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
                             const uint count_offset, const uint length,
                             const uint counters_of_frame, __global uint *counters,
                             __global ulong *noise, __global int *lists,
-                            __global Level *restrict levels, __global int2 *restrict spans,
+                            __global Level *restrict levels, __global int *restrict strong,
                             __global uint *restrict maxima, __global uint *restrict row_counts,
                             __global int *restrict row_columns, __global int *restrict corners,
                             __global uint *restrict counts) {
@@ -455,8 +455,8 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
   __local uint sums[DECIDING];
   for (uint kind = 0; kind < KINDS; ++kind)
     find_level(kind, p, frames, noise, bands, rows, columns, full_scale, coarse_noise, capacity,
-               counters_of_frame, counters, lists, levels, spans, 0);
-  decide_frame(p, levels, spans, rows, step, capacity, coarse_share, fine_share, counters_of_frame,
+               counters_of_frame, counters, lists, levels, 0);
+  decide_frame(p, levels, strong, rows, step, capacity, coarse_share, fine_share, counters_of_frame,
                corner_capacity, count_offset, length, counters, lists, maxima, row_counts,
                row_columns, corners, counts, sums);
 }
