@@ -43,7 +43,6 @@ def sizes(plan: PlanBase) -> dict[str, int]:
         "counters": 4 * frames * _counters(plan),
         "noise": 8 * sums * bands,
         "levels": 8 * lists,
-        "strong": 8 * frames * (6 * plan.list_capacity + plan.working[0]),
         "maxima": frames * plane // 8,
         "row_counts": 4 * frames * plan.working[0],
         "row_columns": 4 * frames * plan.corner_capacity,
@@ -53,10 +52,12 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 
 def scratch(plan: PlanBase) -> list[dict[str, int]]:
     """Return the bytes of the temporary arrays, see `Plan`."""
+    of_frame = 3 * (2 + _rule(plan).fine) * plan.list_capacity + 2 * plan.working[0]
+    decided = {"strong": 4 * plan.frames * of_frame}
     if plan.form is Form.CPU:
-        return []
+        return [decided]
     plane = 2 * (plan.frames * plan.working[0] + 2) * plan.step
-    return [noise.scratch(plan), dict.fromkeys(("fine", "coarse", "response"), plane)]
+    return [noise.scratch(plan), dict.fromkeys(("fine", "coarse", "response"), plane), decided]
 
 
 def _counters(plan: PlanBase) -> int:
