@@ -26,6 +26,7 @@ typedef struct {
 
 /* Number the corners of the part with the most faces: column, row, rotation, and 1; 0 in the fourth
  * place of others. One work-group. */
+#define TAKEN (-1) /* there: a corner of another board, which the host puts */
 __kernel void number_corners(__global const float *restrict corners, const uint capacity,
                              __global const int *restrict part, __global const int4 *restrict state,
                              __global const int *restrict size, const int least_part,
@@ -79,11 +80,11 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   ALL_TOGETHER;
   int least_x = INT_MAX, most_x = INT_MIN, least_y = INT_MAX, most_y = INT_MIN;
   FOR_ALL(i, count) {
-    used[i] = 0;
+    const int4 n = numbers[i];
+    used[i] = n.w == TAKEN;
     best_score[i] = INT_MIN;
     best_place[i] = INT_MAX;
-    const int4 n = numbers[i];
-    if (!n.w) continue;
+    if (n.w != 1) continue;
     least_x = SMALLER(least_x, n.x);
     most_x = LARGER(most_x, n.x);
     least_y = SMALLER(least_y, n.y);
@@ -102,7 +103,7 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   ALL_TOGETHER;
   FOR_ALL(i, all ? count : 0) {
     const int4 n = numbers[i];
-    if (n.w) atomic_min(owner + (n.y - origin_y) * width + n.x - origin_x, i);
+    if (n.w == 1) atomic_min(owner + (n.y - origin_y) * width + n.x - origin_x, i);
   }
   ALL_TOGETHER;
   FOR_ALL(place, all) {

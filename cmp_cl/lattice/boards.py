@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.lattice.arrays import Board, Mask
 from cmp_cl.lattice.joins import Joining
+from cmp_cl.lattice.kernels import TAKEN
 from cmp_cl.lattice.plan import LatticePlan
 
 
@@ -30,7 +31,7 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
     while left:
         main, *left = left
         numbers = joining.run(main, left)
-        numbers[taken] = 0
+        numbers[taken] = TAKEN
         board = plan.settle(numbers)
         owner = board.owner[board.owner >= 0]
         if np.count_nonzero(board.there) < k.least_board:

@@ -22,7 +22,8 @@ ROUNDS = 12  # times that nodes are looked for, three less than the margin in ke
 LISTS = 8  # of places, see `settle_nodes`
 SIDES, FOUND = 3, 15  # what is found of a board: its size, from here its sides; numbers in all
 VOTE = 6  # numbers of a vote
-ROOM = 16  # votes for each corner; a board that is cut into parts of 16 cells has 10
+TAKEN = -1  # in the place of 1 that a numbered corner has: it is another board's
+ROOM = 4  # votes for each corner, at first; a board that is cut into parts of 16 cells has 10
 
 
 class Over(enum.Enum):

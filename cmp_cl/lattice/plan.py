@@ -228,8 +228,9 @@ class LatticePlan:
         (N, 2), the corners, px."""
         self.enqueue(self.find_votes)
         count, votes = 4 * len(xy), int(self.read("layout", np.int32)[kernels.VOTES])
-        if votes > kernels.ROOM * self.capacity:
-            votes = 0  # which of too many are kept is chance
+        if votes > self.values["room"]:  # which of them are kept is chance
+            self.make_room(votes)
+            self.enqueue(self.find_votes)
         root, state, faces, found = self.fetch(
             ("part", np.int32, count),
             ("state", np.int32, 4 * count),
@@ -238,12 +239,21 @@ class LatticePlan:
         )
         return parts.parts_of(root, state, faces, found, xy, self.constants.least_part)
 
+    def make_room(self, votes: int) -> None:
+        """Empty the list of votes, with room for so many."""
+        room = multiple(votes, GROUP)
+        self.sizes["votes"] = 4 * kernels.VOTE * room
+        self.buffers["votes"] = self.buffer("votes", self.sizes["votes"])
+        self.values["room"] = np.int32(room)
+        self.find_votes = self._bound(kernels.VOTES_OF_PARTS)
+        self.write("layout", np.zeros(1, np.int32), kernels.VOTES)
+
     def settle(self, numbers: NDArray[np.int32]) -> Board:
         """Return the board of numbered corners, its nodes settled, as `_board`.
 
-        numbers: (N, 4), column, row, quarter turn, and 1 for a corner that has them. A number that
-            several corners have goes to the first of them. The board is empty if they reach farther
-            than four places for each corner.
+        numbers: (N, 4), column, row, quarter turn, and 1 for a corner that has them, TAKEN for one
+            that cannot be a node. A number that several corners have goes to the first of them. The
+            board is empty if they reach farther than four places for each corner.
         """
         self.write("numbers", numbers)
         self.write("layout", np.ones(1, np.int32), kernels.PARTS)

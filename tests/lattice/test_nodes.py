@@ -8,7 +8,7 @@ from scenes import SCENES
 
 from cmp_cl import detect
 from cmp_cl.lattice.arrays import LOOKED, NONE, Board
-from cmp_cl.lattice.kernels import ROUNDS, SIDES
+from cmp_cl.lattice.kernels import ROUNDS, SIDES, TAKEN
 from cmp_cl.reference import harmonic
 from cmp_cl.reference.lattice import borders
 from cmp_cl.reference.lattice import nodes as lattice_nodes
@@ -31,7 +31,7 @@ def numbers_of(wanted, count):
 def alone(numbers):
     """Return the numbers without those that a corner before has."""
     numbers = numbers.copy()
-    some = np.flatnonzero(numbers[:, 3])
+    some = np.flatnonzero(numbers[:, 3] == 1)
     _, first = np.unique(numbers[some, :2], axis=0, return_index=True)
     numbers[np.delete(some, first), 3] = 0
     return numbers
@@ -39,7 +39,7 @@ def alone(numbers):
 
 def board_of(numbers, xy, torn):
     """Return the board of these numbers, with a margin."""
-    corner = np.flatnonzero(numbers[:, 3])
+    corner = np.flatnonzero(numbers[:, 3] == 1)
     margin = ROUNDS + 3
     column, row, turn, _ = numbers[corner].T.astype(np.int64)
     column, row = column - column.min() + margin, row - row.min() + margin
@@ -69,7 +69,12 @@ def assert_equal_to_the_oracle(device, image, corners, *, change=None):
     found = plan.settle(numbers) if alone_in_view is None else alone_in_view
     torn = corners.refusal != 0
     wanted = lattice_nodes.settled(
-        plane, corners.xy, torn, board_of(alone(numbers), corners.xy, torn), K
+        plane,
+        corners.xy,
+        torn,
+        board_of(alone(numbers), corners.xy, torn),
+        K,
+        numbers[:, 3] == TAKEN,
     )
     wanted = borders.trimmed(wanted, image.shape, K)
     sides = borders.Sides(wanted, image, K)
@@ -133,6 +138,22 @@ def test_numbers_at_random(device, seed):
     assert_equal_to_the_oracle(
         device, image, corners, change=lambda numbers: change(numbers).astype(np.int32)
     )
+
+
+def test_corners_of_another_board_are_no_nodes(device):
+    image, draw = gel(1.0), np.random.default_rng(4)
+    corners = detect(image)
+    taken, none = draw.random((2, len(corners))) < [[0.1], [0.1]]
+
+    def change(numbers):
+        numbers = numbers.copy()
+        numbers[none, 3] = 0
+        numbers[taken] = TAKEN
+        return numbers
+
+    board = assert_equal_to_the_oracle(device, image, corners, change=change)
+    assert not np.isin(board.owner[board.owner >= 0], np.flatnonzero(taken)).any()
+    assert np.isin(np.flatnonzero(none & ~taken), board.owner).mean() > 0.9
 
 
 def test_places_without_a_corner(device):

@@ -77,13 +77,23 @@ def test_the_nodes_of_parts_are_those_of_the_oracle(device):
     np.testing.assert_array_equal(units.at.real, corners.xy[units.corner, 0])
 
 
-def test_parts_with_more_votes_than_there_is_room_for_stay_apart(device, monkeypatch):
-    image, found = striped(gel(0.5, seed=8), (60, 120, 180), 8), {}
-    for room in (kernels.ROOM, 1):
-        monkeypatch.setattr(kernels, "ROOM", room)
-        plan, corners, *_ = started(device, image)
-        found[room] = [np.count_nonzero(each.there) for each in boards(plan, corners.xy)]
+def test_a_list_of_votes_that_is_too_short_grows(device, monkeypatch):
+    image = striped(gel(0.5, seed=8), (60, 120, 180), 8)
+    plan, corners, *_ = started(device, image)
+    plan.alone()
+    wanted = plan.parts(corners.xy)[1]
+    monkeypatch.setattr(kernels, "ROOM", 1)
+    plan, *_ = started(device, image)
+    room = plan.capacity
+    for _ in range(2):
+        plan.start()
+        plan.alone()
+        found = plan.parts(corners.xy)[1]
         counted = plan.read("layout", np.int32)[kernels.VOTES]
-        assert (counted > room * plan.capacity) == (room == 1)
-    assert [len(each) for each in found.values()] == [1, 4]
-    assert sum(found[1]) > 0.9 * len(corners)
+        assert room < counted <= plan.values["room"]
+        assert plan.buffers["votes"].size == plan.sizes["votes"] >= 24 * counted
+        for one, other in zip(found, wanted, strict=True):
+            np.testing.assert_array_equal(one, other)
+    plan.start()
+    (board,) = boards(plan, corners.xy)
+    assert np.count_nonzero(board.there) > 0.9 * len(corners)

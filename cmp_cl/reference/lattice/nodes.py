@@ -272,14 +272,16 @@ def settled(
     torn: Mask,
     board: Board,
     k: LatticeConstants,
+    taken: Mask | None = None,
 ) -> Board:
     """Return the board after rounds of dropping nodes and finding others, until none changes it.
 
     A missing place beside a node takes the free corner near its prediction, else the prediction. It
     does so once: a place whose node is dropped after that stays empty.
 
-    xy: (N, 2), all corners. torn: (N,), those whose refinement was rejected. `board` has positions
-    as seen, and says which are torn; the result has the blended positions, and which are rough.
+    xy: (N, 2), all corners. torn: (N,), those whose refinement was rejected. taken: (N,), those of
+    other boards. `board` has positions as seen, and says which are torn; the result has the blended
+    positions, and which are rough.
     """
     height, width = plane.shape
     tried = np.zeros(board.x.shape, np.bool_)
@@ -303,7 +305,7 @@ def settled(
         new_torn = np.zeros(there.shape, np.bool_)
         cell = now.steps.cell[row, column]
         nearest, square = nearest_corner(xy[:, 0], xy[:, 1], px[row, column], py[row, column])
-        used = np.zeros(len(xy), np.bool_)
+        used = np.zeros(len(xy), np.bool_) if taken is None else taken.copy()
         used[board.owner[board.owner >= 0]] = True
         reach = F(k.reach_cells) * cell
         good = (square < reach * reach) & ~used[nearest]
