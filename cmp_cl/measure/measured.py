@@ -105,7 +105,7 @@ class Tally:
 
     tracked: frames that have them from the frame before. numbered: frames whose numbers were found
     anew, those that could not be tracked and those audited. audited: frames that were tracked, and
-    whose numbers were found anew all the same. differing: nodes for which the two had another
+    of which a view was numbered anew all the same. differing: nodes for which the two had another
     corner.
     """
 

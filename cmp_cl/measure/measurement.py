@@ -34,7 +34,7 @@ from cmp_cl.space import Bias
 from cmp_cl.stages.plan import Plan
 from cmp_cl.stages.refine import Found
 
-AUDITED = 256  # tracked frames, of which the last is numbered anew too
+AUDITED = 256  # tracked frames, of which a view of the last is numbered anew too
 
 
 class Settings(TypedDict, total=False):
@@ -85,8 +85,9 @@ class Measurement(Closing):
     tally: how the frames so far got their numbers.
 
     A frame gets its numbers from the frame before, if its nodes are found where they were expected;
-    else they are found anew. One frame in AUDITED that were tracked is numbered anew all the same,
-    and if a node then has another corner, that counts. The numbers that were found anew hold.
+    else they are found anew. Of one frame in AUDITED that were tracked a view is numbered anew all
+    the same, each in its turn. If a node then has another corner, that counts, all views are
+    numbered anew, and these numbers hold.
     """
 
     __signature__: ClassVar[inspect.Signature]
@@ -348,18 +349,17 @@ class Measurement(Closing):
         torn nodes get their second look however a frame got its numbers.
         """
         self.tally.numbered += 1
-        anew = [
-            view.number(corners, image)
-            for view, corners, image in zip(
-                self._views, settled.corners, settled.views, strict=True
-            )
-        ]
+        count, known = len(self._views), {}
         if settled.tracked:
-            count = sum(map(differing, settled.grids, anew))
-            self.tally.differing += count
-            if not count:
+            audited = self.tally.audited % count
+            known[audited] = self._number(settled, audited)
+            if not differing(settled.grids[audited], known[audited]):
                 return settled
-            settled = dataclasses.replace(settled, differing=count)
+        anew = [known.get(view) or self._number(settled, view) for view in range(count)]
+        if settled.tracked:
+            others = sum(map(differing, settled.grids, anew))
+            self.tally.differing += others
+            settled = dataclasses.replace(settled, differing=others)
         arrays = self._within(settled, anew, plan)
         if arrays is None:
             numbered = functools.partial(tuple[Grid, ...], anew)
@@ -375,6 +375,10 @@ class Measurement(Closing):
             _arrays=arrays,
             _numbered=numbered,
         )
+
+    def _number(self, settled: Measured, view: int) -> Grid:
+        """Return the grid of a view with numbers that are found without the frame before."""
+        return self._views[view].number(settled.corners[view], settled.views[view])
 
     def _within(
         self, settled: Measured, anew: Sequence[Grid], plan: Plan
