@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 STEP_SHIFT = 2.0  # px, from the start
-LARGEST_STEP = 0.3  # px
+LARGEST_STEP = 0.7  # px
 BLUR = 1.2  # px, of the model's edges
 LEAST_CONTRAST = 1e-3  # grey levels
 LEAST_SPREAD = 1e-3  # of the model, relative to its weighted mean square
