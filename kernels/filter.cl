@@ -9,7 +9,6 @@
  * whose sum is 1. */
 
 #define TAPS 15
-#define PRODUCTS (K * (K + 1) / 2)
 #define ESTIMATES 5 /* of the noise: from both axes, from each axis, from each diagonal */
 #define ROUNDS 3    /* that may reject nodes, as in cmp_cl/motion/filter.py */
 #define MASKS 4     /* nodes that count in them; the diagonals share one */
@@ -533,15 +532,8 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
     EIGHT_AT(weights + pair * PLANE + at) = risk[pair] * share;
 }
 
-/* The planes of a covariance: xx xy xz yy yz zz in space; in the plane the variance, which is that
- * of both axes. */
-#if K == 3
-#define COVARIANCES 6
-#define SHAPE(common, p, i) common[(p) * PLANE + IN_LINE(i)]
-#else
-#define COVARIANCES 1
-#define SHAPE(common, p, i) 1
-#endif
+/* The planes of a covariance: all in space; in the plane the variance, which is that of both axes. */
+#define COVARIANCES (K == 3 ? PRODUCTS : 1)
 
 /* The covariance from the lattice, or that of the points where the lattice has none. */
 void store_covariance(const float variance, __global const float *common,

@@ -8,6 +8,7 @@
 #define LEAST_DETERMINANT 1e-6f
 #define LAGS 3 /* of second differences: with themselves, with the next row, the next column */
 #define MOST_SHARED 0.25f
+#define BIAS 0.5f /* of the covariance of the slopes of the pairs */
 #define WIDE (2 * STRAIN_REACH + 1)
 
 /* Second differences along the rows of second differences along the columns, over the deviation of
@@ -76,19 +77,21 @@ float2 shared_with_neighbours(__global const float *sums) {
   return clamp((float2)(both + apart, both - apart) / (2 * v), 0.0f, MOST_SHARED);
 }
 
-/* How far the slopes that the pairs of filters give are from their mean, for each node of a row: the
- * square of the mean distance under the weights of the node, mean over the coordinates. down: the
- * weights of the window of the row, (WIDE). along: those of its nodes, (WIDE, LINE). */
+/* How far the slopes that the pairs of filters give are from their mean, for each node of a row:
+ * their covariance under the weights of the node, (PRODUCTS, LINE). down: the weights of the window
+ * of the row, (WIDE). along: those of its nodes, (WIDE, LINE). */
 void spread_of_row(const int row, __global const float *weights, __global const float *estimate,
-                   __global const float *down, __global const float *along, float *spread) {
-  float line[LINE + 2 * STRAIN_REACH], slope[PAIRS][LINE], mean[LINE], apart[LINE];
+                   __global const float *down, __global const float *along,
+                   float (*spread)[LINE]) {
+  float line[LINE + 2 * STRAIN_REACH], apart[K][PAIRS][LINE];
   for (int c = 0; c < LINE + 2 * STRAIN_REACH; ++c) line[c] = 0;
-  for (int c = 0; c < LINE; ++c) spread[c] = 0;
   for (int k = 0; k < K; ++k) {
-    for (int c = 0; c < LINE; ++c) mean[c] = apart[c] = 0;
+    float mean[LINE];
+    for (int c = 0; c < LINE; ++c) mean[c] = 0;
     for (int pair = 0; pair < PAIRS; ++pair) {
       __global const float *plane = estimate + (k * PAIRS + pair) * PLANE;
       __global const float *weight = weights + (pair * ROWS + row) * LINE;
+      float *slope = apart[k][pair];
       EACH_EIGHT {
         float8 sum = 0;
         for (int r = max(row - STRAIN_REACH, 0); r <= min(row + STRAIN_REACH, ROWS - 1); ++r)
@@ -99,31 +102,41 @@ void spread_of_row(const int row, __global const float *weights, __global const 
         float8 sum = 0;
         for (int t = 0; t < WIDE; ++t)
           sum += EIGHT_AT(along + t * LINE + c) * LOAD_EIGHT(line + c + t);
-        STORE_EIGHT(slope[pair] + c, sum);
+        STORE_EIGHT(slope + c, sum);
       }
-      for (int c = 0; c < LINE; ++c) mean[c] += weight[c] * slope[pair][c];
+      for (int c = 0; c < LINE; ++c) mean[c] += weight[c] * slope[c];
     }
-    for (int pair = 0; pair < PAIRS; ++pair) {
-      __global const float *weight = weights + (pair * ROWS + row) * LINE;
-      for (int c = 0; c < LINE; ++c) apart[c] += weight[c] * fabs(slope[pair][c] - mean[c]);
-    }
-    for (int c = 0; c < LINE; ++c) spread[c] += apart[c] * apart[c] / K;
+    for (int pair = 0; pair < PAIRS; ++pair)
+      for (int c = 0; c < LINE; ++c) apart[k][pair][c] -= mean[c];
+  }
+  for (int p = 0; p < PRODUCTS; ++p)
+    for (int c = 0; c < LINE; ++c) spread[p][c] = 0;
+  for (int pair = 0; pair < PAIRS; ++pair) {
+    __global const float *weight = weights + (pair * ROWS + row) * LINE;
+    int p = 0;
+    for (int j = 0; j < K; ++j)
+      for (int k = j; k < K; ++k, ++p)
+        for (int c = 0; c < LINE; ++c)
+          spread[p][c] += weight[c] * apart[j][pair][c] * apart[k][pair][c];
   }
 }
 
-/* The variances of the slopes of the filtered values over whole windows, per node step and
- * coordinate: along the rows and along the columns, NaN where they are unknown. The weights of the
- * pairs of filters, times the deviation of the noise, are replaced by their mean over the votes of
- * the window. A slope is then one combination of the nodes, and the variance of its noise a
- * quadratic form of these weights. Its matrices are the products of the filters behind the mean and
- * behind the slope of a window along an axis: planes 0 of gram_*; planes 1 hold the products of
- * nodes that are neighbours. The bias of smoothing is not in it, and shows in how far apart the
- * slopes of the pairs are; that is added. span_down, span_along: the weights of the nodes of a
- * window in its mean, and in its slope, (2, ROWS, WIDE) and (2, WIDE, LINE). One work-item a row. */
+/* The covariances of the coordinates of the slopes of the filtered values over whole windows, per
+ * node step: PRODUCTS planes along the rows and as many along the columns, NaN where they are
+ * unknown. The weights of the pairs of filters, times the deviation of the noise, are replaced by
+ * their mean over the votes of the window. A slope is then one combination of the nodes, and the
+ * variance of its noise a quadratic form of these weights. Its matrices are the products of the
+ * filters behind the mean and behind the slope of a window along an axis: planes 0 of gram_*; planes
+ * 1 hold the products of nodes that are neighbours. common: the covariance of the noise of the
+ * coordinates over its mean diagonal. The bias of smoothing is not in it, and shows in how far apart
+ * the slopes of the pairs are; BIAS of that is added. span_down, span_along: the weights of the nodes
+ * of a window in its mean, and in its slope, (2, ROWS, WIDE) and (2, WIDE, LINE). One work-item a
+ * row. */
 __kernel void slopes(__global const float *weights, __global const float *estimate,
                      __global const float *variance, __global const uchar *votes,
-                     __global const float *sums, __global const float *span_down,
-                     __global const float *span_along, __global const float *gram_mean_down,
+                     __global const float *common, __global const float *sums,
+                     __global const float *span_down, __global const float *span_along,
+                     __global const float *gram_mean_down,
                      __global const float *gram_slope_down,
                      __global const float *gram_mean_along,
                      __global const float *gram_slope_along, __global float *result) {
@@ -160,7 +173,8 @@ __kernel void slopes(__global const float *weights, __global const float *estima
     __global const float *down =
         (turn ? gram_slope_down : gram_mean_down) + row * FILTERS_DOWN * FILTERS_DOWN;
     __global const float *along = turn ? gram_mean_along : gram_slope_along;
-    float total[COLUMNS], product[FILTERS_ALONG * FILTERS_ALONG][COLUMNS], spread[LINE];
+    float total[COLUMNS], product[FILTERS_ALONG * FILTERS_ALONG][COLUMNS];
+    float spread[PRODUCTS][LINE];
     spread_of_row(row, weights, estimate, span_down + (turn * ROWS + row) * WIDE,
                   span_along + (1 - turn) * WIDE * LINE, spread);
     EACH_COLUMN total[c] = 0;
@@ -187,23 +201,24 @@ __kernel void slopes(__global const float *weights, __global const float *estima
         EACH_COLUMN total[c] += along_too[c] * mean[a * FILTERS_ALONG + b][c];
       }
     }
-    EACH_COLUMN result[(turn * ROWS + row) * COLUMNS + c] =
-        (total[c] < 0 ? 0 : total[c]) + spread[c];
+    EACH_COLUMN total[c] = total[c] < 0 ? 0 : total[c];
+    for (int p = 0; p < PRODUCTS; ++p)
+      EACH_COLUMN result[(turn * PRODUCTS + p) * NODES + row * COLUMNS + c] =
+          total[c] * SHAPE(common, p, row * COLUMNS + c) + BIAS * spread[p][c];
   }
 }
 
 /* Add the covariance of E11 E22 E12 due to the errors of one moment: xx xy xz yy yz zz. axis_1,
  * axis_2: derivatives of the three by the slope along each axis. inverse: from the steps, by column
- * and by row, to the axes. by_step: variances of the slopes by step. covariance: of the
- * coordinates, scaled to a mean diagonal of 1. */
+ * and by row, to the axes. by_step: covariances of the slopes by step. */
 void add_covariance(const float3 *axis_1, const float3 *axis_2, const float (*inverse)[2],
-                    const float *by_step, const float3 *covariance, float *result) {
+                    const float3 (*by_step)[3], float *result) {
   for (int step = 0; step < 2; ++step) {
     float3 one[3], two[3];
     for (int e = 0; e < 3; ++e) {
       one[e] = inverse[0][step] * axis_1[e] + inverse[1][step] * axis_2[e];
-      two[e] = by_step[step] * (float3)(dot(covariance[0], one[e]), dot(covariance[1], one[e]),
-                                        dot(covariance[2], one[e]));
+      two[e] = (float3)(dot(by_step[step][0], one[e]), dot(by_step[step][1], one[e]),
+                        dot(by_step[step][2], one[e]));
     }
     int p = 0;
     for (int d = 0; d < 3; ++d)
@@ -211,22 +226,25 @@ void add_covariance(const float3 *axis_1, const float3 *axis_2, const float (*in
   }
 }
 
-/* The covariance of the coordinates of a node, scaled to a mean diagonal of 1; return that mean. In
- * the plane, both axes have the same variance, and that alone is given. */
-float scaled_to_one(__global const float *covariance, const int i, float3 *result) {
-  float mean = covariance[i];
-  result[0] = (float3)(1, 0, 0);
-  result[1] = (float3)(0, 1, 0);
-  result[2] = (float3)(0, 0, 1);
+/* The covariance of a slope of node i, from that of the slope over the whole window; without a
+ * filter the errors of the nodes, of that covariance, count as independent. own, whole: the variance
+ * of the slope of independent errors of variance 1, over the valid nodes and over the whole window.
+ */
+void of_slope(__global const float *by_slope, __global const float *covariance, const int i,
+              const float own, const float whole, float3 *result) {
+  const int known = !isnan(by_slope[i]);
+  const float share = known ? own / whole : own;
+  __global const float *from = (known ? by_slope : covariance) + i;
 #if K == 3
-  float full[6];
-  for (int p = 0; p < 6; ++p) full[p] = covariance[p * NODES + i];
-  mean = (full[0] + full[3] + full[5]) / 3;
-  result[0] = (float3)(full[0], full[1], full[2]) / mean;
-  result[1] = (float3)(full[1], full[3], full[4]) / mean;
-  result[2] = (float3)(full[2], full[4], full[5]) / mean;
+  result[0] = share * (float3)(from[0], from[NODES], from[2 * NODES]);
+  result[1] = share * (float3)(from[NODES], from[3 * NODES], from[4 * NODES]);
+  result[2] = share * (float3)(from[2 * NODES], from[4 * NODES], from[5 * NODES]);
+#else /* the covariance of a node is its variance per axis */
+  const float xy = known ? from[NODES] : 0, yy = known ? from[2 * NODES] : from[0];
+  result[0] = share * (float3)(from[0], xy, 0);
+  result[1] = share * (float3)(xy, yy, 0);
+  result[2] = 0;
 #endif
-  return mean;
 }
 
 /* Green-Lagrange strain E11 E22 E12 and its covariance, xx xy xz yy yz zz; NaN where there is none.
@@ -313,19 +331,14 @@ __kernel void strain(__global const float *rest, __global const float *displacem
   const float high = bottom - top + 1, wide = right - left + 1;
   const float whole[2] = {12 / (high * wide * (wide * wide - 1)),
                           12 / (wide * high * (high * high - 1))};
-  float3 alike[3], rest_alike[3];
-  const float mean = scaled_to_one(covariance, i, alike);
-  const float rest_mean = scaled_to_one(rest_covariance, i, rest_alike);
-  const float from[2] = {by_slopes[i], by_slopes[NODES + i]};
-  const float rest_from[2] = {rest_by_slopes[i], rest_by_slopes[NODES + i]};
-  float by_step[2], rest_by_step[2], found[6] = {0, 0, 0, 0, 0, 0};
-  for (int step = 0; step < 2; ++step) { /* without a filter, the errors count as independent */
-    const float more = own[step] / whole[step];
-    by_step[step] = isnan(from[step]) ? own[step] * mean : more * from[step];
-    rest_by_step[step] =
-        isnan(rest_from[step]) ? own[step] * rest_mean : more * rest_from[step];
+  float3 by_step[2][3], rest_by_step[2][3];
+  float found[6] = {0, 0, 0, 0, 0, 0};
+  for (int step = 0; step < 2; ++step) {
+    const int at = step * PRODUCTS * NODES;
+    of_slope(by_slopes + at, covariance, i, own[step], whole[step], by_step[step]);
+    of_slope(rest_by_slopes + at, rest_covariance, i, own[step], whole[step], rest_by_step[step]);
   }
-  add_covariance(now_1, now_2, inverse, by_step, alike, found);
-  add_covariance(before_1, before_2, inverse, rest_by_step, rest_alike, found);
+  add_covariance(now_1, now_2, inverse, by_step, found);
+  add_covariance(before_1, before_2, inverse, rest_by_step, found);
   for (int p = 0; p < 6; ++p) result_covariance[p * NODES + i] = found[p];
 }

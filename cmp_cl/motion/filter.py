@@ -54,15 +54,15 @@ class Filtered:
         images. In the plane, both axes have the same variance.
     raw_covariance: the same for the values before the filter.
     noise: (R, C), the standard deviation before the filter, by coordinate, NaN where unknown.
-    slopes: (R, C, 2), the variances by coordinate of the slopes per step along a row and along a
-        column, over all 5 x 5 values around a node; None unless they were asked for.
+    slopes: planes (N, R, C) float32, for `strain_of`: the covariances of the slopes per step along
+        a row and along a column, over all 5 x 5 values around a node; None unless asked for.
     """
 
     values: Array
     covariance: Array
     raw_covariance: Array
     noise: Array
-    slopes: Array | None
+    slopes: NDArray[np.float32] | None
 
 
 def filter_at_rest(
@@ -134,7 +134,7 @@ def _filtered(
             covariance=nothing,
             raw_covariance=nothing,
             noise=np.empty((rows, columns)),
-            slopes=np.empty((rows, columns, 2)) if slopes else None,
+            slopes=np.empty((0, rows, columns), np.float32) if slopes else None,
         )
     programs = programs_of(device.handle)
     queue = cl.CommandQueue(programs.context)
@@ -170,7 +170,7 @@ def _filtered(
         covariance=matrices(arrays["covariance"]),
         raw_covariance=matrices(arrays["raw_covariance"]),
         noise=np.where(there, np.sqrt(arrays["variance"][:, :columns]), np.nan).astype(np.float64),
-        slopes=nodes(arrays["slopes"]) if slopes else None,
+        slopes=arrays["slopes"].copy() if slopes else None,
     )
     for memory in (plan, results):
         memory.release()
@@ -181,7 +181,7 @@ def strain_of(
     constants: Mapping[str, NDArray[Any]],
     displacement: Array,
     covariance: Array,
-    slopes: Array,
+    slopes: NDArray[np.float32],
     device: Device,
 ) -> tuple[Array, Array]:
     """Return the Green-Lagrange strain of a displacement, (R, C, 3), and its covariance, (R, C, 3,
@@ -200,7 +200,7 @@ def strain_of(
         displacement=planes(displacement),
         valid=there.astype(np.uint8),
         covariance=flat(covariance),
-        slopes=planes(slopes),
+        slopes=slopes,
     )
     layout: Layout = {
         "strain": ((3, rows, columns), np.float32),
@@ -222,7 +222,7 @@ class LatticeFilter:
     """Buffers and bound kernels that filter lattices of one shape.
 
     shape: (R, C). axes: K, 2 or 3. bends: whether the values may bend sharply, see
-    `filter_change`. slopes: whether the variances of slopes are computed.
+    `filter_change`. slopes: whether the covariances of slopes are computed.
     inputs: what the launches start from. moved: K planes (R, C), 0 where there is no value.
     points: their covariance by the images, 6 planes or 1. bent: K planes, subtracted at the end.
     own: (R, C), bound_rest: (R, C and more columns that are not used), of which the sum is the
@@ -288,16 +288,17 @@ class LatticeFilter:
         """Return the layout of the results.
 
         displacement, raw_displacement: K planes (R, C), NaN where not valid. covariance,
-        raw_covariance: 6 planes xx xy xz yy yz zz, or the variance per axis. slopes: 2 planes, see
-        `Filtered`. variance: (R, C and more columns that are not used), of the noise before the
-        filter. counts: nodes without a vote, and those that each round has rejected; 0 at the end.
+        raw_covariance: 6 planes xx xy xz yy yz zz, or the variance per axis. slopes: 6 planes, or
+        xx xy yy, for each of the two, see `Filtered`. variance: (R, C and more columns that are not
+        used), of the noise before the filter. counts: nodes without a vote, and those that each
+        round has rejected; 0 at the end.
         """
         planes = {
             "displacement": axes,
             "raw_displacement": axes,
             "covariance": covariances(axes),
             "raw_covariance": covariances(axes),
-            "slopes": 2,
+            "slopes": axes * (axes + 1),
         }
         return {
             **{name: ((count, *shape), np.float32) for name, count in planes.items()},
@@ -407,7 +408,7 @@ class LatticeFilter:
             self._of_rows(
                 "slopes",
                 (),
-                *("weights", "estimate", "variance", "votes", "rough"),
+                *("weights", "estimate", "variance", "votes", "common", "rough"),
                 *("span_down", "span_along", "gram_mean_down", "gram_slope_down"),
                 *("gram_mean_along", "gram_slope_along", "slopes"),
             ),

@@ -90,7 +90,7 @@ class Moment:
 class AtRest:
     """The nodes at rest, and what the lattice filter makes of them on a device.
 
-    slopes: whether the variances of slopes will be used.
+    slopes: whether the covariances of slopes will be used.
     """
 
     def __init__(self, moment: Moment, device: Device, *, slopes: bool = False) -> None:
@@ -146,7 +146,7 @@ class AtRest:
         return {
             "rest_position": planes(self.position - np.nanmean(self.position, axis=(0, 1))),
             "rest_covariance": flat(found.covariance),
-            "rest_slopes": planes(found.slopes),
+            "rest_slopes": found.slopes,
         }
 
     def change(

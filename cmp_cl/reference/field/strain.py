@@ -9,9 +9,9 @@
    their mean over the votes of the 5 x 5, and the 5 x 5 by all of it that lies inside the lattice:
    the slope weighs all nodes, by the mean along one axis and the slope of a line along the other.
    The variance of its noise is the sum of the products of these weights over all pairs of nodes,
-   times their correlation. The bias of smoothing shows in how far apart the pairs are: the square
-   of the mean distance of their slopes from the mixture, under the weights of the node in the
-   middle, is added, mean over the coordinates.
+   times their correlation. The coordinates covary as the residuals of the votes around do. The bias
+   of smoothing shows in how far apart the pairs are: half the covariance of their slopes, under the
+   weights of the node in the middle, is added.
 4. Neighbours in a column correlate by a, those in a row by b. Let r be the second differences along
    rows of the second differences along columns, over the deviation of the noise, where all nine
    nodes have votes. For noise of variance v, the mean of r r is (36 - 48 a - 48 b) v, that of r and
@@ -67,21 +67,24 @@ def shared(data: Floats, votes: Bools, variance: Floats) -> tuple[float, float]:
     )
 
 
-def slope_variances(
+def slope_covariances(
     weights: Floats,
     size: Floats,
     votes: Bools,
     filters: tuple[Floats, Floats],
     correlations: tuple[float, float],
     estimates: Floats,
-) -> tuple[Floats, Floats]:
-    """Return the variances of the slopes by column and by row, (R, C), over windows without a hole.
+    common: Floats,
+) -> Floats:
+    """Return the covariances of the slopes by column and by row, (R, C, 2, K, K), over windows
+    without a hole.
 
     weights: (A, B, R, C). size: (R, C), the deviation of the noise. filters: (A, R, R) and (B, C,
-    C). correlations: a and b of 4. estimates: (A, B, R, C, K).
+    C). correlations: a and b of 4. estimates: (A, B, R, C, K). common: (R, C, K, K), the covariance
+    of the noise over its mean diagonal.
     """
     shape = votes.shape
-    by_column, by_row = np.full(shape, np.nan), np.full(shape, np.nan)
+    found = np.full((*shape, 2, *common.shape[2:]), np.nan)
     votes = votes & np.isfinite(size)
     scaled = np.where(votes, weights * size, 0)
     together = [
@@ -100,28 +103,26 @@ def slope_variances(
             _mean_and_line(along),
         )
         near = estimates[:, :, rows][:, :, :, columns]
-        for result, one, two, axis in (
-            (by_column, mean_down, line_along, 3),
-            (by_row, line_down, mean_along, 2),
-        ):
+        for step, (one, two) in enumerate(((mean_down, line_along), (line_down, mean_along))):
             slope = np.einsum("ab,ai,bj->ij", mean, one, two)
-            result[r, c] = (slope * (together[0] @ slope @ together[1])).sum()
-            result[r, c] += _spread(weights[:, :, r, c], near, axis)
-    return by_column, by_row
+            variance = (slope * (together[0] @ slope @ together[1])).sum()
+            spread = _spread(weights[:, :, r, c], near, 3 - step)
+            found[r, c, step] = variance * common[r, c] + spread / 2
+    return found
 
 
 def _window(i: int, n: int) -> NDArray[np.intp]:
     return np.arange(max(i - REACH, 0), min(i + REACH + 1, n))
 
 
-def _spread(weights: Floats, near: Floats, axis: int) -> float:
-    """Return the square of the mean distance of the slopes along an axis of windows (A, B, S, T, K)
-    from their mean, under weights (A, B), mean over K."""
+def _spread(weights: Floats, near: Floats, axis: int) -> Floats:
+    """Return the covariance (K, K) of the slopes along an axis of windows (A, B, S, T, K) under
+    weights (A, B)."""
     lines = near.mean(axis=5 - axis)  # (A, B, n, K)
     off = np.arange(lines.shape[2]) - (lines.shape[2] - 1) / 2
     slopes = np.einsum("n,abnk->abk", off, lines) / max(np.square(off).sum(), 1)
-    mean = np.einsum("ab,abk->k", weights, slopes)
-    return float(np.square(np.einsum("ab,abk->k", weights, np.abs(slopes - mean))).mean())
+    apart = slopes - np.einsum("ab,abk->k", weights, slopes)
+    return np.asarray(np.einsum("ab,abj,abk->jk", weights, apart, apart))
 
 
 def _mean_and_line(rows: Floats) -> tuple[Floats, Floats]:
@@ -134,12 +135,12 @@ def strain(
     rest: Floats,
     displacement: Floats,
     covariances: tuple[Floats, Floats],
-    slopes: tuple[tuple[Floats, Floats], tuple[Floats, Floats]],
+    slopes: tuple[Floats, Floats],
 ) -> tuple[Floats, Floats]:
     """Return E11 E22 E12 (R, C, 3), and their covariance, (R, C, 3, 3).
 
-    rest, displacement: (R, C, D). covariances: (R, C, D, D), of rest and displacement. slopes: of
-    rest and displacement, the variances by column and by row of whole windows, NaN where unknown.
+    rest, displacement: (R, C, D). covariances: (R, C, D, D), of rest and displacement. slopes: the
+    same by column and by row of whole windows, (R, C, 2, D, D), NaN where unknown.
     """
     shape, size = rest.shape[:2], rest.shape[2]
     valid = np.isfinite(displacement[..., 0])
@@ -174,14 +175,9 @@ def strain(
         ]
         total = np.zeros((3, 3))
         for gradients, of_values, of_slopes in zip((before, now), covariances, slopes, strict=True):
-            mean = np.trace(of_values[r, c]) / size
-            steps = [
-                own[k] * mean if np.isnan(each[r, c]) else more[k] * each[r, c]
-                for k, each in enumerate(of_slopes)
-            ]
-            by_step = [inverse.T @ np.array(each) for each in gradients]  # (2 steps, D) each
-            for s, t in np.ndindex(3, 3):
-                along = by_step[s] @ (of_values[r, c] / mean) @ by_step[t].T
-                total[s, t] += np.diag(along) @ steps
+            by_step = np.array([inverse.T @ np.array(each) for each in gradients])  # (3, 2, D)
+            for k, slope in enumerate(of_slopes[r, c]):
+                step = own[k] * of_values[r, c] if np.isnan(slope).any() else more[k] * slope
+                total += by_step[:, k] @ step @ by_step[:, k].T
         covariance[r, c] = total
     return found, covariance
