@@ -3,7 +3,7 @@
 #
 #   bench/nvidia.sh pack      with a network: wheels for this python into bench/wheels/
 #   bench/nvidia.sh quick     what comes first on a card: ten minutes with 16 cores
-#   bench/nvidia.sh           every test, fuzzing, endurance and the benchmark: an hour and more
+#   bench/nvidia.sh           every test, drawn settings, endurance and the benchmark: an hour and more
 #
 # Results go to the folder $OUT. It needs python3 with venv, or a python3 that has the packages
 # already, and the driver's libnvidia-opencl.so.1; no root rights, no OpenCL loader, no .icd file:
@@ -57,7 +57,7 @@ if [ "${1:-}" = quick ]; then
     done
 else
     tests
-    step fuzz "$python" tests/fuzz.py --images 5000 --configs 50
+    step exhaustive "$python" -m pytest -m exhaustive tests/test_properties.py
     step endurance "$python" bench/endurance.py --minutes 3
     for part in field speed report; do
         step $part "$python" bench/$part.py --out "$out"

@@ -1,5 +1,6 @@
 """DetectorConfig: every bound, its message, TOML in and out, the presets."""
 
+import contextlib
 import inspect
 import math
 import re
@@ -60,6 +61,17 @@ def test_messages_name_field_value_and_what_is_allowed(make, message):
     with pytest.raises(ConfigError) as caught:
         make()
     assert message in str(caught.value)
+
+
+ANYTHING = [None, -1, 0, 2, 1.5, 1e9, math.nan, math.inf, "3", b"", [], {}, (), (1.0,), True]
+ANYTHING += [2**70, np.float32(0.5), np.int64(7), object()]
+
+
+@pytest.mark.parametrize("setting", all_settings(), ids=lambda each: each.name)
+def test_any_value_of_a_setting_is_taken_or_refused_by_an_error_of_cmp_cl(setting):
+    for value in ANYTHING:
+        with contextlib.suppress(ConfigError):
+            setting.part(**{setting.name: value})
 
 
 SAVED = {

@@ -1,8 +1,5 @@
 """What holds for any image: rotated, mirrored, inverted, cropped from a buffer, in a batch."""
 
-from collections import Counter
-
-import fuzz
 import hypothesis
 import numpy as np
 import pytest
@@ -10,7 +7,7 @@ from cases import some
 from comparison import assert_same_bytes
 from configs import CONFIGS
 from corner_images import board, to_nearest
-from fuzz import BATCH, SHARING, invalid_case, random_image, valid_case
+from drawing import SHARING, random_image, valid_case
 from hypothesis import strategies as st
 
 from cmp_cl import DetectorConfig
@@ -37,7 +34,7 @@ def turned(image, turn):
 
 @pytest.mark.parametrize("number", some(range(100), (1, 2)))
 def test_drawn_images_of_drawn_shapes_and_settings_give_what_the_oracle_gives(device, number):
-    valid_case(0, number * SHARING, BATCH, device.index, Counter())
+    valid_case(0, number * SHARING, device.index)
 
 
 @several
@@ -113,16 +110,3 @@ def test_crops_are_the_same_in_a_batch_a_stream_or_alone(
     for results in (detector.batch(views), list(detector.stream(views)), map(detector, views)):
         for one, other in zip(results, alone, strict=True):
             assert_same_bytes(one, other)
-
-
-@hypothesis.settings(several, max_examples=200)
-@hypothesis.given(number=st.integers(0, 2**31))
-def test_invalid_input_is_refused_by_an_error_of_cmp_cl(device, number):
-    assert invalid_case(0, number, device.index)
-
-
-def test_the_fuzzing_fails_if_a_wrong_argument_is_not_refused(monkeypatch):
-    monkeypatch.setattr(fuzz, "valid_case", lambda *_: None)
-    monkeypatch.setattr(fuzz, "invalid_case", lambda _, number, __: number != 7)
-    assert fuzz.main(["--configs", "1"]) == 1
-    assert fuzz.main(["--configs", "1", "--first", "1"]) == 0
