@@ -7,7 +7,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.config import BinaryRings, DetectorConfig, EdgeLines, EdgeStep
-from cmp_cl.opencl.device import Device, DeviceKind
+from cmp_cl.opencl.device import Device
 from cmp_cl.opencl.launches import GROUP, Launch, bound, constant, multiple
 from cmp_cl.opencl.program import Kernels
 from cmp_cl.stages.form import Form, form_for
@@ -137,10 +137,10 @@ class PlanBase:
     def few(self, name: str, items: int, planes: int, **arguments: Any) -> Launch:
         """Bind a kernel with few work-items, such as one per row.
 
-        On a CPU a work-group has one work-item, because PoCL compiles a kernel anew for every size
-        of work-group.
+        On a CPU, in either form, a work-group has one work-item, because PoCL compiles a kernel
+        anew for every size of work-group.
         """
-        group = (1, 1) if self.device.kind is DeviceKind.CPU else None
+        group = (1, 1) if self._on_cpu else None
         return self.stage(name, (items, planes), group, **arguments)
 
     def dense(
@@ -157,11 +157,14 @@ class PlanBase:
         return self.stage(name, (self.corner_capacity, self.frames), (GROUP, 1), **arguments)
 
     @property
+    def _on_cpu(self) -> bool:
+        """Return whether the device is a CPU, whichever form its kernels have."""
+        return bool(self.device.handle.type & cl.device_type.CPU)
+
+    @property
     def width(self) -> int:
         """Work-items of a group of a dense kernel: a share of the row, padding included."""
-        most = min(self.device.handle.max_work_group_size, 1024)
-        if self.form is not Form.CPU:
-            most = min(most, 128)
+        most = min(self.device.handle.max_work_group_size, 1024 if self._on_cpu else 128)
         units = self.step // GROUP
         return max(
             GROUP * n
