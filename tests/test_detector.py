@@ -133,22 +133,6 @@ def test_detect_takes_a_configuration_and_a_device_or_chooses_them(device):
 # --- stream and batch ----------------------------------------------------------------------
 
 
-def test_a_frame_is_the_same_alone_in_a_stream_and_in_a_batch(detector):
-    alone = [detector(frame) for frame in FRAMES]
-    for corners, frame in zip(alone, FRAMES, strict=True):
-        assert_same_bytes(corners, detector(frame))
-    for results in (
-        list(detector.stream(FRAMES)),
-        detector.batch(FRAMES),
-        detector.batch(np.stack(FRAMES)),
-        [*detector.batch(FRAMES[:3]), *detector.batch(FRAMES[3:])],
-    ):
-        assert len(results) == len(alone)
-        for one, other in zip(results, alone, strict=True):
-            assert_same_bytes(one, other)
-    assert any(len(corners) for corners in alone)
-
-
 def test_empty_streams_and_batches_give_nothing(detector):
     assert list(detector.stream([])) == []
     assert detector.batch([]) == []

@@ -3,8 +3,6 @@
 import hashlib
 import multiprocessing
 import os
-import subprocess
-import sys
 
 import images
 import numpy as np
@@ -223,24 +221,6 @@ def test_without_a_linker_pocl_does_not_end_the_process(device, tmp_path):
     assert status == 1, "the signal of PoCL"
     assert "DeviceError: PoCL cannot compile kernels" in said
     assert "apt install gcc libc6-dev" in said
-
-
-SHARED = """
-import sys
-import cmp_cl
-import test_faults
-from cmp_cl.opencl import program
-program.is_pocl = lambda _: False
-test_faults.build(cmp_cl.select_device(sys.argv[1]))
-"""
-
-
-def test_processes_share_the_folder(device, cache):
-    command = [sys.executable, "-c", SHARED, device.index]
-    environment = {**ENVIRONMENT, "XDG_CACHE_HOME": str(cache.parent)}
-    children = [subprocess.Popen(command, env=environment) for _ in range(2)]
-    assert [child.wait(timeout=300) for child in children] == [0] * 2
-    assert len(list(cache.iterdir())) == 1
 
 
 # --- threads and processes -----------------------------------------------------------------

@@ -107,6 +107,11 @@ def test_crops_are_the_same_in_a_batch_a_stream_or_alone(
         views.append(view)
     detector = detector_for(images[0], DetectorConfig(full_scale=255))
     alone = [detector(image) for image in images]
-    for results in (detector.batch(views), list(detector.stream(views)), map(detector, views)):
+    for results in (
+        detector.batch(views),
+        detector.batch(np.stack(views)),
+        detector.stream(views),
+        map(detector, views),
+    ):
         for one, other in zip(results, alone, strict=True):
             assert_same_bytes(one, other)
