@@ -15,8 +15,8 @@ from workers import corners_of_board
 
 from cmp_cl import BinaryRings, Detector, DetectorConfig
 from cmp_cl.errors import CapacityError, DeviceError
+from cmp_cl.opencl import caches, program
 from cmp_cl.opencl import device as device_module
-from cmp_cl.opencl import program
 
 BOARD = images.eight_bits()["board"]
 
@@ -115,7 +115,8 @@ with cmp_cl.Detector(shape=(64, 64)) as detector:
 
 def test_functions_that_call_kernels_are_never_loaded_from_a_file(tmp_path):
     """pyopencl stores them as pickles; a damaged file led to an error of SQLite."""
-    environment = {**ENVIRONMENT, "XDG_CACHE_HOME": str(tmp_path)}
+    compiled = {"POCL_CACHE_DIR": str(caches.pocl_folder())}
+    environment = {**ENVIRONMENT, **compiled, "XDG_CACHE_HOME": str(tmp_path)}
     folder = tmp_path / "pytools"
     folder.mkdir()
     python("-c", "import pyopencl.invoker", env=environment, check=True)

@@ -150,15 +150,15 @@ def test_the_sigma_of_principal_strains_and_of_their_direction_follows_from_the_
 def test_the_sigma_of_a_strain_counts_the_errors_that_neighbours_share():
     """Two nodes share a third of the variance across the edge between them."""
     relative = []
-    for seed in range(12):
+    for seed in range(2):
         rng = np.random.default_rng(900000 + seed)
         moments = []
         for gradient in (np.eye(2), gradient_of(1e-2)):
-            error = rng.normal(size=(18, 16, 2)) * math.sqrt(1 / 3)
-            of_columns, of_rows = rng.normal(size=(2, 19, 17)) * math.sqrt(1 / 3)
+            error = rng.normal(size=(40, 40, 2)) * math.sqrt(1 / 3)
+            of_columns, of_rows = rng.normal(size=(2, 41, 41)) * math.sqrt(1 / 3)
             error[..., 0] += of_columns[1:, 1:] + of_columns[:-1, 1:]
             error[..., 1] += of_rows[1:, 1:] + of_rows[1:, :-1]
-            row, column = 12.0 * np.mgrid[:18, :16]
+            row, column = 12.0 * np.mgrid[:40, :40]
             moments.append(np.stack([column, row], axis=-1) @ gradient.T + 0.05 * error)
         field = displacement(*map(grid_of, moments)).with_strain()
         off = (field.strain - green(gradient_of(1e-2))) / field.strain_sigma

@@ -34,7 +34,7 @@ DEEP = FRAME.astype(np.uint16) * 16 + 7
 SIXTEEN_BITS = {
     "harmonic": DetectorConfig(full_scale=4095),
     "offset": DetectorConfig(
-        detection=BinaryRings(threshold=AdaptiveMean(window=9, offset=3)), full_scale=4095
+        detection=BinaryRings(threshold=AdaptiveMean(window=255, offset=3)), full_scale=4095
     ),
     "spectral": DetectorConfig(
         detection=BinaryRings(criteria=SpectralCriteria()),

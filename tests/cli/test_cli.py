@@ -2,7 +2,6 @@
 
 import os
 import re
-import shlex
 import signal
 import subprocess
 import sys
@@ -15,9 +14,8 @@ import pytest
 from messages import fails_in_one_line
 
 import cmp_cl
-from cmp_cl import CalibrationError, KernelBuildError, Method, media, synthetic
+from cmp_cl import CalibrationError, KernelBuildError, media, synthetic
 from cmp_cl.cli import devices
-from cmp_cl.viz import METHOD_COLOURS
 
 PROJECT = Path(__file__).parents[2]
 BOARD = PROJECT / "cmp_cl" / "data" / "board.png"
@@ -226,27 +224,3 @@ def test_closed_and_full_streams_are_no_traceback(tmp_path):
     done = of_shell(f"run {BOARD} --out - >&-")
     message = "cmp-cl: --out - needs standard output, which is closed\n"
     assert (done.returncode, done.stderr) == (2, message)
-
-
-# the README
-
-
-def command_of_readme(extra):
-    """Return the line of README.md that installs with those extras."""
-    lines = (PROJECT / "README.md").read_text(encoding="utf-8").splitlines()
-    (command,) = [line.strip() for line in lines if f'pip install ".[{extra}]" &&' in line]
-    return [shlex.split(part) for part in command.split("&&")]
-
-
-def test_the_first_command_of_the_readme_ends_in_corners_and_a_sheet(run, monkeypatch):
-    commands = command_of_readme("pocl,plot")
-    assert [command[0] for command in commands[:3]] == ["python3", ".", "pip"]
-    Path("cmp_cl").symlink_to(PROJECT / "cmp_cl")
-    for command in commands[3:]:
-        assert command[0] == "cmp-cl"
-        status, out, err = run(*command[1:])
-        assert (status, err) == (0, "")
-        assert "wrote" in out
-    seen = (cv2.imread("board-corners.png") == METHOD_COLOURS[Method.EDGE_STEP]).all(axis=2)
-    assert seen.sum() > 1000
-    assert cv2.imread("demo/sheet.png").std() > 20

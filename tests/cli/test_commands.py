@@ -1,6 +1,7 @@
 """demo, run and calibrate as a user has them, on small rendered frames."""
 
 import dataclasses
+import shlex
 import shutil
 from pathlib import Path
 
@@ -11,32 +12,41 @@ from gels import GEL, RIG, VIEW
 from messages import fails_in_one_line
 from stereo_data import photographs
 
-from cmp_cl import (
-    StereoRig,
-    select_device,
-)
+from cmp_cl import Method, StereoRig, select_device
 from cmp_cl.cli import demo
-from cmp_cl.synthetic import (
-    Scene,
-    render_stereo,
-)
+from cmp_cl.synthetic import Scene, render_stereo
+from cmp_cl.viz import METHOD_COLOURS
+
+PROJECT = Path(__file__).parents[2]
 
 # demo
 
 
-@pytest.fixture
-def small_demo(monkeypatch):
-    monkeypatch.setattr(demo, "VIEW", VIEW)
+def commands_of_readme(extra):
+    """Return the commands of the line of README.md that installs with those extras."""
+    lines = (PROJECT / "README.md").read_text(encoding="utf-8").splitlines()
+    (line,) = [line.strip() for line in lines if f'pip install ".[{extra}]" &&' in line]
+    return [shlex.split(part) for part in line.split("&&")]
+
+
+def test_the_first_commands_of_the_readme_find_a_board_and_measure_what_they_rendered(
+    run, monkeypatch
+):
+    monkeypatch.setattr(demo, "VIEW", VIEW)  # a small one
     monkeypatch.setattr(demo, "SCENE", dataclasses.replace(GEL, severity=0.8))
-
-
-def test_demo_measures_what_it_rendered(run, small_demo, tmp_path):
-    status, out, err = run("demo", "--out", "shown")
-    assert (status, err) == (0, "")
+    *install, detect, show = commands_of_readme("pocl,plot")
+    assert [command[0] for command in install] == ["python3", ".", "pip"]
+    Path("cmp_cl").symlink_to(PROJECT / "cmp_cl")
+    for command in (detect, show):
+        assert command[0] == "cmp-cl"
+        status, out, err = run(*command[1:])
+        assert (status, err) == (0, "")
+        assert "wrote" in out
+    seen = (cv2.imread("board-corners.png") == METHOD_COLOURS[Method.EDGE_STEP]).all(axis=2)
+    assert seen.sum() > 1000
     assert str(select_device()) in out
-    folder = tmp_path / "shown"
-    assert cv2.imread(str(folder / "sheet.png")).std() > 20
-    field = np.load(folder / "field.npz")
+    assert cv2.imread("demo/sheet.png").std() > 20
+    field = np.load("demo/field.npz")
     _, _, rest = render_stereo(demo.SCENE.at_rest(), RIG)
     _, _, now = render_stereo(demo.SCENE, RIG)
     off = np.linalg.norm(field["displacement"] - (now - rest), axis=2)
