@@ -49,8 +49,8 @@ def bend_shift(xy: Array, radius: float) -> Array:
     if not math.isfinite(radius) or min(rows, columns) < 3 or not there.any():
         return np.zeros_like(xy)
     data = completed(xy).transpose(2, 0, 1)
-    down, along = _derivatives(rows), _derivatives(columns)
-    near = [np.not_equal(fit[0], 0) / (2 * _half(len(fit[0])) + 1) for fit in (down, along)]
+    down, along = derivatives(rows), derivatives(columns)
+    near = [np.not_equal(fit[0], 0) / (2 * bend_half(len(fit[0])) + 1) for fit in (down, along)]
     support = near[0] @ there @ near[1].T
     # Let t and k be the first and second derivatives along a line of nodes, by the number of the
     # node, and q = |t|^2. The straight fit to that edge lies (t x k) r^2 / (6 q^1.5) off the node,
@@ -71,14 +71,14 @@ def bend_shift(xy: Array, radius: float) -> Array:
 
 
 @functools.lru_cache(maxsize=64)
-def _derivatives(n: int) -> Array:
+def derivatives(n: int) -> Array:
     """Return three matrices, (3, n, n): the value of the line fitted to five nodes, and the first
     and second derivative of the parabola fitted to five. The five are moved inwards at the ends. On
     a line of three or four nodes, the fits are to three."""
-    return np.stack([polynomial(n, _half(n), *each) for each in ((1, 0), (2, 1), (2, 2))])
+    return np.stack([polynomial(n, bend_half(n), *each) for each in ((1, 0), (2, 1), (2, 2))])
 
 
-def _half(n: int) -> int:
+def bend_half(n: int) -> int:
     """Return the half width of the window along lines of n nodes, at least 3."""
     return min(_HALF, (n - 1) // 2)
 

@@ -2,13 +2,11 @@
 
 /* The adaptive filter of a lattice: cmp_cl/reference/field/filter.py has its equations.
  *
- * K coordinates are filtered alike. There are FILTERS_DOWN filters along the columns, tables of
- * ROWS x TAPS weights: a row has those of the window of a node. The FILTERS_ALONG along the rows
- * are matrices (COLUMNS, LINE): a row has the weights of a node in the values of all nodes of its
- * row. Filter 0 changes nothing. `rows_noise` and `rows_risk` are Gaussians of 2 REACH + 1 nodes
+ * K coordinates are filtered alike. There are FILTERS_DOWN filters along the columns, matrices
+ * (ROWS, ROWS), and FILTERS_ALONG along the rows, (COLUMNS, LINE): a row of them has the weights of
+ * a node in the values of all. Filter 0 changes nothing. `rows_noise` and `rows_risk` are Gaussians of 2 REACH + 1 nodes
  * whose sum is 1. */
 
-#define TAPS 15
 #define ESTIMATES 5 /* of the noise: from both axes, from each axis, from each diagonal */
 #define ROUNDS 3    /* that may reject nodes, as in cmp_cl/motion/filter.py */
 #define MASKS 4     /* nodes that count in them; the diagonals share one */
@@ -102,11 +100,11 @@ __kernel void fill(__global const float *moved, __global const uchar *votes,
 
 /* Apply a filter along the columns for eight nodes of a row. */
 float8 filter_down(__global const float *plane, const int row, const int column, const int side,
-                   __global const float *weights) {
+                   __global const float *matrix) {
   float8 sum = 0;
-  __global const float *from = plane + WINDOW_START(row, side, ROWS) * LINE + column;
-  for (int t = 0; t <= 2 * side; ++t)
-    sum += weights[row * TAPS + t] * EIGHT_AT(from + t * LINE);
+  const int first = WINDOW_START(row, side, ROWS);
+  for (int r = first; r <= first + 2 * side; ++r)
+    sum += matrix[r * ROWS + row] * EIGHT_AT(plane + r * LINE + column);
   return sum;
 }
 
@@ -405,7 +403,7 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
     for (int k = 0; k < K; ++k) {
       __global const float *plane = data + k * PLANE;
       STORE_EIGHT(here[k] + c, EIGHT_AT(plane + row * LINE + c));
-      STORE_EIGHT(down[k] + c, filter_down(plane, row, c, side, filters_down + a * ROWS * TAPS));
+      STORE_EIGHT(down[k] + c, filter_down(plane, row, c, side, filters_down + a * ROWS * ROWS));
     }
     const float8 s = EIGHT_AT(chosen + row * LINE + c);
     STORE_EIGHT(twice + c, 2 * K * own_down[a * ROWS + row] * KNOWN_OR_1(s));

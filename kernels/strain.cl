@@ -125,9 +125,9 @@ void spread_of_row(const int row, __global const float *weights, __global const 
  * node step: PRODUCTS planes along the rows and as many along the columns, NaN where they are
  * unknown. The weights of the pairs of filters, times the deviation of the noise, are replaced by
  * their mean over the votes of the window. A slope is then one combination of the nodes, and the
- * variance of its noise a quadratic form of these weights. Its matrices are the products of the
- * filters behind the mean and behind the slope of a window along an axis: planes 0 of gram_*; planes
- * 1 hold the products of nodes that are neighbours. common: the covariance of the noise of the
+ * variance of its noise a quadratic form of these weights. Its matrices gram_* are the products of the
+ * filters behind the mean and behind the slope of a window along an axis, first those of the same
+ * node, then those of nodes that are neighbours. common: the covariance of the noise of the
  * coordinates over its mean diagonal. The bias of smoothing is not in it, and shows in how far apart
  * the slopes of the pairs are; BIAS of that is added. span_down, span_along: the weights of the nodes
  * of a window in its mean, and in its slope, (2, ROWS, WIDE) and (2, WIDE, LINE). One work-item a
@@ -136,10 +136,8 @@ __kernel void slopes(__global const float *weights, __global const float *estima
                      __global const float *variance, __global const uchar *votes,
                      __global const float *common, __global const float *sums,
                      __global const float *span_down, __global const float *span_along,
-                     __global const float *gram_mean_down,
-                     __global const float *gram_slope_down,
-                     __global const float *gram_mean_along,
-                     __global const float *gram_slope_along, __global float *result) {
+                     __global const float *gram_down, __global const float *gram_along,
+                     __global float *result) {
   const int row = get_global_id(0);
   if (row >= ROWS) return;
   const int top = max(row - STRAIN_REACH, 0), bottom = min(row + STRAIN_REACH, ROWS - 1);
@@ -171,8 +169,9 @@ __kernel void slopes(__global const float *weights, __global const float *estima
   const float2 shared = shared_with_neighbours(sums);
   for (int turn = 0; turn < 2; ++turn) {
     __global const float *down =
-        (turn ? gram_slope_down : gram_mean_down) + row * FILTERS_DOWN * FILTERS_DOWN;
-    __global const float *along = turn ? gram_mean_along : gram_slope_along;
+        gram_down + (turn * 2 * ROWS + row) * FILTERS_DOWN * FILTERS_DOWN;
+    __global const float *along =
+        gram_along + (1 - turn) * 2 * FILTERS_ALONG * FILTERS_ALONG * COLUMNS;
     float total[COLUMNS], product[FILTERS_ALONG * FILTERS_ALONG][COLUMNS];
     float spread[PRODUCTS][LINE];
     spread_of_row(row, weights, estimate, span_down + (turn * ROWS + row) * WIDE,
