@@ -1,7 +1,8 @@
 #include "lattice.clh"
 
 /* Links between corners (13.1): of the neighbours along a boundary the cheapest, kept where both
- * ends choose each other and the side between them has the colours that both claim. */
+ * ends choose each other and the middle of the side between them has the colours that both claim. A
+ * bar or an arm before the pattern leaves only the ends of such a side. */
 
 #define COSTS_PER_PX 64.0f
 
@@ -82,10 +83,11 @@ __kernel void choose_links(__global const float *restrict corners, const uint ca
 }
 
 /* twin[h]: the half-edge at the other end of a link. One work-item per half-edge; that of the lower
- * end looks at the side of both. */
+ * end looks at the side of both. least_middle: share of the contrast, summed over three points. */
 __kernel void keep_links(__global const float *restrict corners, const uint capacity,
-                         LEVELS_OF_IMAGE, const float depth, const float depth_px,
-                         __global const int *restrict choice, __global int *restrict twin) {
+                         __global const int *restrict contrast, LEVELS_OF_IMAGE,
+                         const float least_middle, __global const int *restrict choice,
+                         __global int *restrict twin) {
   const int h = get_global_id(0);
   if (h >= 4 * (int)COUNT(corners)) return;
   const int end = choice[h];
@@ -93,8 +95,11 @@ __kernel void keep_links(__global const float *restrict corners, const uint capa
     twin[h] = NONE;
   } else if (h < end) {
     __global const float2 *at = POSITIONS(corners);
-    const int step = difference(LEVELS, at[h >> 2], at[end >> 2], depth, depth_px);
-    const bool is_seen = h & 1 ? step < 0 : step > 0;
+    const float2 a = at[h >> 2], b = at[end >> 2];
+    const int middle = difference(LEVELS, a, b, MIDDLE);
+    const float product = (float)contrast[h >> 2] * (float)contrast[end >> 2];
+    const float share = 2.0f * (float)(h & 1 ? -middle : middle) * inverse_root(product);
+    const bool is_seen = share > least_middle;
     twin[h] = is_seen ? end : NONE;
     twin[end] = is_seen ? h : NONE;
   }

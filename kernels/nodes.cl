@@ -15,7 +15,6 @@
 
 /* Constants of the score, in the order of cmp_cl/lattice/kernels.py. */
 typedef struct {
-  float side_depth, side_depth_px, side_share;
   float depth;
   float rough_weight;
   float side_nats, cells_nats, prior, firm_penalty, loose_penalty;
@@ -291,9 +290,8 @@ void measure(LEVELS_OF_IMAGE, __constant Nats *nats, const int width, const int 
     const Cells found = cells_at(LEVELS, here, steps, parity, nats->depth);
     cell[place] = steps.cell;
     found_cells = (int2)(found.quality, steps.known ? found.contrast : UNKNOWN);
-    const float depth = nats->side_depth, px = nats->side_depth_px;
-    if (IS_HERE(right)) side.x = parity * difference(LEVELS, here, right, depth, px);
-    if (IS_HERE(below)) side.y = -parity * difference(LEVELS, here, below, depth, px);
+    if (IS_HERE(right)) side.x = parity * difference(LEVELS, here, right, WHOLE_SIDE);
+    if (IS_HERE(below)) side.y = -parity * difference(LEVELS, here, below, WHOLE_SIDE);
   }
   sides[place] = side;
   cells[place] = found_cells;
@@ -346,7 +344,7 @@ float score_of(LEVELS_OF_IMAGE, const float sides, const int quality, const floa
 /* The score of a node; no node has a score of 99. */
 #define NO_SCORE 99.0f
 #define ADD_SIDE(neighbour, sum)                                                    \
-  if (IS_HERE(at[neighbour])) whole += clipped(((float)(sum) * share) * nats->side_share);
+  if (IS_HERE(at[neighbour])) whole += clipped(((float)(sum) * share) * OF_POINTS);
 void score_node(LEVELS_OF_IMAGE, __constant Nats *nats, const int width, const int place,
                 __global const float2 *seen, __global const float2 *at,
                 __global const float4 *predictions, __global const float *cell,
@@ -401,8 +399,8 @@ typedef struct {
 int ordered(const float v) { return as_int(v) ^ (as_int(v) >> 31 & 0x7fffffff); }
 #define ADD_NEW_SIDE(neighbour, from, to, sign)                                     \
   if (IS_HERE(at[neighbour])) {                                                     \
-    const int sum = (sign) * difference(LEVELS, from, to, nats->side_depth, nats->side_depth_px); \
-    whole += clipped(((float)sum * share) * nats->side_share);                      \
+    const int sum = (sign) * difference(LEVELS, from, to, WHOLE_SIDE);              \
+    whole += clipped(((float)sum * share) * OF_POINTS);                             \
   }
 Candidate candidate_at(__global const float *corners, const uint capacity, LEVELS_OF_IMAGE,
                        __constant Nats *nats, __global const int *layout, const int width,

@@ -35,12 +35,11 @@ bool is_at_rim(__global const int *part, const int i) {
 
 /* The differences of both sides of a way of m steps, each with the sign that it has if colours
  * change after every step. */
-int difference_of_way(LEVELS_OF_IMAGE, const float2 from, const float2 step, const int m,
-                      const float depth, const float depth_px) {
+int difference_of_way(LEVELS_OF_IMAGE, const float2 from, const float2 step, const int m) {
   int sum = 0;
   for (int k = 0; k < m; ++k) {
     const float2 a = from + (float)k * step;
-    const int here = difference(LEVELS, a, a + step, depth, depth_px);
+    const int here = difference(LEVELS, a, a + step, WHOLE_SIDE);
     sum += k & 1 ? -here : here;
   }
   return sum;
@@ -77,8 +76,7 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
                          __global const int4 *restrict state, __global const int *restrict size,
                          const int least_part, __global const int *restrict starts,
                          __global const int *restrict binned,
-                         const float least_cosine, const float point_share, const float reach,
-                         const float depth, const float depth_px, const int room,
+                         const float least_cosine, const float reach, const int room,
                          __global int *restrict layout, __global int *restrict votes) {
   const int h = get_global_id(0), i = h >> 2;
   if (layout[PARTS] < 2 || h >= 4 * (int)COUNT(corners)) return;
@@ -107,12 +105,11 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
         if (!(along > least_cosine * length) || (near.side + far.side - m) & 1) continue;
         if (!(MAGNITUDE(length - (float)m * mean) < mean)) continue; /* a step off at most */
         const float weight = inverse_root((float)m), step_share = weight * weight;
-        const int sum = difference_of_way(LEVELS, at[j], step_share * (float2)(dx, dy), m, depth,
-                                          depth_px);
+        const int sum = difference_of_way(LEVELS, at[j], step_share * (float2)(dx, dy), m);
         const int seen = near.side & 1 ? -sum : sum;
         if (seen <= 0) continue;
         const float product = (float)contrast[i] * (float)contrast[j];
-        const float share = ((float)seen * (2 * point_share * step_share)) * inverse_root(product);
+        const float share = ((float)seen * (2 * OF_POINTS * step_share)) * inverse_root(product);
         const int2 number = state[g].xy + m * (int2)(TO_X(direction), TO_Y(direction));
         add_vote(part, state, g, h, quarter, number, SMALLER(share, 1.0f) * weight, room,
                  layout, votes);

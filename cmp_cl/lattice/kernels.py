@@ -41,7 +41,6 @@ Kernel = tuple[str, Over, str]
 AT = "corners capacity"
 LEVELS = "levels level_step rows columns"
 BINS = "layout starts binned"
-SIDE = "depth depth_px"
 NODES, CLAIMS = "seen owner torn used", "best_score best_place"
 POSITIONS, MEASURES = "at result rough predictions", "cell sides cells"
 
@@ -54,7 +53,7 @@ PARTS_OF_CORNERS: tuple[Kernel, ...] = (
         Over.CORNERS,
         f"{AT} lines {BINS} rows columns neighbours rings least_cosine turn_price choice",
     ),
-    ("keep_links", Over.HALF_EDGES, f"{AT} {LEVELS} {SIDE} choice twin"),
+    ("keep_links", Over.HALF_EDGES, f"{AT} contrast {LEVELS} least_middle choice twin"),
     ("close_faces", Over.HALF_EDGES, f"{AT} twin cuts face cut steps"),
     (
         "number_parts",
@@ -68,7 +67,7 @@ VOTES_OF_PARTS: tuple[Kernel, ...] = (
         "find_votes",
         Over.HALF_EDGES,
         f"{AT} lines contrast {LEVELS} twin part state faces_of_part least_part starts binned "
-        f"least_cosine point_share reach {SIDE} room layout votes",
+        f"least_cosine reach room layout votes",
     ),
 )
 BOARD_OF_NUMBERS: tuple[Kernel, ...] = (
@@ -143,9 +142,7 @@ def values(plan: "LatticePlan") -> dict[str, Any]:
         "radius": k.contrast_radius_px,
         "least_cosine": k.least_cosine,
         "turn_price": k.turn_price,
-        "depth": k.side_depth_cells,
-        "depth_px": k.side_depth_px,
-        "point_share": 1 / len(k.side_points),
+        "least_middle": 3 * k.side_middle,  # three points
         "reach": k.span + 0.5,
         "passing": k.passing,
         "least_line": k.least_line,
@@ -185,9 +182,7 @@ def nats(plan: "LatticePlan") -> NDArray[np.float32]:
     firm = 0.5 / k.firm_sd_cells**2
     return np.array(
         [
-            *(k.side_depth_cells, k.side_depth_px, 1 / len(k.side_points)),
-            k.cell_depth,
-            k.rough_weight_per_px2,
+            *(k.cell_depth, k.rough_weight_per_px2),
             *(k.side_nats, k.cells_nats, k.prior_nats),
             *(firm, firm / 4),  # an extrapolation is half as good
             *(k.stay_nats, 2 * k.stay_nats),

@@ -119,13 +119,14 @@ class LatticePlan:
         return {
             **{name: f"{value}f" for name, value in zip(shares + cells, values, strict=True)},
             "WIDE": f"{k.wide_px}f",
+            "SIDE_DEPTH": f"{k.side_depth_cells}f",
+            "SIDE_DEPTH_PX": f"{k.side_depth_px}f",
             "PIXEL": "uchar" if self.dtype == np.uint8 else "ushort",
             "PAD": self.pad,
             "WHOLE_LEVELS": int(whole),
             "HEAD": RESULT_HEAD,
             "EDGES_FIELD": EDGES.start,
             "METHOD_FIELD": METHOD,
-            "SIDE_STEP": 4 // (len(k.side_points) - 1),
             "SPAN": k.span,
         }
 

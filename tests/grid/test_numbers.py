@@ -303,6 +303,21 @@ def test_a_part_of_a_board_beside_a_bar_is_not_taken_for_the_whole_in_silence(mi
     assert scored(grid, view).wrong == 0
 
 
+@pytest.mark.parametrize("width", [1.0, 1.2])
+@pytest.mark.parametrize("turn", [2, 35])
+def test_rows_on_both_sides_of_a_bar_are_no_neighbours(width, turn):
+    """The bar hides two rows; beyond it lies one, three steps away, of colours that fit."""
+    camera = plane(cell=24, middle=(200, 150), about=(4.5, 4), turn=turn)
+    _, v = camera(*samples(SIZE))
+    front = np.where(abs(v - 1.5) < width / 2, 120.0, np.nan)
+    view = drawn(camera, SIZE, (9, 10), front=front)
+    grid = grid_of(view)
+    score = scored(grid, view)
+    assert score.right == 6 * 10
+    assert score.clean
+    assert grid.others == 10
+
+
 @pytest.mark.parametrize("shape", [None, (10, 13)])
 def test_a_gap_inside_a_board_is_told(shape):
     camera = plane(cell=22, middle=(200, 150), about=(6, 4.5), turn=2)

@@ -6,7 +6,6 @@ from lattice_plans import K, gel, plan_for
 
 from cmp_cl import detect
 from cmp_cl.lattice import kernels
-from cmp_cl.lattice.boards import boards
 from cmp_cl.reference import harmonic
 from cmp_cl.reference.lattice import parts as lattice
 from cmp_cl.reference.lattice import votes as lattice_votes
@@ -78,7 +77,7 @@ def test_the_nodes_of_parts_are_those_of_the_oracle(device):
 
 
 def test_a_list_of_votes_that_is_too_short_grows(device, monkeypatch):
-    image = striped(gel(0.5, seed=8), (60, 120, 180), 8)
+    image = striped(gel(0.5, seed=8), range(40, 220, 30), 8)
     plan, corners, *_ = started(device, image)
     plan.alone()
     wanted = plan.parts(corners.xy)[1]
@@ -94,6 +93,3 @@ def test_a_list_of_votes_that_is_too_short_grows(device, monkeypatch):
         assert plan.buffers["votes"].size == plan.sizes["votes"] >= 24 * counted
         for one, other in zip(found, wanted, strict=True):
             np.testing.assert_array_equal(one, other)
-    plan.start()
-    (board,) = boards(plan, corners.xy)
-    assert np.count_nonzero(board.there) > 0.9 * len(corners)

@@ -14,6 +14,7 @@ from cmp_cl.lattice.arrays import LOOKED, NONE, Board
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.kernels import ROUNDS
 from cmp_cl.reference.lattice.parts import (
+    SIDE_POINTS,
     F,
     Mask,
     Real,
@@ -203,7 +204,7 @@ def evidence(
     sides = np.zeros(x.shape, np.float32)
     for (r, c), each in zip(FOUR, _sides_to(plane, (own_x, own_y), x, y, parity, k), strict=True):
         seen = ~np.isnan(shifted(own_x, r, c, np.nan)) & ~np.isnan(x)
-        whole = np.clip((each.astype(np.float32) * share) * F(1 / len(k.side_points)), F(-1), F(1))
+        whole = np.clip((each.astype(np.float32) * share) * F(1 / len(SIDE_POINTS)), F(-1), F(1))
         sides = np.where(seen, sides + whole, sides)
     cells = np.clip(quality.astype(np.float32) * share, F(-1), F(1))
     at_x, at_y, weight = prediction

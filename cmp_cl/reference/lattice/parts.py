@@ -23,6 +23,7 @@ COSINE = (np.rint(16384 * np.cos(np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS
 COLUMN_STEP = np.array([1, 0, -1, 0])
 ROW_STEP = np.array([0, 1, 0, -1])
 F = np.float32
+SIDE_POINTS, MIDDLE_POINTS = (0.25, 0.375, 0.5, 0.625, 0.75), (0.375, 0.5, 0.625)  # of a side
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -236,14 +237,15 @@ def side_sum(
     start: tuple[Real, Real],
     step: tuple[Real, Real],
     constants: LatticeConstants,
+    points: tuple[float, ...] = SIDE_POINTS,
 ) -> Whole:
-    """Return the sum over five points of the level left of a way less that right of it."""
+    """Return the sum over points of the level left of a way less that right of it."""
     (x, y), (dx, dy) = start, step
     square = np.maximum(dx * dx + dy * dy, F(1))
     depth = side_depth(inverse_root(square), constants)
     across, down = -(depth * dy), depth * dx
     total = np.zeros(x.shape, np.int64)
-    for t in constants.side_points:
+    for t in points:
         at_x, at_y = x + F(t) * dx, y + F(t) * dy
         total += read(plane, at_x - across, at_y - down)
         total -= read(plane, at_x + across, at_y + down)
@@ -257,12 +259,17 @@ def has_side(
     other: Whole,
     constants: LatticeConstants,
 ) -> Mask:
-    """Return whether the image shows a side of a cell between two half-edges, as both claim."""
+    """Return whether the image shows a side of a cell in the middle between two half-edges, as both
+    claim."""
     low, high = np.minimum(h, other), np.maximum(h, other)
     p, q = low >> 2, high >> 2
     start = corners.x[p], corners.y[p]
     step = corners.x[q] - start[0], corners.y[q] - start[1]
-    seen: Mask = side_sum(plane, start, step, constants) * (1 - 2 * (low & 1)) > 0
+    sign = 1 - 2 * (low & 1)
+    middle = sign * side_sum(plane, start, step, constants, MIDDLE_POINTS)
+    product = corners.contrast[p].astype(np.float32) * corners.contrast[q].astype(np.float32)
+    share = F(2) * middle.astype(np.float32) * inverse_root(product)
+    seen: Mask = share > F(3 * constants.side_middle)
     return seen
 
 

@@ -10,6 +10,7 @@ from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.reference.lattice.parts import (
     COLUMN_STEP,
     ROW_STEP,
+    SIDE_POINTS,
     Directed,
     F,
     Real,
@@ -88,7 +89,7 @@ def votes(
         product = corners.contrast[a[n]].astype(np.float32) * corners.contrast[b[n]].astype(
             np.float32
         )
-        share = 2 * F(1 / len(k.side_points)) * part
+        share = 2 * F(1 / len(SIDE_POINTS)) * part
         share = (total.astype(np.float32) * share) * inverse_root(product)
         seen = total > 0
         n, share = n[seen], share[seen]
