@@ -1,8 +1,8 @@
 #include "lattice.clh"
 
-/* Votes for where a part lies beside another (13.4): corners that are in both, and ways across
- * tears, from a node at the rim of one to the rim of the other, of some steps after each of which
- * the colours on both sides change places. */
+/* Votes for where a part lies beside another (13.4): ways across tears, from a node at the rim of
+ * one to the rim of the other, of some steps after each of which the colours on both sides change
+ * places. */
 
 /* The mean length of the links of a corner, px; 0 without one. */
 float mean_step(__global const float2 *at, __global const int *twin, const int i) {
@@ -86,14 +86,9 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
   const Window window = window_around(layout, rows, columns, at[i], own_reach);
   FOR_CORNERS_IN(window, j) {
     const float dx = at[i].x - at[j].x, dy = at[i].y - at[j].y, squared = dx * dx + dy * dy;
-    if (!(squared < own_reach * own_reach) || !is_at_rim(part, j)) continue;
+    if (i == j || !(squared < own_reach * own_reach) || !is_at_rim(part, j)) continue;
     for (int g = 4 * j; g < 4 * j + 4; ++g) {
       if (!is_node(part, size, least_part, g) || !IS_LARGER(part[g], part[h])) continue;
-      if (i == j) {
-        add_vote(part, state, g, h, (ROTATION(g) - ROTATION(h)) & 3, state[g].xy, 1.0f, room,
-                 layout, votes);
-        continue;
-      }
       const float held = LARGER(squared, 1.0f), length = held * inverse_root(held);
       const Boundary near = boundary_along(lines[j], dx, dy);
       const Boundary far = boundary_along(lines[i], -dx, -dy);

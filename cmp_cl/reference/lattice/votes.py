@@ -1,7 +1,5 @@
 """Ways across tears, and the colours along them (votes for joins)."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,22 +42,21 @@ def votes(
 ) -> Votes:
     """Return the votes for where parts lie beside larger ones.
 
-    Corners that are in both vote, and ways of up to `span` steps between their rims. A way leaves
-    both ends along a boundary, and the colours beside it change after every step.
+    They are of ways of up to `span` steps between their rims. A way leaves both ends along a
+    boundary, and the colours beside it change after every step.
     """
     step = mean_steps(corners, twin)
     rim = np.flatnonzero(units.rim)
     reach = F(k.span + 0.5) * step[units.corner[rim]]
     pairs = [np.zeros((0, 2), np.int64)]
-    both = [np.zeros((0, 2), np.int64)]
     for unit in rim:  # by brute force: the kernel looks in bins
         dx = corners.x[units.corner[rim]] - corners.x[units.corner[unit]]
         dy = corners.y[units.corner[rim]] - corners.y[units.corner[unit]]
         near = dx * dx + dy * dy < reach * reach  # of the node in the smaller part
         near &= units.part[rim] > units.part[unit]
-        same = units.corner[rim] == units.corner[unit]
-        for kind, other in ((pairs, rim[near & ~same]), (both, rim[near & same])):
-            kind.append(np.stack([np.full(len(other), unit), other], axis=1))
+        near &= units.corner[rim] != units.corner[unit]
+        other = rim[near]
+        pairs.append(np.stack([np.full(len(other), unit), other], axis=1))
     first, second = np.concatenate(pairs).T
     a, b = units.corner[first], units.corner[second]
     dx, dy = corners.x[b] - corners.x[a], corners.y[b] - corners.y[a]
@@ -68,11 +65,7 @@ def votes(
     t, along_b = boundary(corners.angle[b], -dx, -dy)
     along = np.minimum(along_a, along_b)
     mean = F(0.5) * (step[a] + step[b])
-    one, other = np.concatenate(both).T
-    rotation = units.rotation
-    found: list[tuple[Any, ...]] = [
-        (one, other, units.number[one], rotation[one] - rotation[other], np.ones(len(one)))
-    ]
+    rotation, found = units.rotation, []
     for m in range(1, k.span + 1):
         good = (along > F(k.least_cosine) * length) & ((s + t - m) % 2 == 0)
         good &= np.abs(length - F(m) * mean) < mean
