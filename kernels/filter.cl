@@ -4,8 +4,8 @@
  *
  * K coordinates are filtered alike. There are FILTERS_DOWN filters along the columns, matrices
  * (ROWS, ROWS), and FILTERS_ALONG along the rows, (COLUMNS, LINE): a row of them has the weights of
- * a node in the values of all. Filter 0 changes nothing. `rows_noise` and `rows_risk` are Gaussians of 2 REACH + 1 nodes
- * whose sum is 1. */
+ * a node in the values of all. Filter 0 changes nothing. `rows_noise` and `rows_risk` are Gaussians
+ * of 2 REACH + 1 nodes whose sum is 1. */
 
 #define ESTIMATES 5 /* of the noise: from both axes, from each axis, from each diagonal */
 #define ROUNDS 3    /* that may reject nodes, as in cmp_cl/motion/filter.py */
@@ -246,13 +246,13 @@ void pilot_of_row(const int row, const int estimate, __global const float *data,
 /* The pilot. One work-item a row and an estimate. */
 __kernel void pilot(__global const float *data, __global const float *vote,
                     __global const float *pilot_down, __global const float *pilot_along,
-                    __global const float *own_down, __global const float *own_along,
+                    __global const float *pilot_own_down, __global const float *pilot_own_along,
                     __global const float *rows_noise, __global float *size, __global float *near,
                     __global float *sums) {
   const int row = get_global_id(0), estimate = get_global_id(1);
   if (row < ROWS)
-    pilot_of_row(row, estimate, data, vote, pilot_down, pilot_along, own_down, own_along,
-                 rows_noise, size, near, sums);
+    pilot_of_row(row, estimate, data, vote, pilot_down, pilot_along, pilot_own_down,
+                 pilot_own_along, rows_noise, size, near, sums);
 }
 
 /* The mean length of a residual with variance 1 per coordinate, if its length is chi-distributed.
@@ -341,9 +341,9 @@ void noise_of_eight(const int row, const int c, const float *length, const float
 /* The noise, and the first round of the search for outliers. The work-items of a row share its
  * nodes, eight at a time. */
 __kernel void noise(__global const float *near, __global const float *sums,
-                    __global const float *size, __global const float *own_down,
-                    __global const float *own_along, __global const float *rows_noise,
-                    __global const float *bound_rest, __global const float *variance_now,
+                    __global const float *size, __global const float *pilot_own_down,
+                    __global const float *pilot_own_along, __global const float *rows_noise,
+                    __global const float *bound_rest, __global const float *own,
                     const int bends, __global int *counts, __global uchar *votes,
                     __global float *variance, __global float *chosen, __global float *common) {
   const int row = get_global_id(0);
@@ -351,16 +351,16 @@ __kernel void noise(__global const float *near, __global const float *sums,
   float length[ESTIMATES], least_of_all;
   lengths_and_floor(sums, length, &least_of_all);
   for (int c = LANES * get_global_id(1); c < LINE; c += LANES * get_global_size(1))
-    noise_of_eight(row, c, length, least_of_all, near, size, own_down, own_along, rows_noise,
-                   bound_rest, variance_now, bends, 0, counts, votes, variance, chosen, common);
+    noise_of_eight(row, c, length, least_of_all, near, size, pilot_own_down, pilot_own_along,
+                   rows_noise, bound_rest, own, bends, 0, counts, votes, variance, chosen, common);
 }
 
 /* The other rounds, each of them if the one before has rejected nodes, which is rare. One
  * work-group: a launch for each step of each round would cost more than all of them mostly do. */
 __kernel void settle(__global const float *moved, __global const float *pilot_down,
-                     __global const float *pilot_along, __global const float *own_down,
-                     __global const float *own_along, __global const float *rows_noise,
-                     __global const float *bound_rest, __global const float *variance_now,
+                     __global const float *pilot_along, __global const float *pilot_own_down,
+                     __global const float *pilot_own_along, __global const float *rows_noise,
+                     __global const float *bound_rest, __global const float *own,
                      const int bends, __global int *counts, __global uchar *votes,
                      __global float *data, __global float *vote, __global float *size,
                      __global float *near, __global float *sums, __global float *variance,
@@ -370,15 +370,15 @@ __kernel void settle(__global const float *moved, __global const float *pilot_do
     for (int i = first; i < NODES; i += items) fill_node(i, moved, votes, counts, data, vote);
     barrier(CLK_GLOBAL_MEM_FENCE);
     for (int i = first; i < ESTIMATES * ROWS; i += items)
-      pilot_of_row(i % ROWS, i / ROWS, data, vote, pilot_down, pilot_along, own_down, own_along,
-                   rows_noise, size, near, sums);
+      pilot_of_row(i % ROWS, i / ROWS, data, vote, pilot_down, pilot_along, pilot_own_down,
+                   pilot_own_along, rows_noise, size, near, sums);
     barrier(CLK_GLOBAL_MEM_FENCE);
     float length[ESTIMATES], least_of_all;
     lengths_and_floor(sums, length, &least_of_all);
     for (int i = LANES * first; i < PLANE; i += LANES * items)
-      noise_of_eight(i / LINE, i % LINE, length, least_of_all, near, size, own_down, own_along,
-                     rows_noise, bound_rest, variance_now, bends, round, counts, votes, variance,
-                     chosen, common);
+      noise_of_eight(i / LINE, i % LINE, length, least_of_all, near, size, pilot_own_down,
+                     pilot_own_along, rows_noise, bound_rest, own, bends, round, counts, votes,
+                     variance, chosen, common);
     barrier(CLK_GLOBAL_MEM_FENCE);
   }
 }
@@ -479,7 +479,7 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
                     __global const float *own_along, __global const float *gain_down,
                     __global const float *gain_along, __global const float *rows_risk,
                     const int keep, __global float *weights, __global float *values,
-                    __global float *result) {
+                    __global float *mixed_variance) {
   const int row = get_global_id(0), c = LANES * get_global_id(1), at = row * LINE + c;
   if (row >= ROWS || c >= COLUMNS) return;
   const float8 s1 = EIGHT_AT(chosen + at), s2 = EIGHT_AT(variance + at);
@@ -524,13 +524,13 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
   const float8 share = 1 / sum, noise = s2 * mean_gain * share;
   const float8 stein = s1 * mean_risk * share + 2 * (s2 - s1) * mean_own * share - s2;
   for (int k = 0; k < K; ++k) EIGHT_AT(values + k * PLANE + at) = value[k] * share;
-  EIGHT_AT(result + at) = s2 != s2 ? s2 : stein > noise ? stein : noise;
+  EIGHT_AT(mixed_variance + at) = s2 != s2 ? s2 : stein > noise ? stein : noise;
   if (!keep) return;
   for (int pair = 0; pair < PAIRS; ++pair)
     EIGHT_AT(weights + pair * PLANE + at) = risk[pair] * share;
 }
 
-/* The planes of a covariance: all in space; in the plane the variance, which is that of both axes. */
+/* The planes of a covariance: all in space; in the plane the variance, that of both axes. */
 #define COVARIANCES (K == 3 ? PRODUCTS : 1)
 
 /* The covariance from the lattice, or that of the points where the lattice has none. */
@@ -548,24 +548,24 @@ void store_covariance(const float variance, __global const float *common,
  * a node. */
 __kernel void finish(__global const float *moved, __global const float *values,
                      __global const uchar *votes, __global const uchar *measured,
-                     __global const float *variance_before, __global const float *variance_after,
+                     __global const float *variance, __global const float *mixed_variance,
                      __global const float *common, __global const float *points,
                      __global const float *bent, __global const uchar *valid,
-                     __global float *displacement, __global float *raw,
+                     __global float *displacement, __global float *raw_displacement,
                      __global float *covariance, __global float *raw_covariance,
                      __global int *counts) {
   const int i = get_global_id(0);
   if (i <= ROUNDS) counts[i] = 0; /* the next frame counts from 0 */
   if (i >= NODES) return;
   if (!valid[i]) {
-    for (int k = 0; k < K; ++k) displacement[k * NODES + i] = raw[k * NODES + i] = NAN;
+    for (int k = 0; k < K; ++k) displacement[k * NODES + i] = raw_displacement[k * NODES + i] = NAN;
     for (int p = 0; p < COVARIANCES; ++p)
       covariance[p * NODES + i] = raw_covariance[p * NODES + i] = NAN;
     return;
   }
   const int rejected = measured[i] && !votes[i], at = IN_LINE(i);
-  const float before = variance_before[at];
-  float after = votes[i] ? variance_after[at] : before, off = 0;
+  const float before = variance[at];
+  float after = votes[i] ? mixed_variance[at] : before, off = 0;
   for (int k = 0; k < K; ++k) {
     const float gap = moved[k * NODES + i] - values[k * PLANE + at];
     off += gap * gap / K;
@@ -575,7 +575,7 @@ __kernel void finish(__global const float *moved, __global const float *values,
     const float own = moved[k * NODES + i];
     const float found = rejected || isnan(after) ? own : values[k * PLANE + at];
     displacement[k * NODES + i] = found - bent[k * NODES + i];
-    raw[k * NODES + i] = own;
+    raw_displacement[k * NODES + i] = own;
   }
   store_covariance(after, common, points, i, covariance);
   store_covariance(before, common, points, i, raw_covariance);

@@ -8,7 +8,7 @@
  * edges (2 planes). moved: 2 planes, 0 where not valid. points: the sum of the variances of both
  * moments. own: the variance now. One work-item a node. */
 __kernel void in_plane(__global const float2 *nodes, __global const uchar *seen_status,
-                       __global const float *sigma, __global const REAL *homography,
+                       __global const float *seen_sigma, __global const REAL *homography,
                        __global const float *bend_down, __global const float *bend_along,
                        const float radius, __global const REAL *rest,
                        __global const uchar *rest_status, __global const uchar *rest_source,
@@ -32,7 +32,7 @@ __kernel void in_plane(__global const float2 *nodes, __global const uchar *seen_
   const REAL grown = (slope[0] * slope[0] + slope[1] * slope[1] + slope[2] * slope[2] +
                       slope[3] * slope[3]) / 2;
   const float variance =
-      good && sigma[i] > 0 ? (float)((REAL)sigma[i] * (REAL)sigma[i] * grown) : NAN;
+      good && seen_sigma[i] > 0 ? (float)((REAL)seen_sigma[i] * (REAL)seen_sigma[i] * grown) : NAN;
   own[i] = variance;
   points[i] = variance + rest_points[i];
   moved[i] = good ? (float)(u - rest[i]) : 0.0f;

@@ -165,7 +165,7 @@ void meet(__global const REAL *camera, const REAL *one, const REAL *two, REAL *p
  * motion by bent edges (3 planes). moved: 3 planes, 0 where not valid. points: the sum of the
  * covariances of both moments. own: the variance now per axis. One work-item a node. */
 __kernel void space(__global const float2 *nodes, __global const uchar *seen_status,
-                    __global const float *sigma, __global const REAL *left,
+                    __global const float *seen_sigma, __global const REAL *left,
                     __global const REAL *right, const REAL least_sine, const float largest_error,
                     __global const float *bend_down, __global const float *bend_along,
                     const float radius_left, const float radius_right,
@@ -179,7 +179,7 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
   if (i >= NODES) return;
   __global const float2 *nodes_left = nodes, *nodes_right = nodes + NODES;
   __global const uchar *status_left = seen_status, *status_right = seen_status + NODES;
-  __global const float *sigma_left = sigma, *sigma_right = sigma + NODES;
+  __global const float *sigma_left = seen_sigma, *sigma_right = seen_sigma + NODES;
   const int there = status_left[i] != MISSING && status_right[i] != MISSING;
   const REAL pixel[4] = {nodes_left[i].x, nodes_left[i].y, nodes_right[i].x, nodes_right[i].y};
   REAL one[3], two[3], seen[4], slope[4];

@@ -35,7 +35,7 @@ void second_differences(__global const float *plane, __global const uchar *votes
 /* Sums over a row of the products of second differences that lie one of the lags apart, and how
  * many there are. One work-item a row. */
 __kernel void roughness(__global const float *data, __global const uchar *votes,
-                        __global const float *variance, __global float *sums) {
+                        __global const float *variance, __global float *rough) {
   const int row = get_global_id(0);
   if (row >= ROWS) return;
   float sum[2 * LAGS], here[COLUMNS], below[COLUMNS], known[COLUMNS], known_below[COLUMNS];
@@ -54,7 +54,7 @@ __kernel void roughness(__global const float *data, __global const uchar *votes,
       sum[LAGS + 2] += known[c - 1] * known[c];
     }
   }
-  for (int s = 0; s < 2 * LAGS; ++s) sums[row * 2 * LAGS + s] = sum[s];
+  for (int s = 0; s < 2 * LAGS; ++s) rough[row * 2 * LAGS + s] = sum[s];
 }
 
 /* The correlation of the noise of a node with that of the next one in its column, and in its row.
@@ -125,19 +125,19 @@ void spread_of_row(const int row, __global const float *weights, __global const 
  * node step: PRODUCTS planes along the rows and as many along the columns, NaN where they are
  * unknown. The weights of the pairs of filters, times the deviation of the noise, are replaced by
  * their mean over the votes of the window. A slope is then one combination of the nodes, and the
- * variance of its noise a quadratic form of these weights. Its matrices gram_* are the products of the
- * filters behind the mean and behind the slope of a window along an axis, first those of the same
- * node, then those of nodes that are neighbours. common: the covariance of the noise of the
- * coordinates over its mean diagonal. The bias of smoothing is not in it, and shows in how far apart
- * the slopes of the pairs are; BIAS of that is added. span_down, span_along: the weights of the nodes
- * of a window in its mean, and in its slope, (2, ROWS, WIDE) and (2, WIDE, LINE). One work-item a
- * row. */
+ * variance of its noise a quadratic form of these weights. Its matrices gram_* are the products of
+ * the filters behind the mean and behind the slope of a window along an axis, first those of the
+ * same node, then those of nodes that are neighbours. common: the covariance of the noise of the
+ * coordinates over its mean diagonal. The bias of smoothing is not in it, and shows in how far
+ * apart the slopes of the pairs are; BIAS of that is added. span_down, span_along: the weights of
+ * the nodes of a window in its mean, and in its slope, (2, ROWS, WIDE) and (2, WIDE, LINE). One
+ * work-item a row. */
 __kernel void slopes(__global const float *weights, __global const float *estimate,
                      __global const float *variance, __global const uchar *votes,
-                     __global const float *common, __global const float *sums,
+                     __global const float *common, __global const float *rough,
                      __global const float *span_down, __global const float *span_along,
                      __global const float *gram_down, __global const float *gram_along,
-                     __global float *result) {
+                     __global float *slopes) {
   const int row = get_global_id(0);
   if (row >= ROWS) return;
   const int top = max(row - STRAIN_REACH, 0), bottom = min(row + STRAIN_REACH, ROWS - 1);
@@ -166,7 +166,7 @@ __kernel void slopes(__global const float *weights, __global const float *estima
     for (int t = 0; t < WIDE; ++t) EACH_COLUMN mean[pair][c] += line[c + t];
     EACH_COLUMN mean[pair][c] *= share[c];
   }
-  const float2 shared = shared_with_neighbours(sums);
+  const float2 shared = shared_with_neighbours(rough);
   for (int turn = 0; turn < 2; ++turn) {
     __global const float *down =
         gram_down + (turn * 2 * ROWS + row) * FILTERS_DOWN * FILTERS_DOWN;
@@ -202,7 +202,7 @@ __kernel void slopes(__global const float *weights, __global const float *estima
     }
     EACH_COLUMN total[c] = total[c] < 0 ? 0 : total[c];
     for (int p = 0; p < PRODUCTS; ++p)
-      EACH_COLUMN result[(turn * PRODUCTS + p) * NODES + row * COLUMNS + c] =
+      EACH_COLUMN slopes[(turn * PRODUCTS + p) * NODES + row * COLUMNS + c] =
           total[c] * SHAPE(common, p, row * COLUMNS + c) + BIAS * spread[p][c];
   }
 }
@@ -226,9 +226,9 @@ void add_covariance(const float3 *axis_1, const float3 *axis_2, const float (*in
 }
 
 /* The covariance of a slope of node i, from that of the slope over the whole window; without a
- * filter the errors of the nodes, of that covariance, count as independent. own, whole: the variance
- * of the slope of independent errors of variance 1, over the valid nodes and over the whole window.
- */
+ * filter the errors of the nodes, of that covariance, count as independent. own, whole: the
+ * variance of the slope of independent errors of variance 1, over the valid nodes and over the
+ * whole window. */
 void of_slope(__global const float *by_slope, __global const float *covariance, const int i,
               const float own, const float whole, float3 *result) {
   const int known = !isnan(by_slope[i]);
@@ -249,16 +249,16 @@ void of_slope(__global const float *by_slope, __global const float *covariance, 
 /* Green-Lagrange strain E11 E22 E12 and its covariance, xx xy xz yy yz zz; NaN where there is none.
  * rest: the position at rest, from the middle of the lattice. by_slopes: as in `slopes`.
  * One work-item a node. */
-__kernel void strain(__global const float *rest, __global const float *displacement,
+__kernel void strain(__global const float *rest_position, __global const float *displacement,
                      __global const uchar *valid, __global const float *covariance,
-                     __global const float *by_slopes, __global const float *rest_covariance,
-                     __global const float *rest_by_slopes, __global float *result,
-                     __global float *result_covariance) {
+                     __global const float *slopes, __global const float *rest_covariance,
+                     __global const float *rest_slopes, __global float *strain,
+                     __global float *strain_covariance) {
   const int i = get_global_id(0);
   if (i >= NODES) return;
   const int row = i / COLUMNS, column = i % COLUMNS;
-  for (int k = 0; k < 3; ++k) result[k * NODES + i] = NAN;
-  for (int p = 0; p < 6; ++p) result_covariance[p * NODES + i] = NAN;
+  for (int k = 0; k < 3; ++k) strain[k * NODES + i] = NAN;
+  for (int p = 0; p < 6; ++p) strain_covariance[p * NODES + i] = NAN;
   if (!valid[i]) return;
   const int top = max(row - STRAIN_REACH, 0), bottom = min(row + STRAIN_REACH, ROWS - 1);
   const int left = max(column - STRAIN_REACH, 0), right = min(column + STRAIN_REACH, COLUMNS - 1);
@@ -278,7 +278,7 @@ __kernel void strain(__global const float *rest, __global const float *displacem
       xy += u * v;
       yy += v * v;
       for (int k = 0; k < K; ++k) {
-        const float at_rest = rest[k * NODES + j] - rest[k * NODES + i];
+        const float at_rest = rest_position[k * NODES + j] - rest_position[k * NODES + i];
         const float now =
             at_rest + (displacement[k * NODES + j] - displacement[k * NODES + i]);
         all[0][k] += at_rest;
@@ -315,9 +315,9 @@ __kernel void strain(__global const float *rest, __global const float *displacem
   const float3 f1 = inverse[0][0] * slope[1][0] + inverse[0][1] * slope[1][1];
   const float3 f2 = inverse[1][0] * slope[1][0] + inverse[1][1] * slope[1][1];
   const float e11 = (dot(f1, f1) - 1) / 2, e22 = (dot(f2, f2) - 1) / 2, e12 = dot(f1, f2) / 2;
-  result[i] = e11;
-  result[NODES + i] = e22;
-  result[2 * NODES + i] = e12;
+  strain[i] = e11;
+  strain[NODES + i] = e22;
+  strain[2 * NODES + i] = e12;
   const float3 off_1 = f1 - (2 * e11 + 1) * q1 - 2 * e12 * q2;
   const float3 off_2 = f2 - 2 * e12 * q1 - (2 * e22 + 1) * q2;
   const float3 none = 0;
@@ -334,10 +334,10 @@ __kernel void strain(__global const float *rest, __global const float *displacem
   float found[6] = {0, 0, 0, 0, 0, 0};
   for (int step = 0; step < 2; ++step) {
     const int at = step * PRODUCTS * NODES;
-    of_slope(by_slopes + at, covariance, i, own[step], whole[step], by_step[step]);
-    of_slope(rest_by_slopes + at, rest_covariance, i, own[step], whole[step], rest_by_step[step]);
+    of_slope(slopes + at, covariance, i, own[step], whole[step], by_step[step]);
+    of_slope(rest_slopes + at, rest_covariance, i, own[step], whole[step], rest_by_step[step]);
   }
   add_covariance(now_1, now_2, inverse, by_step, found);
   add_covariance(before_1, before_2, inverse, rest_by_step, found);
-  for (int p = 0; p < 6; ++p) result_covariance[p * NODES + i] = found[p];
+  for (int p = 0; p < 6; ++p) strain_covariance[p * NODES + i] = found[p];
 }

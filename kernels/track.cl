@@ -193,9 +193,9 @@ __kernel void place(__global const float *result, const uint stride, const uint 
                     const int bin_rows, const int bin_columns, __global const float2 *nodes,
                     __global float4 *corners, __global float2 *last, __global float2 *predicted,
                     __global int *first_of_bin, __global int *next, __global int *claims,
-                    __global uint *look_counts, const uint first_count, __global int *counts) {
+                    __global uint *look_counts, const uint first_count, __global int *tracked) {
   VIEW
-  if (i < COUNTED) counts[view * COUNTED + i] = 0;
+  if (i < COUNTED) tracked[view * COUNTED + i] = 0;
   if (i == 0) look_counts[first_count + view] = 0;
   if (i < NODES) {
     const float2 here = nodes[OF_NODE];
@@ -239,8 +239,8 @@ __kernel void match(__global const float4 *corners, const float bins_per_px, con
                     const int bin_columns, __global const int *first_of_bin,
                     __global const int *next, __global const float2 *last,
                     __global const float2 *predicted, __global const int *colour,
-                    __global int *owner, __global float2 *residual, __global int *claims,
-                    __global int *counts) {
+                    __global int *nearest, __global float2 *residual, __global int *claims,
+                    __global int *tracked) {
   VIEW
   if (i >= NODES) return;
   STEPS(last + view * NODES)
@@ -252,19 +252,20 @@ __kernel void match(__global const float4 *corners, const float bins_per_px, con
   if (best >= 0) {
     if (!has_colour(corners[CORNERS + best].z, along, down, i, colour[view])) {
       best = OTHER_COLOUR;
-      atomic_inc(counts + view * COUNTED + CROSSED);
+      atomic_inc(tracked + view * COUNTED + CROSSED);
     } else atomic_inc(claims + CORNERS + best);
   }
-  owner[OF_NODE] = best;
+  nearest[OF_NODE] = best;
 }
 
 /* A node keeps its corner if no other node has it, and if its residual is like that of its
  * neighbours; else it moves as they do. One work-item a node. */
 __kernel void agree(__global const float4 *corners, __global const float2 *last,
-                    __global const float2 *predicted, __global int *owner,
+                    __global const float2 *predicted, __global int *nearest,
                     __global const float2 *residual, __global const int *claims,
-                    __global float2 *nodes, __global uchar *status, __global float *sigma,
-                    __global uchar *torn, __global int *kept, __global int *counts) {
+                    __global float2 *nodes, __global uchar *seen_status,
+                    __global float *seen_sigma, __global uchar *torn, __global int *kept,
+                    __global int *tracked) {
   VIEW
   if (i >= NODES) return;
   STEPS(last + view * NODES)
@@ -272,7 +273,7 @@ __kernel void agree(__global const float4 *corners, __global const float2 *last,
   float2 mean = 0;
   int known = 0;
   for (int k = 0; k < 4; ++k) {
-    const int j = owner[view * NODES + near[k]];
+    const int j = nearest[view * NODES + near[k]];
     if (near[k] == i || j < 0 || claims[CORNERS + j] != 1) continue;
     mean += residual[view * NODES + near[k]];
     ++known;
@@ -280,16 +281,16 @@ __kernel void agree(__global const float4 *corners, __global const float2 *last,
   if (known > 0) mean /= (float)known;
   const float cell_2 = fmin(dot(along, along), dot(down, down));
   const float2 off = residual[OF_NODE] - mean;
-  const int j = owner[OF_NODE];
+  const int j = nearest[OF_NODE];
   const int good = j >= 0 && claims[CORNERS + max(j, 0)] == 1 && known > 0 &&
                    dot(off, off) < ALIKE_CELLS * ALIKE_CELLS * cell_2;
   kept[OF_NODE] = good ? j : NONE;
   nodes[OF_NODE] = good ? corners[CORNERS + j].xy : predicted[OF_NODE] + mean;
-  status[OF_NODE] = good ? STATUS_OF(corners[CORNERS + j]) : MISSING;
-  sigma[OF_NODE] = good ? fabs(corners[CORNERS + j].w) : NAN;
+  seen_status[OF_NODE] = good ? STATUS_OF(corners[CORNERS + j]) : MISSING;
+  seen_sigma[OF_NODE] = good ? fabs(corners[CORNERS + j].w) : NAN;
   torn[OF_NODE] = !(good && corners[CORNERS + j].w > 0);
   if (good) return;
-  __global int *own = counts + view * COUNTED;
+  __global int *own = tracked + view * COUNTED;
   atomic_inc(own + LOST);
   if (row == 0) atomic_inc(own + GONE);
   if (row == ROWS - 1) atomic_inc(own + GONE + 1);
@@ -314,11 +315,11 @@ __kernel void check(__global const float4 *corners, const float bins_per_px, con
                     __global const float2 *nodes, __global const uchar *torn,
                     __global const float2 *stencils, __global float2 *expected,
                     __global int *look, __global int *looks, const uint look_length,
-                    __global uint *look_counts, const uint first_count, __global int *counts) {
+                    __global uint *look_counts, const uint first_count, __global int *tracked) {
   VIEW
   if (i >= NODES) return;
   __global const float2 *at = nodes + view * NODES;
-  __global int *own = counts + view * COUNTED;
+  __global int *own = tracked + view * COUNTED;
   STEPS(at)
   const int rows_around = 4 * min(row, 3) + min(ROWS - 1 - row, 3);
   const int columns_around = 4 * min(column, 3) + min(COLUMNS - 1 - column, 3);
@@ -367,23 +368,23 @@ __kernel void check(__global const float4 *corners, const float bins_per_px, con
 /* A node takes what its second look has found, if it is near the expected place and has the right
  * colour. A corner there that is free, or was its own, is its corner. A node that nothing is found
  * for keeps a corner that is not too far; else it stays at that place, INTERPOLATED between two
- * neighbours. `result`: of the looks. One work-item a node. */
-__kernel void enter(__global const float *result, const uint stride,
+ * neighbours. One work-item a node. */
+__kernel void enter(__global const float *look_result, const uint look_stride,
                     __global const float4 *quantile, __global const float4 *corners,
                     const float bins_per_px, const int bin_rows, const int bin_columns,
                     __global const int *first_of_bin, __global const int *next,
                     __global const int *claims, __global const int *kept,
                     __global const int *look, __global const float2 *expected,
                     __global const float2 *last, __global const int *colour,
-                    __global float2 *nodes, __global uchar *status, __global float *sigma,
-                    __global int *owner) {
+                    __global float2 *nodes, __global uchar *seen_status,
+                    __global float *seen_sigma, __global int *owner) {
   VIEW
   if (i >= NODES) return;
   const int n = look[OF_NODE], before_look = kept[OF_NODE];
   owner[OF_NODE] = before_look;
   if (n == NONE) return;
   STEPS(last + view * NODES)
-  RESULT_OF_VIEW(result, stride, LOOKS)
+  RESULT_OF_VIEW(look_result, look_stride, LOOKS)
   const float cell = (length(along) + length(down)) / 2;
   const float2 place = expected[OF_NODE];
   if (n < count && refusals[n] == 0 && methods[n] != CENTROID) {
@@ -395,8 +396,8 @@ __kernel void enter(__global const float *result, const uint stride,
       NEAREST(found, SAME_PX, claims[CORNERS + j] == 0 || j == before_look)
       owner[OF_NODE] = best;
       nodes[OF_NODE] = best >= 0 ? corners[CORNERS + best].xy : found;
-      status[OF_NODE] = best < 0 ? SECOND_LOOK : STATUS_OF(corners[CORNERS + best]);
-      sigma[OF_NODE] = best >= 0 ? fabs(corners[CORNERS + best].w) : deviation;
+      seen_status[OF_NODE] = best < 0 ? SECOND_LOOK : STATUS_OF(corners[CORNERS + best]);
+      seen_sigma[OF_NODE] = best >= 0 ? fabs(corners[CORNERS + best].w) : deviation;
       return;
     }
   }
@@ -409,6 +410,6 @@ __kernel void enter(__global const float *result, const uint stride,
   }
   owner[OF_NODE] = NONE;
   nodes[OF_NODE] = place;
-  status[OF_NODE] = (there[0] && there[1]) || (there[2] && there[3]) ? INTERPOLATED : MISSING;
-  sigma[OF_NODE] = NAN;
+  seen_status[OF_NODE] = (there[0] && there[1]) || (there[2] && there[3]) ? INTERPOLATED : MISSING;
+  seen_sigma[OF_NODE] = NAN;
 }

@@ -32,10 +32,6 @@ ROUNDS = 3  # rounds of the search for outliers
 _ESTIMATES, _MASKS = 5, 4  # of the noise, as in kernels/filter.cl
 _ROUGH = 6  # sums over a row, in kernels/strain.cl
 _PAIRS_OF_AXES = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of a symmetric matrix
-STRAIN = (  # arguments of the strain's kernel
-    *("rest_position", "displacement", "valid", "covariance", "slopes"),
-    *("rest_covariance", "rest_slopes", "strain", "strain_covariance"),
-)
 _ENTRIES = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # the place of each entry among them
 _UNIT = np.eye(2)[..., None, None]
 _OPENED = 3.0  # largest ratio of the wear of a strained print to its wear at rest
@@ -208,8 +204,7 @@ def strain_of(
     }
     found = Memory(queue, layout)
     kernels = programs.kernels(["strain"], defines_of((rows, columns), axes, device))
-    launch = of_nodes(kernels, (rows, columns), given.parts | found.parts, "strain", STRAIN)
-    launch.start(queue)
+    of_nodes(kernels, (rows, columns), given.parts | found.parts, "strain").start(queue)
     found.download()
     queue.finish()
     result = nodes(found.arrays["strain"]), matrices(found.arrays["strain_covariance"])
@@ -250,14 +245,12 @@ class LatticeFilter:
         self._tables = Memory.of(queue, **self._table_arrays())
         self._work = Memory(queue, self._work_layout())
         self._work.upload()  # no votes beyond the last column
-        self.parts: dict[str, cl.Buffer] = {}
+        self.parts: dict[str, Any] = {"bends": np.int32(bends), "keep": np.int32(slopes)}
         for memory in (self.inputs, self._tables, self._work, results):
             self.parts |= memory.parts
         files = ["filter", *(["strain"] if slopes else [])]
         self._kernels = programs.kernels(files, defines_of(shape, axes, device))
-        self.launches = self._listed(bends=np.int32(bends))
-        if slopes:
-            self.launches += self._of_slopes()
+        self.launches = self._listed()
 
     def release(self) -> None:
         """Release the device's memory."""
@@ -356,69 +349,31 @@ class LatticeFilter:
 
     # What is launched
 
-    def _listed(self, bends: np.int32) -> list[Launch]:
-        pilots = "pilot_own_down", "pilot_own_along", "rows_noise"
-        bounds = "bound_rest", "own", bends, "counts", "votes"
-        found, noise = ("size", "near", "sums"), ("variance", "chosen", "common")
-        planes = "pilot_down", "pilot_along"
+    def _listed(self) -> list[Launch]:
         eights = multiple(self._shape[1], LANES) // LANES  # of a row
-        along = len(self._along.sides)
+        down, along = len(self._down.sides), len(self._along.sides)
         group = 1 if self._is_cpu else GROUP
-        settle = "moved", *planes, *pilots, *bounds, "data", "vote", *found, *noise
         listed = [
-            self._of_nodes("fill", "moved", "votes", "counts", "data", "vote"),
-            self._of_rows("pilot", (_ESTIMATES,), "data", "vote", *planes, *pilots, *found),
-            self._of_rows(
-                "noise",
-                (1 if self._is_cpu else eights,),
-                *("near", "sums", "size", *pilots, *bounds, *noise),
-            ),
-            bound(self._kernels, self.parts, "settle", (group,), (group,), settle),
+            self._of_nodes("fill"),
+            self._of_rows("pilot", _ESTIMATES),
+            self._of_rows("noise", 1 if self._is_cpu else eights),
+            bound(self._kernels, self.parts, "settle", (group,), (group,)),
+            self._of_rows("smooth", down, 1 if self._is_cpu else along),
+            self._of_rows("blend", eights),
+            self._of_nodes("finish"),
         ]
-        owns = ("own_down", "own_along")
-        return [
-            *listed,
-            self._of_rows(
-                "smooth",
-                (len(self._down.sides), 1 if self._is_cpu else along),
-                *("data", "votes", "vote", "counts", "chosen", "sides_down", "sides_along"),
-                *("filters_down", "filters_along", *owns, "rows_risk"),
-                *("estimate", "loss", "near_votes", "unsupported"),
-            ),
-            self._of_rows(
-                "blend",
-                (eights,),
-                *("estimate", "loss", "near_votes", "unsupported", "counts"),
-                *("variance", "chosen", *owns, "gain_down", "gain_along", "rows_risk"),
-                *(np.int32(self._slopes), "weights", "values", "mixed_variance"),
-            ),
-            self._of_nodes(
-                "finish",
-                *("moved", "values", "votes", "measured", "variance", "mixed_variance"),
-                *("common", "points", "bent", "valid"),
-                *("displacement", "raw_displacement", "covariance", "raw_covariance", "counts"),
-            ),
-        ]
+        if self._slopes:
+            listed += [self._of_rows("roughness"), self._of_rows("slopes")]
+        return listed
 
-    def _of_slopes(self) -> list[Launch]:
-        return [
-            self._of_rows("roughness", (), "data", "votes", "variance", "rough"),
-            self._of_rows(
-                "slopes",
-                (),
-                *("weights", "estimate", "variance", "votes", "common", "rough"),
-                *("span_down", "span_along", "gram_down", "gram_along", "slopes"),
-            ),
-        ]
+    def _of_nodes(self, name: str) -> Launch:
+        return of_nodes(self._kernels, self._shape, self.parts, name)
 
-    def _of_nodes(self, name: str, *arguments: Any) -> Launch:
-        return of_nodes(self._kernels, self._shape, self.parts, name, arguments)
-
-    def _of_rows(self, name: str, others: tuple[int, ...], *arguments: Any) -> Launch:
+    def _of_rows(self, name: str, *others: int) -> Launch:
         """Bind a kernel with one work-item per row, times `others`."""
         items = (self._shape[0], *others)
         group = (1,) * len(items) if self._is_cpu else None
-        return bound(self._kernels, self.parts, name, items, group, arguments)
+        return bound(self._kernels, self.parts, name, items, group)
 
 
 def defines_of(shape: tuple[int, int], axes: int, device: Device) -> dict[str, str | int]:
@@ -441,14 +396,10 @@ def defines_of(shape: tuple[int, int], axes: int, device: Device) -> dict[str, s
 
 
 def of_nodes(
-    kernels: Kernels,
-    shape: tuple[int, int],
-    parts: dict[str, cl.Buffer],
-    name: str,
-    arguments: tuple[Any, ...],
+    kernels: Kernels, shape: tuple[int, int], parts: Mapping[str, Any], name: str
 ) -> Launch:
-    """Bind a kernel with one work-item per node to its arguments, numbers and names of arrays."""
-    return bound(kernels, parts, name, (multiple(shape[0] * shape[1], GROUP),), (GROUP,), arguments)
+    """Bind a kernel with one work-item per node to the parts of these names."""
+    return bound(kernels, parts, name, (multiple(shape[0] * shape[1], GROUP),), (GROUP,))
 
 
 def covariances(axes: int) -> int:

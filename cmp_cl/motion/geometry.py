@@ -35,23 +35,23 @@ class InSpace:
         }
 
     def constants(self) -> dict[str, Array]:
-        """Return the arrays that the kernel takes, in order."""
+        """Return the arrays that the kernel takes, by name."""
         rig = self._rig
         return {
             "left": camera_numbers(rig.K1, rig.D1, np.eye(3), np.zeros(3), window=rig.window),
             "right": camera_numbers(rig.K2, rig.D2, rig.R, rig.T, window=rig.window),
         }
 
-    def arguments(self, real: Any) -> list[Any]:
-        """Return the arguments after the nodes and before the tables of bends, and after those."""
+    def numbers(self, real: Any) -> dict[str, Any]:
+        """Return the numbers that the kernel takes, by name."""
         focal = np.mean([np.diag(camera)[:2] for camera in (self._rig.K1, self._rig.K2)])
-        return [
-            *self.constants(),
-            real(MIN_PARALLAX / focal),
-            np.float32(LARGEST_ERROR),
-            *("bend_down", "bend_along"),
-            *map(_radius, self._radii),
-        ]
+        left, right = map(_radius, self._radii)
+        return {
+            "least_sine": real(MIN_PARALLAX / focal),
+            "largest_error": np.float32(LARGEST_ERROR),
+            "radius_left": left,
+            "radius_right": right,
+        }
 
 
 class InPlane:
@@ -68,12 +68,12 @@ class InPlane:
         return {}
 
     def constants(self) -> dict[str, Array]:
-        """Return the arrays that the kernel takes, in order."""
+        """Return the arrays that the kernel takes, by name."""
         return {"homography": self._scale.matrix.ravel()}
 
-    def arguments(self, real: Any) -> list[Any]:
-        """Return the arguments after the nodes and before the moment at rest."""
-        return [*self.constants(), "bend_down", "bend_along", _radius(self._radius)]
+    def numbers(self, real: Any) -> dict[str, Any]:
+        """Return the number that the kernel takes, by name."""
+        return {"radius": _radius(self._radius)}
 
 
 def _radius(radius: float) -> np.float32:

@@ -17,7 +17,6 @@ from cmp_cl.corners import Corners
 from cmp_cl.field import DisplacementField
 from cmp_cl.grid.grid import Grid
 from cmp_cl.motion.filter import (
-    STRAIN,
     LatticeFilter,
     covariances,
     defines_of,
@@ -34,7 +33,6 @@ from cmp_cl.motion.nodes import put
 from cmp_cl.motion.tables import axis_tables
 from cmp_cl.motion.track import Tracker
 from cmp_cl.opencl.device import Device
-from cmp_cl.opencl.launches import Launch
 from cmp_cl.opencl.program import Programs
 
 Array = NDArray[np.float64]
@@ -85,9 +83,13 @@ class FieldPlan:
             "DOUBLE": int(self._double),
             **geometry.defines(double=self._double),
         }
-        self._kernels = programs.kernels(files, defines)
-        self._parts = self._filter.parts | self._constants.parts
-        self.launches = self._listed()
+        kernels = programs.kernels(files, defines)
+        parts = self._filter.parts | self._constants.parts
+        parts |= geometry.numbers(np.float64 if self._double else np.float32)
+        moved = of_nodes(kernels, self.shape, parts, geometry.kernel)
+        self.launches = [moved, *self._filter.launches]
+        if strain:
+            self.launches.append(of_nodes(kernels, self.shape, parts, "strain"))
 
     def release(self) -> None:
         """Release the device's memory."""
@@ -123,26 +125,6 @@ class FieldPlan:
             layout["strain"] = (3, *self.shape), np.float32
             layout["strain_covariance"] = (covariances(3), *self.shape), np.float32
         return layout
-
-    def _listed(self) -> list[Launch]:
-        real = np.float64 if self._double else np.float32
-        listed = [
-            self._of_nodes(
-                self._geometry.kernel,
-                *("nodes", "seen_status", "seen_sigma"),
-                *self._geometry.arguments(real),
-                *("rest", "rest_status", "rest_source", "rest_points", "rest_bent"),
-                *("moved", "points", "own", "bent", "status", "source"),
-                *("valid", "measured", "votes", "counts"),
-            ),
-            *self._filter.launches,
-        ]
-        if self._strained:
-            listed.append(self._of_nodes("strain", *STRAIN))
-        return listed
-
-    def _of_nodes(self, name: str, *arguments: Any) -> Launch:
-        return of_nodes(self._kernels, self.shape, self._parts, name, arguments)
 
     # What happens in a frame
 

@@ -208,61 +208,32 @@ class Tracker:
         looks: those of the second look; if there are none, nodes get none.
         """
         nodes = self.shape[0] * self.shape[1]
-        found = result, np.uint32(_stride(room)), np.uint32(room)
-        rows_and_columns = np.int32(self._bins[0]), np.int32(self._bins[1])
-        bins = np.float32(1 / self._bin), *rows_and_columns
-        chains = *bins, "first_of_bin", "next"
-        look_counts = "look_counts", np.uint32(self._first_count)
+        parts = self._parts | {
+            "result": result,
+            "stride": np.uint32(_stride(room)),
+            "room": np.uint32(room),
+            "bins_per_px": np.float32(1 / self._bin),
+            "bin_rows": np.int32(self._bins[0]),
+            "bin_columns": np.int32(self._bins[1]),
+            "first_count": np.uint32(self._first_count),
+            "look_length": np.uint32(self._count * self.room),
+            "look_stride": np.uint32(_stride(self.room)),
+        }
         group = 1 if self._device.kind is DeviceKind.CPU else QUANTILE_GROUP
-        return [
-            self._bound(
-                "quantiles",
-                (group, self._count * self._levels * QUANTILES),
-                (group, 1),
-                *(*found, *rows_and_columns, "quantile", "first_of_bin"),
-            ),
-            self._of_nodes(
-                "place",
-                max(nodes, self.capacity),
-                *(*found, "quantile", *bins, "nodes", "corners", "last", "predicted"),
-                *("first_of_bin", "next", "claims", *look_counts, "tracked"),
-            ),
-            self._of_nodes(
-                "match",
-                nodes,
-                *("corners", *chains, "last", "predicted", "colour"),
-                *("nearest", "residual", "claims", "tracked"),
-            ),
-            self._of_nodes(
-                "agree",
-                nodes,
-                *("corners", "last", "predicted", "nearest", "residual", "claims"),
-                *("nodes", "seen_status", "seen_sigma", "torn", "kept", "tracked"),
-            ),
-            self._of_nodes(
-                "check",
-                nodes,
-                *("corners", *chains, "claims", "nearest", "kept", "nodes", "torn", "stencils"),
-                *("expected", "look", "looks", np.uint32(self._count * self.room)),
-                *(*look_counts, "tracked"),
-            ),
-            *looks,
-            self._of_nodes(
-                "enter",
-                nodes,
-                *("look_result", np.uint32(_stride(self.room)), "quantile"),
-                *("corners", *chains, "claims", "kept", "look", "expected", "last", "colour"),
-                *("nodes", "seen_status", "seen_sigma", "owner"),
-            ),
-        ]
-
-    def _of_nodes(self, name: str, items: int, *arguments: Any) -> Launch:
-        return self._bound(name, (multiple(items, GROUP), self._count), (GROUP, 1), *arguments)
-
-    def _bound(
-        self, name: str, items: tuple[int, ...], group: tuple[int, ...], *arguments: Any
-    ) -> Launch:
-        return bound(self._kernels, self._parts, name, items, group, arguments)
+        numbers = self._count * self._levels * QUANTILES
+        quantiles = bound(self._kernels, parts, "quantiles", (group, numbers), (group, 1))
+        items = {"place": max(nodes, self.capacity)}
+        place, match, agree, check, enter = (
+            bound(
+                self._kernels,
+                parts,
+                name,
+                (multiple(items.get(name, nodes), GROUP), self._count),
+                (GROUP, 1),
+            )
+            for name in ("place", "match", "agree", "check", "enter")
+        )
+        return [quantiles, place, match, agree, check, *looks, enter]
 
     def begin(self, grids: Sequence[Grid]) -> bool:
         """Go on from the nodes of these grids, which are on the device; return whether they are

@@ -32,12 +32,14 @@ def bound(
     name: str,
     items: tuple[int, ...],
     group: tuple[int, ...] | None,
-    arguments: Iterable[Any],
+    arguments: Iterable[Any] | None = None,
 ) -> Launch:
     """Bind a kernel to its arguments in their order, over work-items in groups.
 
-    arguments: numbers, buffers, and names of parts. group: None lets the device choose it.
+    arguments: numbers, buffers, and names of parts; None takes the parts, numbers and buffers, that
+    have the names of the kernel's arguments. group: None lets the device choose it.
     """
+    arguments = kernels.arguments[name] if arguments is None else arguments
     given = [parts[each] if isinstance(each, str) else each for each in arguments]
     return Launch(name, kernels.bind(name, *given), items, group, given)
 

@@ -86,10 +86,22 @@ def _with_headers(name: str, seen: set[str]) -> list[str]:
     return lines
 
 
-class Kernels:
-    """Compiled programs; no two of their kernels have the same name."""
+def _arguments(text: str) -> dict[str, list[str]]:
+    """Return the names of the arguments of each kernel in a text, in order. Not all devices keep
+    them in a compiled program."""
+    found = re.findall(r"__kernel void (\w+)\(([^)]*)\)", text)
+    return {name: re.findall(r"(\w+)(?=,|$)", arguments) for name, arguments in found}
 
-    def __init__(self, programs: Sequence[cl.Program]) -> None:
+
+class Kernels:
+    """Compiled programs; no two of their kernels have the same name.
+
+    arguments: the names of the arguments of each kernel, in order.
+    """
+
+    def __init__(
+        self, programs: Sequence[cl.Program], arguments: Mapping[str, Sequence[str]]
+    ) -> None:
         caches.guard_invokers()
         if not all(each.kernel_names for each in programs):
             raise DeviceError(
@@ -97,6 +109,7 @@ class Kernels:
                 f"remove it, for PoCL the folder {str(caches.pocl_folder())!r}"
             )
         self._programs = {name: each for each in programs for name in each.kernel_names.split(";")}
+        self.arguments = arguments
 
     @property
     def names(self) -> set[str]:
@@ -129,7 +142,11 @@ class Programs:
         cannot compile or a cache is damaged or someone else's.
         """
         check_process()
-        return Kernels([self._program(stage, defines, macros or {}) for stage in stages])
+        arguments: dict[str, list[str]] = {}
+        for stage in stages:
+            arguments |= _arguments(source(stage))
+        programs = [self._program(stage, defines, macros or {}) for stage in stages]
+        return Kernels(programs, arguments)
 
     def _program(
         self, stage: str, defines: Mapping[str, str | int], macros: Mapping[str, str]
