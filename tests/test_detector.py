@@ -22,9 +22,7 @@ from cmp_cl import (
     DetectorConfig,
     Method,
     RapidCriteria,
-    SectorContrast,
     errors,
-    reference,
 )
 from cmp_cl.errors import (
     CalibrationError,
@@ -47,41 +45,6 @@ FRAMES = [EIGHT[name] for name in ("scene", "board", "texture", "black", "worn s
 def detector(detector_for) -> Detector:
     """Return the default detector for images.SHAPE."""
     return detector_for(BOARD)
-
-
-# --- the same as the oracle ----------------------------------------------------------------
-
-
-@pytest.mark.exhaustive
-def test_an_enormous_image_equals_the_oracle_on_tiles(device):
-    """8192 x 8192: the tile and its surroundings alone give the corners of the tile."""
-    tile = images.texture((256, 256))
-    tile[40:101, 60:143] = BOARD
-    image = np.tile(tile, (32, 32))
-    reach = 40
-    config = DetectorConfig(
-        detection=BinaryRings(contrast=SectorContrast(relative=0)), max_corners=2**20
-    )
-    with Detector(shape=image.shape, config=config, device=device) as detector:
-        found = detector(image)
-    rng = np.random.default_rng(0)
-    places = [(0, 0), (0, 7936), (7936, 0), (7936, 7936), *rng.integers(0, 7936, (6, 2)).tolist()]
-    for top, left in places:
-        box = [max(top - reach, 0), max(left - reach, 0)]
-        part = image[box[0] : top + 256 + reach, box[1] : left + 256 + reach].copy()
-        expected = reference.detect(part, config)
-
-        def inside(pixel, top=top, left=left):
-            x, y = pixel.T
-            return (x >= left) & (x < left + 256) & (y >= top) & (y < top + 256)
-
-        chosen = inside(expected.pixel + np.array([box[1], box[0]]))
-        mine = inside(found.pixel)
-        np.testing.assert_array_equal(found.pixel[mine], expected.pixel[chosen] + [box[1], box[0]])
-        np.testing.assert_allclose(  # 2e-3: four steps of float32 at 8192 px
-            found.xy[mine] - [box[1], box[0]], expected.xy[chosen], atol=2e-3
-        )
-        assert mine.sum() > 100
 
 
 # --- the result ----------------------------------------------------------------------------

@@ -7,19 +7,15 @@ import cv2
 import numpy as np
 import pytest
 from stereo_data import (
-    bumblebee_rig,
     gel,
     grid_of,
-    photographs,
     project,
     toed_in_rig,
-    truth_grid,
-    upright,
 )
 
 from cmp_cl.errors import CalibrationError, ConfigError, FieldError, ImageError
 from cmp_cl.grid import NodeStatus
-from cmp_cl.points import largest_deviation, sides
+from cmp_cl.points import largest_deviation
 from cmp_cl.space import BinocularSplit, PointStatus, StereoRig
 
 K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
@@ -218,23 +214,6 @@ def test_a_split_that_leaves_the_frame_is_refused():
         BinocularSplit.halves(10, 6)(np.zeros((6, 9), np.uint8))
     with pytest.raises(ConfigError, match="one size, not 4 x 5 and 3 x 5 px"):
         BinocularSplit((0, 1, 4, 5), (5, 0, 3, 5))
-
-
-def test_the_bumblebee_pairs_show_squares_of_30_mm():
-    folder = photographs("stereo_bumblebee2")
-    rig = bumblebee_rig(folder / "stereo.yaml")
-    found = []
-    for pair in range(1, 5):
-        left, right = (
-            upright(truth_grid(folder / f"{side}{pair:02}.json")) for side in ("left", "right")
-        )
-        points = rig.triangulate(left, right)
-        assert points.valid.all()
-        assert points.error.mean() < 0.1
-        found.append(sides(points.xyz))
-    lengths = np.concatenate(found)
-    assert lengths.mean() == pytest.approx(30, abs=0.05)
-    assert lengths.std() < 0.14
 
 
 def test_the_largest_deviation_is_the_root_of_the_largest_eigenvalue():

@@ -57,27 +57,6 @@ def opencv_pairs() -> dict[str, list[Grid]]:
     }
 
 
-def upright(grid: Grid) -> Grid:
-    """Return the grid numbered by the image: rotated by 180 degrees if its rows run upwards."""
-    down = np.nanmean(np.diff(grid.xy[..., 1], axis=0)) > 0
-    return grid if down else grid_of(grid.xy[::-1, ::-1])
-
-
-def bumblebee_rig(path: Path) -> StereoRig:
-    """Return the rig of BoofCV's stereo.yaml: X_left = rotation X_right + (x, y, z), mm."""
-    import yaml
-
-    listed = yaml.safe_load(path.read_text())
-    cameras = []
-    for side in ("left", "right"):
-        seen, lens = listed[side]["pinhole"], listed[side]["radial_tangential"]
-        matrix = [[seen["fx"], 0, seen["cx"]], [0, seen["fy"], seen["cy"]], [0, 0, 1]]
-        cameras += [matrix, [*lens["radial"], lens["t1"], lens["t2"]]]
-    pose = listed["rightToLeft"]
-    rotation = np.reshape(pose["rotation"], (3, 3))
-    return StereoRig(*cameras, rotation.T, -rotation.T @ [pose[key] for key in "xyz"])
-
-
 def toed_in_rig(unit: str = "mm") -> StereoRig:
     """Return two cameras 16 mm apart that look at a point 46 mm away, with lens distortion."""
     rotation = cv2.Rodrigues(np.array([0.01, 0.35, -0.02]))[0]
