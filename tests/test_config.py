@@ -47,10 +47,6 @@ def test_bounds_are_those_of_the_docstring_and_a_step_beyond_is_refused(setting)
         (lambda: AdaptiveMean(window=20), "AdaptiveMean.window must be an odd integer in [3, 255]"),
         (lambda: Midlines(fit="linear"), "Midlines.fit must be Fit.LINEAR or Fit.QUADRATIC"),
         (lambda: RingHarmonic(fine=1), "RingHarmonic.fine must be True or False, not 1"),
-        (
-            lambda: BinaryRings(outer_radius=3),
-            "BinaryRings.outer_radius must be an integer in [4, 5]",
-        ),
         (lambda: DetectorConfig(nms_radius=None), "nms_radius must be an integer in [1, 15]"),
         (lambda: DetectorConfig(scale=0.5), "or for RingHarmonic(octaves=0)"),
         (lambda: DetectorConfig.paper(0), "20, 30 or 40 markers a side, not 0"),

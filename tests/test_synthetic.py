@@ -6,6 +6,7 @@ import math
 import cv2
 import numpy as np
 import pytest
+from configs import settings_of
 
 import cmp_cl
 from cmp_cl import synthetic
@@ -156,37 +157,24 @@ def test_lenses_that_rendering_does_not_know_are_refused(pair):
         synthetic.render_stereo(scene, rational)
 
 
-CHANGES = {
-    "markers": 21,
-    "side": 40.0,
-    "indenter": Indenter.RIB,
-    "mode": Mode.SHEAR,
-    "severity": 0.9,
-    "contact": (1.0, 2.0),
-    "direction": 0.3,
-    "corrosion": 0.5,
-    "blur": 1.1,
-    "noise": 4.0,
-    "light": 0.9,
-    "vignetting": 2.0,
-    "exposure": 1.3,
-    "surround": Surround.BLACK,
-    "bits": 12,
-    "position": (2.0, -3.0),
-    "rotation": 0.05,
-    "tilt": (0.02, 0.01),
-    "seed": 5,
-    "shape": (160, 200),
-}
+def other_value(scene, setting):
+    """Return another value of a field than the scene's: the last of a kind, or near the middle."""
+    value = getattr(scene, setting.name)
+    if setting.name == "shape":
+        return 160, 200
+    if setting.limits is None:
+        return list(type(value))[-1]
+    low, high, _ = setting.limits
+    middle = setting.kinds[0](low + 0.51 * (high - low))
+    return (middle, middle) if isinstance(value, tuple) else middle
 
 
-def test_each_field_changes_the_image():
-    scene = Scene(markers=20, shape=(120, 160), indenter=Indenter.CUBE)
-    image = synthetic.render(scene).image
-    assert CHANGES.keys() == {field.name for field in dataclasses.fields(Scene)}
-    for name, value in CHANGES.items():
-        changed = synthetic.render(dataclasses.replace(scene, **{name: value})).image
-        assert image.shape != changed.shape or (image != changed).any(), name
+@pytest.mark.parametrize("setting", settings_of(Scene), ids=lambda each: each.name)
+def test_each_field_changes_the_image(setting):
+    scene = Scene(markers=20, shape=(120, 160), indenter=Indenter.CUBE, surround=Surround.WHITE)
+    changed = dataclasses.replace(scene, **{setting.name: other_value(scene, setting)})
+    image, other = synthetic.render(scene).image, synthetic.render(changed).image
+    assert image.shape != other.shape or (image != other).any()
 
 
 @pytest.mark.parametrize(
