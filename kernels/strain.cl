@@ -77,48 +77,58 @@ float2 shared_with_neighbours(__global const float *sums) {
   return clamp((float2)(both + apart, both - apart) / (2 * v), 0.0f, MOST_SHARED);
 }
 
-/* How far the slopes that the pairs of filters give are from their mean, for each node of a row:
- * their covariance under the weights of the node, (PRODUCTS, LINE). down: the weights of the window
- * of the row, (WIDE). along: those of its nodes, (WIDE, LINE). */
-void spread_of_row(const int row, __global const float *weights, __global const float *estimate,
-                   __global const float *down, __global const float *along,
-                   float (*spread)[LINE]) {
-  float line[LINE + 2 * STRAIN_REACH], apart[K][PAIRS][LINE];
+/* The slope of the windows around the nodes of a row in a plane whose rows, and whose columns, lie
+ * so far apart. down: the weights of the window of the row, (WIDE). along: those of its nodes,
+ * (WIDE, LINE). */
+void slopes_of_row(const int row, __global const float *plane, const int apart_down,
+                   const int apart_along, __global const float *down,
+                   __global const float *along, float *slope) {
+  float line[LINE + 2 * STRAIN_REACH];
   for (int c = 0; c < LINE + 2 * STRAIN_REACH; ++c) line[c] = 0;
+  EACH_EIGHT {
+    float8 sum = 0;
+    for (int r = max(row - STRAIN_REACH, 0); r <= min(row + STRAIN_REACH, ROWS - 1); ++r)
+      sum += down[r - row + STRAIN_REACH] * EIGHT_AT(plane + apart_down * r + apart_along * c);
+    STORE_EIGHT(line + STRAIN_REACH + c, sum);
+  }
+  EACH_EIGHT {
+    float8 sum = 0;
+    for (int t = 0; t < WIDE; ++t) sum += EIGHT_AT(along + t * LINE + c) * LOAD_EIGHT(line + c + t);
+    STORE_EIGHT(slope + c, sum);
+  }
+}
+
+/* How far the slopes that the pairs of filters give are from their mean, for each node of a row:
+ * their covariance under the weights of the node, (PRODUCTS, LINE). Slopes are taken less that of
+ * the filtered values, which is near their mean. */
+void spread_of_row(const int row, __global const float *weights, __global const float *estimate,
+                   __global const float *values, __global const float *down,
+                   __global const float *along, float (*spread)[LINE]) {
+  float filtered[K][LINE], mean[K][LINE], apart[K][LINE];
   for (int k = 0; k < K; ++k) {
-    float mean[LINE];
-    for (int c = 0; c < LINE; ++c) mean[c] = 0;
-    for (int pair = 0; pair < PAIRS; ++pair) {
-      __global const float *plane = estimate + (k * PAIRS + pair) * PLANE;
-      __global const float *weight = weights + (pair * ROWS + row) * LINE;
-      float *slope = apart[k][pair];
-      EACH_EIGHT {
-        float8 sum = 0;
-        for (int r = max(row - STRAIN_REACH, 0); r <= min(row + STRAIN_REACH, ROWS - 1); ++r)
-          sum += down[r - row + STRAIN_REACH] * EIGHT_AT(plane + IN_PIECES(r, c));
-        STORE_EIGHT(line + STRAIN_REACH + c, sum);
-      }
-      EACH_EIGHT {
-        float8 sum = 0;
-        for (int t = 0; t < WIDE; ++t)
-          sum += EIGHT_AT(along + t * LINE + c) * LOAD_EIGHT(line + c + t);
-        STORE_EIGHT(slope + c, sum);
-      }
-      for (int c = 0; c < LINE; ++c) mean[c] += weight[c] * slope[c];
-    }
-    for (int pair = 0; pair < PAIRS; ++pair)
-      for (int c = 0; c < LINE; ++c) apart[k][pair][c] -= mean[c];
+    slopes_of_row(row, values + k * PLANE, LINE, 1, down, along, filtered[k]);
+    for (int c = 0; c < LINE; ++c) mean[k][c] = 0;
   }
   for (int p = 0; p < PRODUCTS; ++p)
     for (int c = 0; c < LINE; ++c) spread[p][c] = 0;
   for (int pair = 0; pair < PAIRS; ++pair) {
     __global const float *weight = weights + (pair * ROWS + row) * LINE;
+    for (int k = 0; k < K; ++k) {
+      slopes_of_row(row, estimate + (k * PAIRS + pair) * PLANE, LANES, ROWS, down, along, apart[k]);
+      for (int c = 0; c < LINE; ++c) {
+        apart[k][c] -= filtered[k][c];
+        mean[k][c] += weight[c] * apart[k][c];
+      }
+    }
     int p = 0;
     for (int j = 0; j < K; ++j)
       for (int k = j; k < K; ++k, ++p)
-        for (int c = 0; c < LINE; ++c)
-          spread[p][c] += weight[c] * apart[j][pair][c] * apart[k][pair][c];
+        for (int c = 0; c < LINE; ++c) spread[p][c] += weight[c] * apart[j][c] * apart[k][c];
   }
+  int p = 0;
+  for (int j = 0; j < K; ++j)
+    for (int k = j; k < K; ++k, ++p)
+      for (int c = 0; c < LINE; ++c) spread[p][c] -= mean[j][c] * mean[k][c];
 }
 
 /* The covariances of the coordinates of the slopes of the filtered values over whole windows, per
@@ -133,7 +143,8 @@ void spread_of_row(const int row, __global const float *weights, __global const 
  * the nodes of a window in its mean, and in its slope, (2, ROWS, WIDE) and (2, WIDE, LINE). One
  * work-item a row. */
 __kernel void slopes(__global const float *weights, __global const float *estimate,
-                     __global const float *variance, __global const uchar *votes,
+                     __global const float *values, __global const float *variance,
+                     __global const uchar *votes,
                      __global const float *common, __global const float *rough,
                      __global const float *span_down, __global const float *span_along,
                      __global const float *gram_down, __global const float *gram_along,
@@ -174,7 +185,7 @@ __kernel void slopes(__global const float *weights, __global const float *estima
         gram_along + (1 - turn) * 2 * FILTERS_ALONG * FILTERS_ALONG * COLUMNS;
     float total[COLUMNS], product[FILTERS_ALONG * FILTERS_ALONG][COLUMNS];
     float spread[PRODUCTS][LINE];
-    spread_of_row(row, weights, estimate, span_down + (turn * ROWS + row) * WIDE,
+    spread_of_row(row, weights, estimate, values, span_down + (turn * ROWS + row) * WIDE,
                   span_along + (1 - turn) * WIDE * LINE, spread);
     EACH_COLUMN total[c] = 0;
     for (int p = 0; p < FILTERS_ALONG * FILTERS_ALONG; ++p) {
