@@ -87,10 +87,9 @@ class Maxima:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Layer:
-    """The frame or a halved one as one ring sees it: image, S1, S3, responses, (H, W) each, and the
+    """The frame or a halved one as one ring sees it: S1, S3, responses, (H, W) each, and the
     maxima."""
 
-    image: GreyImage
     once: Whole
     thrice: Whole
     response: Whole
@@ -104,7 +103,7 @@ class Corners:
     x, y: (N,) pixels of the octave in which each was found. halvings: (N,) of that octave.
     fine: (N,) bool, found by the 3 px ring. response: (N,) of the ring that found them.
     centroid, rounded: (N, 2), of the positive responses around each, in its octave.
-    images: of the octaves. bounds: least responses by noise of the 5 px and of the 3 px ring.
+    images: in which they are refined: the frame, and S3 of each octave. bounds: least responses by noise of the 5 px and of the 3 px ring.
     reference: W. maps: every intermediate image of the frame.
     """
 
@@ -155,7 +154,7 @@ def corners(
         response=response[order],
         centroid=centroid[order],
         rounded=rounded[order],
-        images=[each.image for each in coarse],
+        images=[image, *(in_levels(each.thrice, image.dtype) for each in coarse[1:])],
         bounds=noise_bounds(image, rule, full_scale),
         reference=level,
         maps=HarmonicMaps(
@@ -213,7 +212,7 @@ def layers_of(
                 wide=np.where(fine, 0, wide),
                 direction=direction_of(seen),
             )
-            yield Layer(image=image, once=once, thrice=thrice, response=response, maxima=found)
+            yield Layer(once=once, thrice=thrice, response=response, maxima=found)
 
 
 def halved(image: GreyImage) -> GreyImage:
@@ -358,6 +357,12 @@ def binomial(values: Whole) -> Whole:
     rows = padded[:-2] + 2 * padded[1:-1] + padded[2:]
     total: Whole = rows[:, :-2] + 2 * rows[:, 1:-1] + rows[:, 2:]
     return total
+
+
+def in_levels(plane: Whole, dtype: np.dtype[Any]) -> GreyImage:
+    """Return a smoothed image as one of pixels: in grey levels of 255 if they have 8 bits, else in
+    sixteenths of these."""
+    return ((plane + 8) >> 4).astype(np.uint8) if dtype == np.uint8 else plane.astype(np.uint16)
 
 
 # --- the ring ----------------------------------------------------------------------------

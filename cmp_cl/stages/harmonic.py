@@ -37,7 +37,9 @@ def sizes(plan: PlanBase) -> dict[str, int]:
     lists, sums = frames * plan.lists, frames * (1 + plan.octaves)
     cpu = plan.form is Form.CPU
     bands = plan.bands if cpu else noise.bands(plan)
+    starts = plan.octave_starts
     return {
+        "halves": plan.dtype.itemsize * (starts[-1] - starts[1]) if cpu else 0,
         "area": plane // 8,
         "lists": 4 * lists * CORNER_COLUMNS * plan.list_capacity,
         "counters": 4 * frames * _counters(plan),
@@ -109,8 +111,10 @@ def _by_pixels(plan: PlanBase) -> list[Launch]:
             **plan.size_of(octave),
             half_image=plan.image_of(octave),
         )
-        stages += [halving, *_list_maxima(plan, octave)]
-    return [*stages, *_list_maxima(plan, 0), *_decide(plan)]
+        stages.append(halving)
+    for octave in range(plan.octaves, -1, -1):
+        stages += _list_maxima(plan, octave)
+    return [*stages, *_decide(plan)]
 
 
 def _list_maxima(plan: PlanBase, octave: int) -> list[Launch]:
@@ -144,10 +148,15 @@ def _list_maxima(plan: PlanBase, octave: int) -> list[Launch]:
                 **found,
             ),
         ]
-    return [
-        *stages,
+    stages += [
         dense("smooth", plane=b["fine"], **size, smoother=b["response"]),
         dense("smooth", plane=b["response"], **size, smoother=b["coarse"]),
+    ]
+    if octave:
+        image = plan.image_of(octave)
+        stages.append(dense("pixels_of_plane", plane=b["coarse"], **size, image=image))
+    return [
+        *stages,
         dense("coarse_response", plane=b["coarse"], **size, response=b["response"]),
         dense(
             "coarse_maxima",
@@ -248,6 +257,7 @@ def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> Launch:
         frame_start=np.uint32(frame_start),
         frame_step=np.uint32(frame_step),
         image=plan.image,
+        **({"halves": b["halves"]} if plan.octaves else {}),
         area=b["area"],
         **size,
         capacity=np.uint32(plan.list_capacity),

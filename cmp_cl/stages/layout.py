@@ -86,7 +86,8 @@ class PlanBase:
         return {"rows": np.uint32(rows), "columns": np.uint32(columns), "step": np.uint32(step)}
 
     def image_of(self, octave: int) -> cl.Buffer:
-        """Return the image of an octave."""
+        """Return the image of an octave; in the end S3 of a halved frame, in which its corners are
+        refined."""
         if not octave:
             return self.image
         start, end = (self.dtype.itemsize * at for at in self.octave_starts[octave : octave + 2])

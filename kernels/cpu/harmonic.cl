@@ -52,10 +52,13 @@ ROW_LOOP void scale_levels(__global const PIXEL *restrict grey, __global ushort 
   }
 }
 
-ROW_LOOP void copy_row(__global const PIXEL *restrict from, __global PIXEL *restrict to,
-                       const int width) {
-  for (int x = 0; x < width; ++x) to[x] = from[x];
-}
+#define EACH_OF_ROW(T, CONVERTED)                                                   \
+  (__global const T *restrict from, __global PIXEL *restrict to, const int width) { \
+    for (int x = 0; x < width; ++x) to[x] = CONVERTED(from[x]);                     \
+  }
+#define UNCHANGED(v) (v)
+ROW_LOOP void copy_row EACH_OF_ROW(PIXEL, UNCHANGED)
+ROW_LOOP void pixels_of_row EACH_OF_ROW(ushort, AS_PIXEL)
 
 /* [1 2 1] down the columns. */
 #define DOWN_COLUMNS(T)                                                             \
@@ -278,8 +281,8 @@ int take_rows(volatile __global uint *taken, const int next, const int height, c
 #define FRAME_ROW(y) (frame + (size_t)(y) * frame_step)
 #define IMAGE_ROW(y) (image + (size_t)(y) * step)
 
-/* List the maxima of a band of an octave, copy its rows to `image` unless the frame lies there, and
- * fill their padding. frame, image: the first pixel. An odd band goes up. `taken` counts how often
+/* List the maxima of a band of an octave, write the rows that its corners are refined in to `image`,
+ * those of the frame unless it lies there, and fill their padding. frame, image: the first pixel. An odd band goes up. `taken` counts how often
  * the two bands of a segment have taken rows. `area` has a bit for every pixel of the frame, in rows
  * of `frame_words`. lists, counts: of the frame. Return the sum of the noise. */
 ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_step,
@@ -351,7 +354,8 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
 #endif
     }
     if (done < 0) continue;
-    if (frame != image) copy_row(FRAME_ROW(y), IMAGE_ROW(y), width);
+    if (n) pixels_of_row(s3 + COARSE_AT(y), IMAGE_ROW(y), width);
+    else if (frame != image) copy_row(FRAME_ROW(y), IMAGE_ROW(y), width);
     REPEAT_BORDER(PIXEL, IMAGE_ROW(y))
     if (y > 0 && y + 1 < height) {
       __global CURVATURE *curvature = (__global CURVATURE *)column + PAD;
@@ -406,13 +410,16 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
 }
 
 /* List the maxima of all octaves, and decide for the frame. It has its first pixel at `frame_start`
- * and rows of `frame_step` elements; the octaves lie behind the frames in `image`. The counters of a
+ * and rows of `frame_step` elements. The counters of a
  * frame are those of its lists, of the bands that have finished, of the rows taken in each segment
  * of each octave, and of halving. The fences and the counts order the lists of all bands before the
  * decision, on every CPU: OpenCL 1.2 alone does not promise it between groups. One work-item per
  * band. */
 __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
                             const uint frame_step, __global PIXEL *image,
+#if OCTAVES
+                            __global PIXEL *halves,
+#endif
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint capacity,
                             const uint full_scale, const float inverse,
@@ -432,7 +439,7 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
   volatile __global uint *taken = finished + 1;
 #if OCTAVES
   volatile __global uint *halved = taken + segments * (1 + OCTAVES);
-  halve_frame(frame + frame_start + p * rows * frame_step, frame_step, image, rows, columns, step,
+  halve_frame(frame + frame_start + p * rows * frame_step, frame_step, halves, rows, columns, step,
               p, frames, halved, halved + 1);
 #endif
   uint before = 0; /* bands of the smaller octaves: these spread over the work-items */
@@ -442,8 +449,12 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
     const uint b = (band + bands - before % bands) % bands;
     before += searching;
     if (b >= searching) continue;
-    __global PIXEL *first = image + octave.start + (p * octave.rows + 1) * octave.step + PAD;
-    __global const PIXEL *from = n ? first : frame + frame_start + p * rows * frame_step;
+    const size_t in_octave = (p * octave.rows + 1) * octave.step + PAD;
+    __global PIXEL *first = image + octave.start + in_octave;
+    __global const PIXEL *from = frame + frame_start + p * rows * frame_step;
+#if OCTAVES
+    if (n) from = halves + octave.half_start + in_octave;
+#endif
     noise[(n * frames + p) * bands + b] = search_band(
         (uint)n, from, n ? octave.step : frame_step, first, area, step / 32, octave, b, searching,
         capacity, full_scale, inverse, work + (p * bands + band) * work_size,

@@ -113,7 +113,7 @@ def test_squares_that_ink_joins_have_their_corners_in_a_halved_frame(detector_in
     found = detector_in_form(image, OCTAVES)(image)
     seen = truth[boards.inside(truth, SHAPE, cell / 2)]
     assert len(seen) > 8
-    assert to_nearest(seen, found.xy).max() < 0.1 * cell
+    assert to_nearest(seen, found.xy).max() < 0.2
     assert to_nearest(found.xy[boards.inside(found.xy, SHAPE, cell)], truth).max() < 0.1 * cell
     assert (found.octave > 0).any()
     order = np.lexsort((found.pixel[:, 0], found.pixel[:, 1]))
