@@ -103,7 +103,8 @@ class Corners:
     x, y: (N,) pixels of the octave in which each was found. halvings: (N,) of that octave.
     fine: (N,) bool, found by the 3 px ring. response: (N,) of the ring that found them.
     centroid, rounded: (N, 2), of the positive responses around each, in its octave.
-    images: in which they are refined: the frame, and S3 of each octave. bounds: least responses by noise of the 5 px and of the 3 px ring.
+    images: in which they are refined: the frame, and S3 of each octave.
+    bounds: least responses by noise of the 5 px and of the 3 px ring.
     reference: W. maps: every intermediate image of the frame.
     """
 
