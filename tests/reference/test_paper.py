@@ -17,7 +17,7 @@ from cmp_cl.config import (
     SectorContrast,
     SpectralCriteria,
 )
-from cmp_cl.reference.paper import criteria, gate, nms, ring, spectral
+from cmp_cl.reference.paper import criteria, ring, spectral
 from cmp_cl.synthetic.boards import inside
 
 FOLDER = Path(__file__).resolve().parents[1] / "data"
@@ -154,34 +154,6 @@ def test_candidates_follow_the_definition():
         assert found["candidate"][0, k] == passes
     assert on_the_bound > 0
     assert 100 < found["candidate"].sum() < 1900
-
-
-# the gate, suppression, centroids
-
-
-def test_the_percentile_of_the_gate_takes_rank_9n_plus_9_div_10():
-    contrast = SectorContrast(minimum=0, relative=1)
-    for n, rank in [(1, 1), (2, 2), (9, 9), (10, 9), (11, 10), (20, 18), (100, 90)]:
-        values = np.random.default_rng(n).permutation(np.arange(1, n + 1))
-        assert gate.contrast_bound(values, contrast, 255) == rank
-
-
-def test_the_noise_amplitude_is_that_of_the_definition():
-    image = np.zeros((5, 6), np.uint8)
-    image[2, 2] = 9
-    # The filter weighs a pixel by 4, its four neighbours by 2 and the diagonal ones by 1.
-    assert gate.noise_amplitude(image) == (9 * 16, 3 * 4)
-    ramp = (np.arange(6)[None] * 3 + np.arange(5)[:, None] * 7).astype(np.uint8)
-    assert gate.noise_amplitude(ramp) == (0, 12)
-    assert gate.noise_amplitude(image[:2]) == (0, 0)
-
-
-def test_the_centroid_is_rounded_halves_up():
-    response = np.zeros((20, 20), np.int32)
-    response[9, 9], response[9, 10], response[11, 10], response[9, 12] = 5, 3, 2, 5
-    centroid, rounded = nms.centroids(response, np.array([9]), np.array([9]))
-    np.testing.assert_allclose(centroid, [[9 + 5 / 10, 9 + 4 / 10]])  # (9, 12) is outside
-    np.testing.assert_array_equal(rounded, [[10, 9]])  # halves go up
 
 
 # whole images
