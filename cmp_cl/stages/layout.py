@@ -164,7 +164,13 @@ class PlanBase:
 
     @property
     def width(self) -> int:
-        """Work-items of a group of a dense kernel: a share of the row, padding included."""
+        """Work-items of a group of a dense kernel: a share of the row, padding included.
+
+        On a CPU the grey-level rule has them for maps and for a working scale alone, and they are
+        compiled for one group.
+        """
+        if self._on_cpu and not isinstance(self.rule, BinaryRings):
+            return GROUP
         most = min(self.device.handle.max_work_group_size, 1024 if self._on_cpu else 128)
         units = self.step // GROUP
         return max(
