@@ -249,7 +249,7 @@ class Detector(Closing):
             self._check_alive()
             corners, lattice = self._numbered(image)
             found = list(boards(lattice, corners.xy))
-        return corners, grid_of(found, corners, image, asked, strict=False)
+        return corners, grid_of(found, corners, asked, strict=False)
 
     def grids(
         self,

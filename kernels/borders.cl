@@ -38,13 +38,16 @@ int place_on(const int side, const int line, const int k, const int4 box, const 
 
 /* Take off the outer lines of a board that hold too few of their places in view, and keep the rest.
  * Things beside a pattern continue some of its columns, a further line of the pattern continues all
- * of them. One work-group. */
+ * of them. node_kind: ROUGH, or FIRM: a corner, not rough, whose two cells of each colour are alike.
+ * One work-group. */
+#define ROUGH 1
+#define FIRM 2
 __kernel void cut_board(const uint rows, const uint columns, const float least_line,
-                        const float edge, __global const int *restrict layout,
+                        const float edge, const float passing, __global const int *restrict layout,
                         __global const float2 *restrict result,
                         __global const int *restrict owner, __global const uchar *restrict rough,
-                        __global float2 *restrict nodes,
-                        __global int *restrict node_owner, __global uchar *restrict node_rough,
+                        __global const int2 *restrict cells, __global float2 *restrict nodes,
+                        __global int *restrict node_owner, __global uchar *restrict node_kind,
                         __global int *restrict border) {
   const int width = layout[BOARD_COLUMNS];
   int4 box = (int4)(0, layout[BOARD_ROWS], 0, width);
@@ -94,7 +97,10 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
     const int from = (box.x + place / across) * width + box.z + place % across;
     nodes[place] = result[from];
     node_owner[place] = owner[from];
-    node_rough[place] = rough[from];
+    /* The least bright less the greatest dark level of its cells, and twice their contrast. */
+    const int least = cells[from].x, contrast = cells[from].y;
+    const bool alike = contrast > 0 && (float)(2 * least) > (1.0f - passing) * (float)contrast;
+    node_kind[place] = rough[from] ? ROUGH : owner[from] >= 0 && alike ? FIRM : 0;
   }
   if (get_local_id(0)) return;
   border[ROWS_OF] = all ? height : 0;

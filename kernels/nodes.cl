@@ -492,7 +492,7 @@ void list_along(LISTS_OF_PLACES, const int from, const int reach, const int kind
   ALL_TOGETHER;
 }
 /* Drop nodes and find others until nothing changes, or the rounds are over; the positions are
- * blended once more then. One work-group.
+ * blended, and cells measured, once more then. One work-group.
  *
  * What is known of a place depends on `seen` near it, then on `at`, then on cells within two places;
  * so only places near a change are measured, scored, judged and looked at again.
@@ -592,11 +592,11 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
       if (blend(nats, width, place, seen, torn, at, result, rough, predictions))
         list_place(OF_PLACES, MOVED, place);
     ALL_TOGETHER;
-    if (looks && round++ == rounds) return;
     list_along(OF_PLACES, MOVED, 1, MEASURED, width, seen);
     FOR_LISTED(MEASURED)
       measure(LEVELS, nats, width, place, PARITY_OF(place / width, place % width), at, cell, sides,
               cells);
+    if (looks && round++ == rounds) return;
     FOR_LISTED(BLENDED) list_place(OF_PLACES, SCORED, place);
     ALL_TOGETHER;
     list_around(OF_PLACES, MEASURED, 2, SCORED, true, width, seen);

@@ -66,19 +66,18 @@ def build_grid(
     corners' own; DeviceError.
     """
     asked = asked_of(shape, like, previous)
-    return grid_of(_boards_of(corners, image, device), corners, image, asked, strict=strict)
+    return grid_of(_boards_of(corners, image, device), corners, asked, strict=strict)
 
 
 def grid_of(
     found: Iterable[Board],
     corners: Corners,
-    image: GreyImage,
     asked: Asked,
     *,
     strict: bool,
 ) -> Grid:
-    """Return the grid of the board that is meant; image: the view."""
-    chosen, others = chosen_of(found_in(found, asked, corners), asked, image, len(corners))
+    """Return the grid of the board that is meant."""
+    chosen, others = chosen_of(found_in(found, asked, corners), asked, len(corners))
     if chosen is None:
         grid = empty_grid(len(corners), asked.shape, asked.like)
     else:

@@ -12,8 +12,7 @@ import numpy as np
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
-from cmp_cl.image import GreyImage
-from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Mask, Numbers
+from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Mask
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.numbers import (
     Decision,
@@ -151,36 +150,13 @@ def _corners_beyond(board: Board, corners: Corners) -> int:
     return int(count) if count >= least else 0
 
 
-def _hanging(board: Board, image: GreyImage) -> int:
-    """Return the nodes of the second largest region of a board, 0 if they are few: a pattern that
-    goes on as another by chance hangs on it by rough corners, or by ones on its outline.
-
-    Regions are of nodes whose corners are whole, and whose two cells of each colour are alike.
-    """
-    place = board.x + 1j * board.y.astype(np.float64)
-    along, down = _steps(place.T).T, _steps(place)
-    depth = K.cell_depth * np.minimum(1, 2 * K.wide_px / (np.abs(along) + np.abs(down)))
-    s, t = depth * (along + down), depth * (down - along)
-    firm = (board.owner >= 0) & ~board.torn & ~np.isnan(s)
-    around = (place + np.stack([s, -s, t, -t]))[:, firm]
-    row, column = (
-        np.rint(each).clip(0, size - 1).astype(np.int64)
-        for each, size in zip((around.imag, around.real), image.shape, strict=True)
-    )
-    a, b, c, d = cv2.blur(image, (3, 3))[row, column].astype(np.int64)
-    firm[firm] = np.abs(a - b) + np.abs(c - d) < K.passing * np.abs(a + b - c - d)
-    *_, regions, _ = cv2.connectedComponentsWithStats(firm.astype(np.uint8), connectivity=4)
+def _hanging(board: Board) -> int:
+    """Return the nodes of the second largest region of a board's firm nodes, 0 if they are few: a
+    pattern that goes on as another by chance hangs on it by rough corners, or by ones on its
+    outline, where cells of one colour differ."""
+    *_, regions, _ = cv2.connectedComponentsWithStats(board.firm.astype(np.uint8), connectivity=4)
     nodes = np.sort(regions[1:, cv2.CC_STAT_AREA])
     return int(nodes[-2]) if len(nodes) > 1 and nodes[-2] >= K.least_board else 0
-
-
-def _steps(place: Numbers) -> Numbers:
-    """Return the mean of the steps before and after each place, down, or the one that is known."""
-    missing = np.full_like(place[:1], np.nan)
-    step = np.concatenate([missing, np.diff(place, axis=0), missing])
-    before, after = step[:-1], step[1:]
-    both = np.where(np.isnan(after), before, (before + after) / 2)
-    return np.where(np.isnan(before), after, both)
 
 
 def _decided(board: Board, asked: Asked) -> Decision:
@@ -210,13 +186,11 @@ def reference_of(grid: Grid) -> Reference:
     return Reference(board, prints, grid.origin, not grid.ambiguous)
 
 
-def chosen_of(
-    found: list[Found], asked: Asked, image: GreyImage, count: int
-) -> tuple[Found | None, int]:
+def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | None, int]:
     """Return the board that is meant, None without any, and the corners of another that may be, or
     how many hang on it, or are missing inside it or beside it.
 
-    image: the view. count: corners in it.
+    count: corners in the view.
 
     Raises GridError if two are comparable, or the board holds few of the corners.
     """
@@ -237,7 +211,7 @@ def chosen_of(
             f"{math.ceil(least)}; give the shape, or a cut-out of the image"
         )
     if not (sure or chosen.is_whole):
-        others = others or _hanging(chosen.board, image)
+        others = others or _hanging(chosen.board)
     beside = 0 if asked.shape is not None and chosen.fits else chosen.beyond
     return chosen, others or chosen.gap or beside
 

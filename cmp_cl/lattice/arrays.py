@@ -99,9 +99,10 @@ class Board:
     """Nodes of one board, (R, C).
 
     x, y: px, NaN where missing. owner: their corner, LOOKED or NONE. torn: the position of the
-    corner is rough, so that x, y come in part from the neighbours. sign: +1 if the boundary of node
-    (0, 0) towards greater columns is from white to black, clockwise, else -1. border: what is seen
-    at its sides.
+    corner is rough, so that x, y come in part from the neighbours. firm: it is not, and the two
+    cells of each colour are alike; empty if unknown. sign: +1 if the boundary of node (0, 0)
+    towards greater columns is from white to black, clockwise, else -1. border: what is seen at its
+    sides.
     """
 
     x: Real
@@ -110,6 +111,7 @@ class Board:
     torn: Mask
     sign: int
     border: Border = NOT_SEEN
+    firm: Mask = dataclasses.field(default_factory=lambda: np.zeros((0, 0), np.bool_))
 
     @property
     def there(self) -> Mask:
@@ -162,4 +164,5 @@ class Board:
             torn=np.rot90(self.torn, quarters),
             sign=self.sign * (1 - 2 * odd),
             border=self.border.turned(quarters),
+            firm=np.rot90(self.firm, quarters),
         )

@@ -98,8 +98,9 @@ class LatticeConstants:
     print_clip: times, the median of printing errors, to which larger ones are clipped. Without it
         one of 48 open patterns was wrong in silence; 1 loses a third of those that are sure.
     sure_nats: nats, least confidence of numbers that are not ambiguous.
-    few: share, of the corners that a board must hold, unless it has all nodes of a known size.
-        0 does the same; it bounds what a small board in much noise may claim.
+    few: share, of the corners that a board must hold, unless it has all nodes of a known size. With
+        0, 13 of 565 boards in clutter are right that are refused, but of 60 grounds of noise
+        without a board one is numbered in silence and five are told.
     gap: share, of the places inside a board; so many without a node are told. It is told of 27 of
         88 torn gels; without it one with two wrong numbers is silent.
     """

@@ -20,6 +20,7 @@ DIRECTIONS = 1024  # unit vectors in a full turn
 PARTS, VOTES, LAYOUT = 7, 9, 10  # in the layout, see kernels/lattice.clh; numbers in all
 ROUNDS = 12  # times that nodes are looked for, three less than the margin in kernels/nodes.cl
 LISTS = 8  # of places, see `settle_nodes`
+ROUGH, FIRM = 1, 2  # kinds of a node
 SIDES, FOUND = 3, 15  # what is found of a board: its size, from here its sides; numbers in all
 VOTE = 6  # numbers of a vote
 TAKEN = -1  # in the place of 1 that a numbered corner has: it is another board's
@@ -84,8 +85,8 @@ BOARD_OF_NUMBERS: tuple[Kernel, ...] = (
     (
         "cut_board",
         Over.GROUP,
-        "rows columns least_line radius layout result owner rough nodes node_owner node_rough "
-        "border",
+        "rows columns least_line radius passing layout result owner rough cells nodes node_owner "
+        "node_kind border",
     ),
     (
         "measure_border",
@@ -108,7 +109,7 @@ def sizes(plan: "LatticePlan") -> dict[str, int]:
         "votes": 4 * VOTE * ROOM,
     }
     of_places = {
-        **dict.fromkeys(("torn", "rough", "tried", "node_rough"), 1),
+        **dict.fromkeys(("torn", "rough", "tried", "node_kind"), 1),
         **dict.fromkeys(("owner", "cell", "score", "candidate", "key", "listed", "asked"), 4),
         **dict.fromkeys(("marks", "node_owner"), 4),
         **dict.fromkeys(("seen", "at", "result", "sides", "cells", "found", "nodes"), 8),

@@ -32,7 +32,7 @@ from cmp_cl.stages.refine import (
 
 # That the host writes or reads.
 SHARED = (
-    *("image", "corners", "layout", "nodes", "node_owner", "node_rough", "border"),
+    *("image", "corners", "layout", "nodes", "node_owner", "node_kind", "border"),
     *("part", "state", "faces_of_part", "votes"),
 )
 ONE_GROUP = 256  # work-items of a kernel that is one work-group
@@ -267,12 +267,12 @@ class LatticePlan:
         count = -1
         while count < 0 or count > self._likely:
             self._likely = max(count, self._likely)
-            layout, found, at, owner, rough = self.fetch(
+            layout, found, at, owner, kind = self.fetch(
                 ("layout", np.int32, kernels.LAYOUT),
                 ("border", np.int32, kernels.FOUND),
                 ("nodes", np.float32, 2 * self._likely),
                 ("node_owner", np.int32, self._likely),
-                ("node_rough", np.bool_, self._likely),
+                ("node_kind", np.uint8, self._likely),
             )
             rows, columns, sign = found[: kernels.SIDES].tolist()
             count = rows * columns
@@ -282,7 +282,8 @@ class LatticePlan:
             x=x,
             y=y,
             owner=owner[:count].reshape(rows, columns),
-            torn=rough[:count].reshape(rows, columns),
+            torn=kind[:count].reshape(rows, columns) == kernels.ROUGH,
+            firm=kind[:count].reshape(rows, columns) == kernels.FIRM,
             sign=sign,
             border=Border.of(found[kernels.SIDES :]),
         )

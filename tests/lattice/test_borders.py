@@ -8,7 +8,7 @@ from lattice_plans import K, gel, plan_for
 
 from cmp_cl import detect
 from cmp_cl.lattice.arrays import NONE, UNSEEN, Board, Border
-from cmp_cl.lattice.kernels import LAYOUT, SIDES
+from cmp_cl.lattice.kernels import FIRM, LAYOUT, ROUGH, SIDES
 from cmp_cl.reference.lattice.borders import Sides, trimmed
 
 
@@ -87,7 +87,8 @@ def test_outer_lines_of_few_nodes_are_taken_off(device, seed):
     at = (column + 1j * row) * turn * 15 + complex(*draw.uniform(-10, 90, 2))
     x, y = (np.where(nodes, each, np.nan).astype(np.float32) for each in (at.real, at.imag))
     owner = np.where(nodes, row * nodes.shape[1] + column, NONE)
-    board = Board(x=x, y=y, owner=owner, torn=draw.random(nodes.shape) < 0.1, sign=1)
+    torn, alike = draw.random((2, *nodes.shape)) < [[[0.1]], [[0.8]]]
+    board = Board(x=x, y=y, owner=owner, torn=torn, sign=1, firm=alike & nodes & ~torn)
     plan = plan_for(device, np.zeros(shape, np.uint8), nodes.size)
     layout = np.zeros(LAYOUT, np.int32)
     layout[3:6] = *nodes.shape, board.sign
@@ -95,11 +96,17 @@ def test_outer_lines_of_few_nodes_are_taken_off(device, seed):
     plan.write("result", np.stack([x, y], axis=2))
     plan.write("owner", owner.astype(np.int32))
     plan.write("rough", board.torn)
+    plan.write(
+        "cells",
+        np.stack([np.where(alike, 40, 30), np.full(nodes.shape, 100)], axis=2).astype(np.int32),
+    )
     plan.enqueue([each for each in plan.lay if each[0] == "cut_board"])
     wanted = trimmed(board, shape, K)
     count = wanted.owner.size
     assert plan.read("border", np.int32, 3).tolist() == [*wanted.owner.shape, wanted.sign]
     np.testing.assert_array_equal(plan.read("node_owner", np.int32, count), wanted.owner.ravel())
+    kind = np.where(wanted.torn, ROUGH, FIRM * wanted.firm)
+    np.testing.assert_array_equal(plan.read("node_kind", np.uint8, count), kind.ravel())
     at = np.stack([wanted.x, wanted.y], axis=2).ravel()
     np.testing.assert_array_equal(plan.read("nodes", np.float32, 2 * count), at)
     assert 0 < count < nodes.size

@@ -82,6 +82,7 @@ def assert_equal_to_the_oracle(device, image, corners, *, change=None):
     wanted = wanted.upright()
     np.testing.assert_array_equal(found.owner, wanted.owner)
     np.testing.assert_array_equal(found.torn & found.there, wanted.torn & wanted.there)
+    np.testing.assert_array_equal(found.firm, wanted.firm)
     np.testing.assert_array_equal(found.x, wanted.x)
     np.testing.assert_array_equal(found.y, wanted.y)
     assert found.sign == wanted.sign

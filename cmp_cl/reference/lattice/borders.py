@@ -63,6 +63,7 @@ def trimmed(board: Board, shape: tuple[int, int], k: LatticeConstants) -> Board:
         owner=board.owner[here],
         torn=board.torn[here],
         sign=board.sign * (1 - 2 * ((box[0] + box[2]) % 2)),
+        firm=board.firm[here],
     )
 
 

@@ -146,6 +146,19 @@ def result(board: Board, k: LatticeConstants) -> Board:
     return Board(x=x, y=y, owner=board.owner, torn=rough, sign=board.sign)
 
 
+def firm(plane: Plane, board: Board, rough: Mask, k: LatticeConstants) -> Mask:
+    """Return the nodes of the board that are corners, not rough, and whose two cells of each colour
+    are alike."""
+    at = evidence(plane, board, k)
+    quality, contrast = cells_at(
+        plane, np.nan_to_num(at.x), np.nan_to_num(at.y), at.steps, board.parity(), k
+    )
+    alike = (2 * quality).astype(np.float32) > (F(1) - F(k.passing)) * contrast.astype(np.float32)
+    alike &= at.steps.known & (contrast > 0)
+    found: Mask = (board.owner >= 0) & ~rough & alike
+    return found
+
+
 def cells_at(
     plane: Plane, x: Real, y: Real, steps: Steps, parity: Whole, k: LatticeConstants
 ) -> tuple[Whole, Whole]:
@@ -334,7 +347,8 @@ def settled(
             torn=np.where(take, new_torn, board.torn),
             sign=board.sign,
         )
-    return result(board, k)
+    blend = result(board, k)
+    return dataclasses.replace(blend, firm=firm(plane, board, blend.torn, k))
 
 
 def dropped(plane: Plane, board: Board, k: LatticeConstants) -> Board:
