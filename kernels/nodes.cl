@@ -67,8 +67,8 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
                         __constant Nats *nats, __global int *restrict layout,
                         __global float2 *restrict seen, __global int *restrict owner,
                         __global uchar *restrict torn, __global uchar *restrict used,
-                        __global int *restrict best_score, __global int *restrict best_place,
-                        __global uchar *restrict tried, __global int *restrict marks) {
+                        __global int *restrict claim, __global uchar *restrict tried,
+                        __global int *restrict marks) {
   const int count = (int)COUNT(corners);
   __local int left, right, top, bottom, sum, nodes;
   if (get_local_id(0) == 0) {
@@ -81,8 +81,7 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   FOR_ALL(i, count) {
     const int4 n = numbers[i];
     used[i] = n.w == TAKEN;
-    best_score[i] = INT_MIN;
-    best_place[i] = INT_MAX;
+    claim[i] = INT_MAX;
     if (n.w != 1) continue;
     least_x = SMALLER(least_x, n.x);
     most_x = LARGER(most_x, n.x);
@@ -389,14 +388,12 @@ bool is_weak(__constant Nats *nats, const int width, const int place, __global c
   return is_worst;
 }
 
-/* A node that a missing place beside another may have: its corner, PLACE or NONE, its position, and
- * its score. nearest: the corner there that decides, NONE without one. */
+/* A node that a missing place beside another may have: its corner, PLACE or NONE, and its position.
+ * nearest: the corner there that decides, NONE without one. */
 typedef struct {
   int owner, nearest;
   float2 at;
-  float score;
 } Candidate;
-int ordered(const float v) { return as_int(v) ^ (as_int(v) >> 31 & 0x7fffffff); }
 #define ADD_NEW_SIDE(neighbour, from, to, sign)                                     \
   if (IS_HERE(at[neighbour])) {                                                     \
     const int sum = (sign) * difference(LEVELS, from, to, WHOLE_SIDE);              \
@@ -407,7 +404,7 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
                        const int place, const int parity, __global const int *starts,
                        __global const int *binned, __global const float2 *at,
                        __global const int2 *cells, __global const uchar *used) {
-  Candidate found = {NONE, NONE, (float2)(0.0f), 0.0f};
+  Candidate found = {NONE, NONE, (float2)(0.0f)};
   if (!is_beside_nodes(at, place, width)) return found;
   const Prediction prediction = predicted(at, place, width);
   const float2 p = prediction.at;
@@ -437,9 +434,9 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
   ADD_NEW_SIDE(place + width, here, at[place + width], -parity)
   ADD_NEW_SIDE(place - 1, at[place - 1], here, -parity)
   ADD_NEW_SIDE(place - width, at[place - width], here, parity)
-  found.score = score_of(LEVELS, whole, seen.quality, share, found.at, here, prediction, steps.cell,
-                         nats);
-  if (!(found.score < nats->enter)) found.owner = own;
+  const float score = score_of(LEVELS, whole, seen.quality, share, found.at, here, prediction,
+                               steps.cell, nats);
+  if (!(score < nats->enter)) found.owner = own;
   return found;
 }
 
@@ -496,7 +493,8 @@ void list_along(LISTS_OF_PLACES, const int from, const int reach, const int kind
  *
  * What is known of a place depends on `seen` near it, then on `at`, then on cells within two places;
  * so only places near a change are measured, scored, judged and looked at again.
- * asked: the corner that decided at a place without a node, and whether it was used. */
+ * asked: the corner that decided at a place without a node, and whether it was used. claim: the
+ * first of the places that may take a corner. */
 #define ASKED(corner) (2 * (corner) + used[corner])
 __kernel void settle_nodes(__global const float *restrict corners, const uint capacity,
                            LEVELS_OF_IMAGE, __constant Nats *nats, const int rounds,
@@ -507,10 +505,9 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
                            __global uchar *rough, __global float4 *predictions,
                            __global float *cell, __global int2 *sides, __global int2 *cells,
                            __global float *score,
-                           __global int *candidate, __global float2 *found, __global int *key,
-                           __global int *listed, __global int *asked, __global int *best_score,
-                           __global int *best_place, __global int *marks, __global int *lists,
-                           const int places) {
+                           __global int *candidate, __global float2 *found, __global int *listed,
+                           __global int *asked, __global int *claim, __global int *marks,
+                           __global int *lists, const int places) {
   const int width = layout[BOARD_COLUMNS], height = layout[BOARD_ROWS];
   __local int counts[LISTS], nodes, candidates;
   FOR_ALL(kind, LISTS) counts[kind] = 0;
@@ -556,21 +553,15 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
         if (own.owner == NONE) continue;
         candidate[place] = own.owner;
         found[place] = own.at;
-        key[place] = ordered(own.score);
-        if (own.owner != PLACE) atomic_max(best_score + own.owner, key[place]);
+        if (own.owner != PLACE) atomic_min(claim + own.owner, place);
         listed[atomic_inc(&candidates)] = place;
       }
       ALL_TOGETHER;
       empty_list(OF_PLACES, LOOKED);
     }
-    FOR_ALL(k, candidates) { /* a corner goes to the place where it scores most, then to the first */
-      const int own = candidate[listed[k]];
-      if (own >= 0 && key[listed[k]] == best_score[own]) atomic_min(best_place + own, listed[k]);
-    }
-    ALL_TOGETHER;
     FOR_ALL(k, candidates) {
       const int place = listed[k], own = candidate[place];
-      if (own >= 0 && best_place[own] != place) continue;
+      if (own >= 0 && claim[own] != place) continue;
       owner[place] = own;
       seen[place] = found[place];
       tried[place] = 1;
@@ -582,9 +573,7 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
     ALL_TOGETHER;
     FOR_ALL(k, candidates) {
       const int own = candidate[listed[k]];
-      if (own < 0) continue;
-      best_score[own] = INT_MIN;
-      best_place[own] = INT_MAX;
+      if (own >= 0) claim[own] = INT_MAX;
     }
     if (!counts[CHANGED]) return;
     list_along(OF_PLACES, CHANGED, 3, BLENDED, width, seen);

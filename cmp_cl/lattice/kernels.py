@@ -42,7 +42,7 @@ Kernel = tuple[str, Over, str]
 AT = "corners capacity"
 LEVELS = "levels level_step rows columns"
 BINS = "layout starts binned"
-NODES, CLAIMS = "seen owner torn used", "best_score best_place"
+NODES = "seen owner torn used"
 POSITIONS, MEASURES = "at result rough predictions", "cell sides cells"
 
 PARTS_OF_CORNERS: tuple[Kernel, ...] = (
@@ -72,7 +72,7 @@ VOTES_OF_PARTS: tuple[Kernel, ...] = (
     ),
 )
 BOARD_OF_NUMBERS: tuple[Kernel, ...] = (
-    ("lay_board", Over.GROUP, f"{AT} numbers places nats layout {NODES} {CLAIMS} tried marks"),
+    ("lay_board", Over.GROUP, f"{AT} numbers places nats layout {NODES} claim tried marks"),
     ("blend_nodes", Over.PLACES, f"nats layout seen torn {POSITIONS}"),
     ("measure_nodes", Over.PLACES, f"{LEVELS} nats layout at {MEASURES}"),
     ("score_nodes", Over.PLACES, f"{LEVELS} nats layout seen at predictions {MEASURES} score"),
@@ -80,7 +80,7 @@ BOARD_OF_NUMBERS: tuple[Kernel, ...] = (
         "settle_nodes",
         Over.GROUP,
         f"{AT} {LEVELS} nats rounds starts binned layout {NODES} tried {POSITIONS} {MEASURES} "
-        f"score candidate found key listed asked {CLAIMS} marks lists places",
+        "score candidate found listed asked claim marks lists places",
     ),
     (
         "cut_board",
@@ -102,7 +102,7 @@ def sizes(plan: "LatticePlan") -> dict[str, int]:
     # A bin is as large as a quarter of the area of a corner, or larger, and 4 px wide or wider.
     bins = 4 * corners + rows // 4 + columns // 4 + 2
     of_corners = {
-        **dict.fromkeys(("contrast", "binned", *CLAIMS.split()), 4),
+        **dict.fromkeys(("contrast", "binned", "claim"), 4),
         **dict.fromkeys(("lines", "choice", "twin", "face", "beyond", "part"), 16),
         **dict.fromkeys(("waiting", "faces_of_part", "numbers"), 16),
         **{"used": 1, "cut": 4, "steps": 64, "state": 64},
@@ -110,7 +110,7 @@ def sizes(plan: "LatticePlan") -> dict[str, int]:
     }
     of_places = {
         **dict.fromkeys(("torn", "rough", "tried", "node_kind"), 1),
-        **dict.fromkeys(("owner", "cell", "score", "candidate", "key", "listed", "asked"), 4),
+        **dict.fromkeys(("owner", "cell", "score", "candidate", "listed", "asked"), 4),
         **dict.fromkeys(("marks", "node_owner"), 4),
         **dict.fromkeys(("seen", "at", "result", "sides", "cells", "found", "nodes"), 8),
         **{"predictions": 16, "lists": 4 * LISTS},

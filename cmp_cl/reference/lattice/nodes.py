@@ -336,7 +336,7 @@ def settled(
         near_edge |= (new_x > width - 1 - edge) | (new_y > height - 1 - edge)
         take = (new_owner != NONE) & (found.score >= F(2 * k.stay_nats))
         take &= ~((new_owner == LOOKED) & near_edge)
-        take &= _first_claims(new_owner, found.score, take)
+        take &= _first_claims(new_owner, take)
         if not take.any():
             break
         tried |= take
@@ -387,12 +387,10 @@ def nearest_corner(corner_x: Real, corner_y: Real, x: Real, y: Real) -> tuple[Wh
     return best, least
 
 
-def _first_claims(owner: Whole, score: Real, take: Mask) -> Mask:
-    """Return whether a node has the best score of those that claim its corner; of equals the
-    first."""
+def _first_claims(owner: Whole, take: Mask) -> Mask:
+    """Return whether a node is the first of those that claim its corner."""
     claims = np.flatnonzero((take & (owner >= 0)).ravel())
-    order = claims[np.lexsort((claims, -score.ravel()[claims]))]
-    _, first = np.unique(owner.ravel()[order], return_index=True)
+    _, first = np.unique(owner.ravel()[claims], return_index=True)
     good = np.ones(take.size, np.bool_)
-    good[np.setdiff1d(order, order[first])] = False
+    good[np.delete(claims, first)] = False
     return good.reshape(take.shape)
