@@ -1,6 +1,5 @@
 """Functions that tests run in other processes, which can import this module but no test file."""
 
-import os
 import time
 
 import images
@@ -30,11 +29,6 @@ def broken_frame(number):
 def colour_frame(number):
     """Return `frame(number)` with three channels."""
     return np.dstack([frame(number)] * 3)
-
-
-def process():
-    """Return the number of the process."""
-    return os.getpid()
 
 
 def corners_of_board(device):
