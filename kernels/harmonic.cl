@@ -45,7 +45,7 @@ __kernel void smooth(__global const ushort *restrict plane, const uint rows,
 
 /* The pixels of an octave's S3. One work-item per pixel. */
 __kernel void pixels_of_plane(__global const ushort *restrict plane, const uint rows,
-                              const uint columns, const uint step, __global PIXEL *restrict image) {
+                              const uint step, __global PIXEL *restrict image) {
   const size_t at = ROW(get_global_id(2), get_global_id(1)) + get_global_id(0);
   image[at] = AS_PIXEL(plane[at]);
 }

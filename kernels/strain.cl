@@ -258,7 +258,7 @@ void of_slope(__global const float *by_slope, __global const float *covariance, 
 }
 
 /* Green-Lagrange strain E11 E22 E12 and its covariance, xx xy xz yy yz zz; NaN where there is none.
- * rest: the position at rest, from the middle of the lattice. by_slopes: as in `slopes`.
+ * rest: the position at rest, from the middle of the lattice. slopes, rest_slopes: as in `slopes`.
  * One work-item a node. */
 __kernel void strain(__global const float *rest_position, __global const float *displacement,
                      __global const uchar *valid, __global const float *covariance,

@@ -177,6 +177,23 @@ def test_help_shows_the_settings_by_name():
         assert set(inspect.signature(kind).parameters) == settings | own
 
 
+def test_audits_take_the_views_in_turn(film, monkeypatch):
+    number, audited = View.number, []
+
+    def noted(view, corners, image):
+        audited.append(view)
+        return number(view, corners, image)
+
+    monkeypatch.setattr("cmp_cl.measure.measurement.AUDITED", 2)
+    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
+        following(film[0])
+        monkeypatch.setattr(View, "number", noted)
+        for frame in (film[1], film[0], film[1], film[0]):
+            assert following(frame).tracked
+        assert following.tally.audited == len(audited) == 2
+        assert audited[0] is not audited[1]
+
+
 def test_an_audit_tells_the_nodes_that_tracking_numbered_otherwise(film, monkeypatch):
     number = View.number
 

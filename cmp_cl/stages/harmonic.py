@@ -153,8 +153,14 @@ def _list_maxima(plan: PlanBase, octave: int) -> list[Launch]:
         dense("smooth", plane=b["response"], **size, smoother=b["coarse"]),
     ]
     if octave:
-        image = plan.image_of(octave)
-        stages.append(dense("pixels_of_plane", plane=b["coarse"], **size, image=image))
+        pixels = dense(
+            "pixels_of_plane",
+            plane=b["coarse"],
+            rows=size["rows"],
+            step=size["step"],
+            image=plan.image_of(octave),
+        )
+        stages.append(pixels)
     return [
         *stages,
         dense("coarse_response", plane=b["coarse"], **size, response=b["response"]),

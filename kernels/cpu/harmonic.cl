@@ -282,9 +282,10 @@ int take_rows(volatile __global uint *taken, const int next, const int height, c
 #define IMAGE_ROW(y) (image + (size_t)(y) * step)
 
 /* List the maxima of a band of an octave, write the rows that its corners are refined in to `image`,
- * those of the frame unless it lies there, and fill their padding. frame, image: the first pixel. An odd band goes up. `taken` counts how often
- * the two bands of a segment have taken rows. `area` has a bit for every pixel of the frame, in rows
- * of `frame_words`. lists, counts: of the frame. Return the sum of the noise. */
+ * those of the frame unless it lies there, and fill their padding. frame, image: the first pixel. An
+ * odd band goes up. `taken` counts how often the two bands of a segment have taken rows. `area` has a
+ * bit for every pixel of the frame, in rows of `frame_words`. lists, counts: of the frame. Return the
+ * sum of the noise. */
 ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_step,
                   __global PIXEL *image, __global const uint *restrict area,
                   const uint frame_words, const Octave octave, const uint band,
@@ -410,11 +411,10 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
 }
 
 /* List the maxima of all octaves, and decide for the frame. It has its first pixel at `frame_start`
- * and rows of `frame_step` elements. The counters of a
- * frame are those of its lists, of the bands that have finished, of the rows taken in each segment
- * of each octave, and of halving. The fences and the counts order the lists of all bands before the
- * decision, on every CPU: OpenCL 1.2 alone does not promise it between groups. One work-item per
- * band. */
+ * and rows of `frame_step` elements. The counters of a frame are those of its lists, of the bands
+ * that have finished, of the rows taken in each segment of each octave, and of halving. The fences
+ * and the counts order the lists of all bands before the decision, on every CPU: OpenCL 1.2 alone
+ * does not promise it between groups. One work-item per band. */
 __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
                             const uint frame_step, __global PIXEL *image,
 #if OCTAVES

@@ -318,6 +318,17 @@ def test_rows_on_both_sides_of_a_bar_are_no_neighbours(width, turn):
     assert grid.others == 10
 
 
+@pytest.mark.parametrize("turn", [2, 10])
+def test_sides_of_which_a_bar_leaves_the_ends_are_no_links(turn):
+    """Their middle shows little of the colours; as links they cost two rows their numbers."""
+    camera = plane(cell=18, middle=(200, 150), about=(4.5, 4), turn=turn)
+    _, v = camera(*samples(SIZE))
+    view = drawn(camera, SIZE, (9, 10), front=np.where(abs(v - 2.5) < 0.5, 120.0, np.nan))
+    score = scored(grid_of(view), view)
+    assert score.right == 7 * 10
+    assert score.clean
+
+
 @pytest.mark.parametrize("shape", [None, (10, 13)])
 def test_a_gap_inside_a_board_is_told(shape):
     camera = plane(cell=22, middle=(200, 150), about=(6, 4.5), turn=2)
