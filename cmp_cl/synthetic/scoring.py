@@ -149,17 +149,12 @@ def _near(
     first: Points, second: Points, distance: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Return all pairs closer than `distance`: two arrays of indices, and their distances, px."""
-    pairs = []
     order = np.argsort(second[:, 0], kind="stable")
     x = second[order, 0]
     low = np.searchsorted(x, first[:, 0] - distance)
-    high = np.searchsorted(x, first[:, 0] + distance)
-    for k, (start, end) in enumerate(zip(low, high, strict=True)):
-        near = order[start:end]
-        apart = np.hypot(*(second[near] - first[k]).T)
-        close = apart < distance
-        pairs.append((np.full(int(close.sum()), k), near[close], apart[close]))
-    if not pairs:
-        return np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0)
-    a, b, c = (np.concatenate(part) for part in zip(*pairs, strict=True))
-    return a.astype(np.int64), b.astype(np.int64), c
+    count = np.searchsorted(x, first[:, 0] + distance) - low
+    a = np.repeat(np.arange(len(first)), count)
+    b = order[np.arange(len(a)) + np.repeat(low - np.cumsum(count) + count, count)]
+    apart = np.hypot(*(second[b] - first[a]).T)
+    close = apart < distance
+    return a[close], b[close], apart[close]
