@@ -150,7 +150,7 @@ class Detector(Closing):
         """
         waiting: Plan | None = None
         try:
-            each = (self.begin([frame]) for frame in _iterated("frames", frames))
+            each = (self.begin([frame], still=False) for frame in _iterated("frames", frames))
             for begun in errors_last(each):
                 ready, waiting = waiting, begun if isinstance(begun, Plan) else None
                 done = [] if ready is None else self.finish(ready)[0].corners
@@ -176,18 +176,18 @@ class Detector(Closing):
         """Return the plan that has the layout of its frames on the device."""
         return self._plans.lend()
 
-    def begin(self, frames: Sequence[GreyImage]) -> Plan:
+    def begin(self, frames: Sequence[GreyImage], *, still: bool = True) -> Plan:
         """Upload frames and enqueue their kernels, without waiting; return the plan that has them.
 
         Launches that are enqueued in `queue` next find the corners of the frames on the device, see
-        kernels/result.clh. `finish` must follow; before it, the frames must not change. Raises the
-        errors of a call.
+        kernels/result.clh. `finish` must follow. still: the frames do not change before it; else
+        they do not change before the `uploads` of the plan. Raises the errors of a call.
         """
         images = [self._checked(frame) for frame in frames]
         with self._lock:
             self._check_alive()
             plan = self._plans.lend(len(images))
-            self._start(plan, images, self._transfers)
+            self._start(plan, images, self._transfers, still=still)
             self._plans.keep(plan)
             return plan
 
@@ -297,10 +297,17 @@ class Detector(Closing):
             self._lattice = LatticePlan.of(plan, self._programs)
         return self._lattice
 
-    def _start(self, plan: Plan, frames: list[GreyImage], transfers: cl.CommandQueue) -> None:
+    def _start(
+        self,
+        plan: Plan,
+        frames: list[GreyImage],
+        transfers: cl.CommandQueue,
+        *,
+        still: bool = True,
+    ) -> None:
         plan.events.clear()
         try:
-            plan.launch(plan.upload(transfers, frames))
+            plan.launch(plan.upload(transfers, frames, still=still))
         except cl.MemoryError as error:
             raise plan.refused(error) from error
 

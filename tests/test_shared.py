@@ -36,6 +36,35 @@ def test_a_detector_gives_the_same_corners_with_and_without_shared_memory(
         assert_same_bytes(here, copied)
 
 
+def beside(one, other):
+    """Return both as views of one array, side by side with a gap."""
+    columns = one.shape[1]
+    whole = np.hstack([one, one[:, :3], other])
+    return whole[:, :columns], whole[:, columns + 3 :]
+
+
+@pytest.mark.parametrize(
+    ("arranged", "read_there"),
+    [
+        (lambda one, other: np.stack([one, other]), True),
+        (lambda one, other: np.stack([other, one])[::-1], True),
+        (beside, True),
+        (lambda one, other: beside(other, one)[::-1], True),
+        (lambda one, other: (one.copy(), other.copy()), False),
+        (lambda one, other: (np.vstack([one, one])[: len(one)], other.copy()), False),
+    ],
+    ids=["stack", "stack reversed", "beside", "beside reversed", "apart", "views apart"],
+)
+def test_frames_of_one_array_are_read_where_they_lie(handle, device, arranged, read_there):
+    with Detector(shape=BOARD.shape, device=device) as detector:
+        expected = [detector(image) for image in (BOARD, TEXTURE)]
+        plan = detector.begin(list(arranged(BOARD, TEXTURE)))
+        assert (plan._frames is not None) is (read_there and bool(plan._in_place))
+        found, _ = detector.finish(plan)
+        for corners, alone in zip(found.corners, expected, strict=True):
+            assert_same_bytes(corners, alone)
+
+
 @pytest.fixture
 def large(handle, device):
     """Yield a detector of large frames, which take milliseconds each, and two such frames."""

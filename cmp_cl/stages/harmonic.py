@@ -74,15 +74,26 @@ def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the image to the list of corners."""
     if plan.form is not Form.CPU:
         return _by_pixels(plan)
-    return [_by_bands(plan, plan.step + plan.pad, plan.step)]
+    return [_by_bands(plan)]
 
 
 def launch_in_place(plan: PlanBase) -> Launch | None:
-    """Return the same for a frame in a buffer of its own, the first argument of the launch; None
-    if the image must be there before."""
+    """Return the first of them for frames in a buffer of their own, which is its first argument,
+    see `set_place`; None if the image must be there before."""
     if plan.form is not Form.CPU or plan.scale is not None:
         return None
-    return _by_bands(plan, 0, plan.shape[1])
+    return _by_bands(plan)
+
+
+def set_place(launch: Launch, start: int, step: int, apart: int) -> None:
+    """Say where the frames lie in the first argument of `launch_in_place`: the first pixel of the
+    first frame, the pixels from a row to the next and those from a frame to the next.
+
+    To set a number takes longer than the whole of a launch does.
+    """
+    launch.kernel.set_arg(1, np.uint64(start))
+    launch.kernel.set_arg(2, np.uint32(step))
+    launch.kernel.set_arg(3, np.int32(apart))
 
 
 def _rule(plan: PlanBase) -> RingHarmonic:
@@ -252,16 +263,17 @@ def _work_rows(plan: PlanBase) -> int:
     return 4 + smooth + 4 + coarse + 2 + 1 + 2 + responses * (1 + _rule(plan).fine)
 
 
-def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> Launch:
-    """Bind the launch from a frame, its first element and the elements of a row."""
+def _by_bands(plan: PlanBase) -> Launch:
+    """Bind the launch from the frames in the image."""
     b, size = plan.arrays, plan.size
     return plan.stage(
         "harmonic_band",
         (plan.bands, plan.frames),
         (1, 1),
-        frame=plan.image,
-        frame_start=np.uint32(frame_start),
-        frame_step=np.uint32(frame_step),
+        memory=plan.image,
+        frame_start=np.uint64(plan.step + plan.pad),
+        frame_step=np.uint32(plan.step),
+        frame_apart=np.int32(plan.working[0] * plan.step),
         image=plan.image,
         **({"halves": b["halves"]} if plan.octaves else {}),
         area=b["area"],

@@ -48,7 +48,7 @@ class Plan(PlanBase):
     frames: number of frames at a time. form: the form of the kernels; None chooses it by device.
     """
 
-    _frame: cl.Buffer | None = None  # a frame that the launches read where it lies
+    _frames: cl.Buffer | None = None  # that the launches read where they lie
     _last: cl.Event | None = None  # the last of the kernels, until the host has waited for it
 
     def __init__(
@@ -222,36 +222,44 @@ class Plan(PlanBase):
         self.image = self.arrays["image" if self.scale is None else "working"]
         detection = [*scale.launches(self), *self.detection.launches(self)]
         self.launches = [*detection, *refine.launches(self)]
-        # The same for a frame that lies elsewhere. Intel's runtime copies such a frame, and PoCL
-        # reads it where it lies.
+        # The same for frames that lie elsewhere. Intel's runtime copies such frames, and PoCL reads
+        # them where they lie.
         self._in_place: list[Launch] = []
         shared = "image" in self._here and is_pocl(self.device.handle)
-        if shared and self.detection is harmonic and self.frames == 1:
+        if shared and self.detection is harmonic:
             first = harmonic.launch_in_place(self)
             self._in_place = [first, *self.launches[1:]] if first else []
+        self._numbers: tuple[int, int, int] | None = None  # of their place
         self._likely = self.corner_capacity  # corners of a frame, at most
 
     # What happens in a frame
 
-    def upload(self, queue: cl.CommandQueue, frames: Sequence[GreyImage]) -> list[Launch]:
+    def upload(
+        self, queue: cl.CommandQueue, frames: Sequence[GreyImage], *, still: bool
+    ) -> list[Launch]:
         """Enqueue the upload of the frames. Return the launches for them.
 
-        The host may reuse them when `uploads` have completed (another queue), or after `read` (the
-        queue of the kernels, which may read a frame where it lies).
+        still: the frames do not change before `read`, so that kernels may read them where they lie;
+            else they may change when `uploads` have completed.
         """
-        if self._in_place and queue is self.queue and frames[0].flags.c_contiguous:
-            self._wait()  # for an earlier frame that kernels may still read
+        where = _where(frames) if still and self._in_place else None
+        if where is not None:
+            memory, numbers = where
+            self._wait()  # for earlier frames that kernels may still read
             around = cl.mem_flags.READ_ONLY | cl.mem_flags.USE_HOST_PTR
-            self._frame = cl.Buffer(queue.context, around, hostbuf=frames[0])
-            self._in_place[0].kernel.set_arg(0, self._frame)
+            self._frames = cl.Buffer(queue.context, around, hostbuf=memory)
+            self._in_place[0].kernel.set_arg(0, self._frames)
+            if numbers != self._numbers:
+                harmonic.set_place(self._in_place[0], *numbers)
+                self._numbers = numbers
             return self._in_place
         if "image" in self._here:
             self._write(frames)
             return self.launches
         size = self.dtype.itemsize
         for n, frame in enumerate(frames):
-            pitch = frame.strides[0] if frame.shape[0] > 1 else frame.shape[1] * size
-            host = frame if frame.flags.c_contiguous else _flat(frame, pitch)
+            pitch = _pitch(frame)
+            host = _flat(frame)
             copy = _copy_rectangle(
                 queue,
                 self.buffers["image"],
@@ -302,7 +310,7 @@ class Plan(PlanBase):
         """
         rows = self._fetch(queue, self._likely)
         self.uploads.clear()
-        self._frame = None
+        self._frames = None
         heads = rows[:, : 1 + self.lists].view(np.uint32).tolist()
         most, listed = max(head[0] for head in heads), max(max(head[1:]) for head in heads)
         if listed > self.list_capacity or most > self.corner_capacity:
@@ -387,7 +395,36 @@ class Plans:
 _copy_rectangle: Any = cl.enqueue_copy  # whose stub does not know the form for rectangles
 
 
-def _flat(frame: GreyImage, pitch: int) -> NDArray[Any]:
-    """Return the memory from the first to the last pixel, with the gaps between rows."""
-    count = ((frame.shape[0] - 1) * pitch + frame.shape[1] * frame.itemsize) // frame.itemsize
-    return np.lib.stride_tricks.as_strided(frame, (count,), (frame.itemsize,), writeable=False)
+def _where(frames: Sequence[GreyImage]) -> tuple[NDArray[Any], tuple[int, int, int]] | None:
+    """Return the memory in which frames lie, and of it the first pixel of the first frame, the
+    pixels from a row to the next and those from a frame to the next; None unless they are equally
+    spaced parts of one array."""
+    base, pitch, size = frames[0].base, _pitch(frames[0]), frames[0].itemsize
+    if len(frames) == 1:
+        return _flat(frames[0]), (0, pitch // size, 0)
+    starts = [frame.__array_interface__["data"][0] for frame in frames]
+    apart = starts[1] - starts[0]
+    together = isinstance(base, np.ndarray) and all(
+        frame.base is base and _pitch(frame) == pitch and start == starts[0] + n * apart
+        for n, (frame, start) in enumerate(zip(frames, starts, strict=True))
+    )
+    if not together or apart % size:
+        return None
+    least = min(starts)
+    memory = _flat(frames[starts.index(least)], (max(starts) - least) // size)
+    return memory, ((starts[0] - least) // size, pitch // size, apart // size)
+
+
+def _pitch(frame: GreyImage) -> int:
+    """Return the bytes from a row to the next."""
+    return frame.strides[0] if frame.shape[0] > 1 else frame.shape[1] * frame.itemsize
+
+
+def _flat(frame: GreyImage, more: int = 0) -> NDArray[Any]:
+    """Return the memory from the first to the last pixel, with the gaps between rows, and `more`
+    pixels behind."""
+    if not more and frame.flags.c_contiguous:
+        return frame
+    size = frame.itemsize
+    count = (frame.shape[0] - 1) * _pitch(frame) // size + frame.shape[1] + more
+    return np.lib.stride_tricks.as_strided(frame, (count,), (size,), writeable=False)

@@ -23,6 +23,7 @@
 #define BESIDE_MAXIMUM LARGER(NMS_RADIUS, OCTAVES ? 3 : 2)
 #define BEYOND (LAG + BESIDE_MAXIMUM)
 #define ROWS_AT_A_TIME 8 /* that a band takes */
+#define ROWS_AHEAD 8 /* from the row that it reads to that which it calls into the cache */
 
 /* Ring buffers: powers of two. A smoothed row serves from the response REACH_OF_RING rows above
  * until check 1 of a maximum REACH_OF_RING rows below; of S3, until the wide ring. */
@@ -39,6 +40,13 @@
  * pointers do not overlap. Neighbours in a row have separate pointers, because two loads of one
  * pointer become a chain from pixel to pixel. */
 #define ROW_LOOP __attribute__((noinline))
+
+/* Call a row of a frame into the cache, lines of 64 bytes at a time. OpenCL's own function for this
+ * does nothing on PoCL. */
+void call_row(__global const PIXEL *row, const int width) {
+  for (int x = 0; x < width; x += 64 / (int)sizeof(PIXEL))
+    __builtin_prefetch((const void *)(size_t)(row + x));
+}
 
 /* Grey levels in sixteenths of 1/255 of full scale: floor((4080 g + F div 2) / F). */
 ROW_LOOP void scale_levels(__global const PIXEL *restrict grey, __global ushort *restrict level,
@@ -316,6 +324,8 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
   for (int done = -2 * BEYOND; left; ++done) {
     const int y = first + way * done, y_response = y + way * BESIDE_MAXIMUM;
     const int y_in = y + way * BEYOND, y1 = y_in - way, y2 = y1 - way, y3 = y2 - way;
+    const int y_soon = y_in + way * ROWS_AHEAD;
+    if (n == 0 && y_soon >= 0 && y_soon < height) call_row(FRAME_ROW(y_soon), width);
 #if !WHOLE_LEVELS
     if (y_in >= 0 && y_in < height)
       scale_levels(FRAME_ROW(y_in), levels + LEVEL_AT(y_in), full_scale, inverse, width);
@@ -410,13 +420,14 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
   return noise_of_band + take_noise(noise_of_column, width);
 }
 
-/* List the maxima of all octaves, and decide for the frame. It has its first pixel at `frame_start`
- * and rows of `frame_step` elements. The counters of a frame are those of its lists, of the bands
- * that have finished, of the rows taken in each segment of each octave, and of halving. The fences
- * and the counts order the lists of all bands before the decision, on every CPU: OpenCL 1.2 alone
- * does not promise it between groups. One work-item per band. */
-__kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
-                            const uint frame_step, __global PIXEL *image,
+/* List the maxima of all octaves, and decide for the frame. The first pixel of the first frame is at
+ * `frame_start`, that of each other one `frame_apart` behind; rows have `frame_step` elements. The
+ * counters of a frame are those of its lists, of the bands that have finished, of the rows taken in
+ * each segment of each octave, and of halving. The fences and the counts order the lists of all
+ * bands before the decision, on every CPU: OpenCL 1.2 alone does not promise it between groups. One
+ * work-item per band. */
+__kernel void harmonic_band(__global const PIXEL *memory, const ulong frame_start,
+                            const uint frame_step, const int frame_apart, __global PIXEL *image,
 #if OCTAVES
                             __global PIXEL *halves,
 #endif
@@ -437,10 +448,10 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
   const size_t p = get_global_id(1), frames = get_global_size(1);
   volatile __global uint *listed = counters + p * counters_of_frame, *finished = listed + KINDS;
   volatile __global uint *taken = finished + 1;
+  __global const PIXEL *frame = memory + (long)frame_start + (long)p * frame_apart;
 #if OCTAVES
   volatile __global uint *halved = taken + segments * (1 + OCTAVES);
-  halve_frame(frame + frame_start + p * rows * frame_step, frame_step, halves, rows, columns, step,
-              p, frames, halved, halved + 1);
+  halve_frame(frame, frame_step, halves, rows, columns, step, p, frames, halved, halved + 1);
 #endif
   uint before = 0; /* bands of the smaller octaves: these spread over the work-items */
   for (int n = OCTAVES; n >= 0; --n) {
@@ -451,7 +462,7 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
     if (b >= searching) continue;
     const size_t in_octave = (p * octave.rows + 1) * octave.step + PAD;
     __global PIXEL *first = image + octave.start + in_octave;
-    __global const PIXEL *from = frame + frame_start + p * rows * frame_step;
+    __global const PIXEL *from = frame;
 #if OCTAVES
     if (n) from = halves + octave.half_start + in_octave;
 #endif
