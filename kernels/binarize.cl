@@ -1,4 +1,4 @@
-#include "plane.clh"
+#include "pixel.clh"
 
 /* Binarization (section 3.1): black iff (I + C) n < S, with S the sum of the n = w w pixels of
  * the window, border repeated. A pixel of the binary image is 1 where black.
@@ -23,7 +23,7 @@ __kernel void repeat_border_binary(const uint rows, const uint columns, const ui
   const size_t row = get_global_id(0);
   REPEAT_BORDER(uchar, binary + ROW(0, row) + PAD)
   if (row % rows == 0)
-    counts[row / rows] = 0;
+    counts[row / rows * LISTS] = 0;
   row_counts[row] = 0;
   for (uint word = 0; word < step / 32; ++word) {
     maxima[row * (step / 32) + word] = 0;

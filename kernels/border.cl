@@ -1,4 +1,4 @@
-#include "plane.clh"
+#include "pixel.clh"
 
 /* Repeat the border pixel in the padding on either side of every row. One work-item per row. */
 __kernel void repeat_border(const uint rows, const uint columns, const uint step,

@@ -11,8 +11,8 @@ typedef ushort8 RESPONSES_8;
 
 /* List the candidates within the area, in any order: their indices from the start of
  * the frame's rows, and their responses, which are cleared in the image. `area` has a bit for
- * every pixel. The list of frame p has `capacity` entries; its count may exceed that. One work-item
- * per eight pixels. */
+ * every pixel. The list of frame p has `capacity` entries; its count, the first of the LISTS that a
+ * frame has, may exceed that. One work-item per eight pixels. */
 __kernel void list_candidates(__global RESPONSE *restrict response,
                               __global const uchar *restrict area, const uint rows,
                               const uint step, const uint capacity,
@@ -26,7 +26,7 @@ __kernel void list_candidates(__global RESPONSE *restrict response,
   uint left = 0;
   for (uint k = 0; k < 8; ++k) left |= (uint)(eight[k] != 0) << k;
   left &= area[index / 8];
-  uint n = atomic_add(counts + p, popcount(left));
+  uint n = atomic_add(counts + p * LISTS, popcount(left));
   for (; left && n < capacity; ++n, left &= left - 1) {
     const uint k = 31 - clz(left & (0u - left));
     list[p * capacity + n] = index + k;

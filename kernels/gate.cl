@@ -32,7 +32,7 @@ __kernel void sector_contrast(__global const PIXEL *restrict image,
                               __global CONTRAST *restrict mean_difference,
                               __global uint *restrict bins) {
   const size_t n = get_global_id(0), p = get_global_id(1);
-  if (n >= min(counts[p], capacity)) return;
+  if (n >= min(counts[p * LISTS], capacity)) return;
   const uint index = list[p * capacity + n];
   const int x = index % step, y = index / step;
   contrast[p * capacity + n] = inner_contrast[p * capacity + n] = (CONTRAST)NO_CONTRAST;
@@ -87,7 +87,7 @@ __kernel void histogram(__global const CONTRAST *restrict inner_contrast,
                         __global const uint2 *restrict found, const uint capacity,
                         __global uint *restrict bins) {
   const size_t n = get_global_id(0), p = get_global_id(1);
-  if (n >= min(counts[p], capacity)) return;
+  if (n >= min(counts[p * LISTS], capacity)) return;
   if (inner_contrast[p * capacity + n] == NO_CONTRAST) return;
   const uint value = (uint)max((int)inner_contrast[p * capacity + n], 0);
   if (value >> 8 == found[p].x) atomic_inc(bins + p * BINS + (value & 255));
@@ -135,7 +135,7 @@ __kernel void pass_gate(__global const uint *restrict list, __global const uint 
                         const uint capacity, __global uint *restrict passed,
                         __global uint *restrict row_counts) {
   const size_t n = get_global_id(0), p = get_global_id(1);
-  if (n >= min(counts[p], capacity) || contrast[p * capacity + n] == NO_CONTRAST) return;
+  if (n >= min(counts[p * LISTS], capacity) || contrast[p * capacity + n] == NO_CONTRAST) return;
   const size_t i = p * capacity + n;
   if (contrast[i] < bounds[p].x || mean_difference[i] < bounds[p].y) return;
   const uint index = list[i];

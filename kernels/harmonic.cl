@@ -1,4 +1,5 @@
 #include "harmonic.clh"
+#include "pixel.clh"
 
 /* From an image to the lists of its maxima, one work-item per pixel; harmonic.clh has the rule.
  *

@@ -32,7 +32,7 @@ __kernel void score_map(__global const RESPONSE *restrict response, const uint r
 
 #define CANDIDATE                                                                   \
   const size_t n = get_global_id(0), p = get_global_id(1);                         \
-  if (n >= min(counts[p], capacity)) return;                                        \
+  if (n >= min(counts[p * LISTS], capacity)) return;                                \
   const uint index = list[p * capacity + n];                                        \
   const size_t i = ROW(p, 0) + index;                                               \
   const int y = (int)(index / step);

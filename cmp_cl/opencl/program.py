@@ -33,6 +33,7 @@ from cmp_cl.opencl.device import check_process, is_pocl
 _OPTIONS = ("-cl-std=CL1.2", "-cl-kernel-arg-info")
 _ROUNDED = "-cl-fp32-correctly-rounded-divide-sqrt"  # as the host's; cards have faster ones
 _INCLUDE = re.compile(r'#include "(.+)"')
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _NO_CACHE_VARIABLE = "PYOPENCL_NO_CACHE"
 _WARNINGS = threading.Lock()  # the whole process shares the filters of warnings
 
@@ -67,7 +68,7 @@ def _names(text: str, macro: str) -> bool:
 
 @functools.lru_cache(maxsize=64)
 def _words(text: str) -> frozenset[str]:
-    return frozenset(re.findall(r"\w+", text))
+    return frozenset(re.findall(r"\w+", _COMMENT.sub(" ", text)))
 
 
 def _with_headers(name: str, seen: set[str]) -> list[str]:

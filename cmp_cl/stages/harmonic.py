@@ -34,7 +34,7 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
 def sizes(plan: PlanBase) -> dict[str, int]:
     """Return the bytes of the buffers."""
     frames, plane = plan.frames, plan.working[0] * plan.step
-    lists, sums = frames * plan.lists, frames * (1 + plan.octaves)
+    lists, sums = frames * plan.kinds, frames * (1 + plan.compiled_octaves)
     cpu = plan.form is Form.CPU
     bands = plan.bands if cpu else noise.bands(plan)
     starts = plan.octave_starts
@@ -65,9 +65,9 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
 def _counters(plan: PlanBase) -> int:
     """Return the counters of a frame: of its lists, and of the work that CPUs share."""
     if plan.form is not Form.CPU:
-        return plan.lists
+        return plan.kinds
     halving = 2 * (plan.octaves > 0)
-    return plan.lists + 1 + plan.segments * (1 + plan.octaves) + halving
+    return plan.kinds + 1 + plan.segments * (1 + plan.octaves) + halving
 
 
 def launches(plan: PlanBase) -> list[Launch]:
@@ -194,7 +194,7 @@ def _decide(plan: PlanBase) -> list[Launch]:
     b, capacity = plan.arrays, np.uint32(plan.list_capacity)
     reference = plan.stage(
         "find_reference",
-        (DECIDING * plan.lists, plan.frames),
+        (DECIDING * plan.kinds, plan.frames),
         (DECIDING, 1),
         noise=b["noise"],
         bands=np.uint32(noise.bands(plan)),
@@ -217,6 +217,8 @@ def _decide(plan: PlanBase) -> list[Launch]:
         step=plan.size["step"],
         capacity=capacity,
         **_shares(plan),
+        nms_radius=np.int32(plan.config.nms_radius),
+        **_positions(plan),
         **_counted(plan),
         lists=b["lists"],
         **_decided(plan),
@@ -234,11 +236,15 @@ def _counted(plan: PlanBase) -> dict[str, Any]:
 
 
 def _shares(plan: PlanBase) -> dict[str, Any]:
-    """Return the shares of the reference, and where the corners are, by argument."""
-    rule, corners = _rule(plan), plan.corner_list
+    """Return the shares of the reference, by argument."""
+    rule = _rule(plan)
+    return {"coarse_share": np.int32(rule.coarse_share), "fine_share": np.int32(rule.fine_share)}
+
+
+def _positions(plan: PlanBase) -> dict[str, Any]:
+    """Return where the corners are, by argument."""
+    corners = plan.corner_list
     return {
-        "coarse_share": np.int32(rule.coarse_share),
-        "fine_share": np.int32(rule.fine_share),
         "corner_capacity": corners["capacity"],
         "count_offset": corners["count_offset"],
         "length": corners["length"],
@@ -275,7 +281,7 @@ def _by_bands(plan: PlanBase) -> Launch:
         frame_step=np.uint32(plan.step),
         frame_apart=np.int32(plan.working[0] * plan.step),
         image=plan.image,
-        **({"halves": b["halves"]} if plan.octaves else {}),
+        **({"octaves": np.uint32(plan.octaves), "halves": b["halves"]} if plan.octaves else {}),
         area=b["area"],
         **size,
         capacity=np.uint32(plan.list_capacity),
@@ -285,6 +291,7 @@ def _by_bands(plan: PlanBase) -> Launch:
         work_size=np.uint32(_work_rows(plan) * plan.step),
         coarse_noise=np.uint32(_rule(plan).coarse_noise),
         **_shares(plan),
+        **_positions(plan),
         **_counted(plan),
         noise=b["noise"],
         lists=b["lists"],

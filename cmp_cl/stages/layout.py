@@ -18,6 +18,8 @@ LEAST_PAD = 16  # columns on either side of the pixels, for rings, discs and ten
 LANES = 8  # corners of a vector in the form for CPUs
 CORNER_COLUMNS = 6  # x, y, response, and the sum and the moments of the responses around it
 LEAST_OCTAVE = 48  # px, the shorter side of a halved frame
+MOST_OCTAVES = 3
+LISTS = 2 + MOST_OCTAVES  # of which a frame has counts, whatever its rule
 OCTAVE_ALIGNMENT = 128  # elements, of the start of an octave in the buffer of the frames
 
 
@@ -27,11 +29,13 @@ class PlanBase:
     queue: where they run; kernels: the compiled ones.
     shape: (H, W) of a frame; working: the same at the working scale. pad: columns of padding on
     either side; step, full_step: elements of a row at the working and at full scale.
-    octaves: number of halved frames, which lie behind the frames in "image".
-    frames: number of frames; lists: number of lists of maxima or candidates per frame, with
-    `list_capacity` entries each; corner_capacity: entries of the list of a frame's corners. bands:
-    bands of rows that a frame is divided into in the form for CPUs. buffers: the memory; arrays:
-    the buffers and parts of them, by name. image: the input of the first stage.
+    octaves: number of halved frames, which lie behind the frames in "image"; compiled_octaves: the
+    same for which kernels are compiled, all or none, so that other sizes have the same kernels.
+    frames: number of frames; kinds: number of lists of maxima or candidates per frame, with
+    `list_capacity` entries each; lists: of which a frame has counts, the first ones those of its
+    kinds; corner_capacity: entries of the list of a frame's corners. bands: bands of rows that a
+    frame is divided into in the form for CPUs. buffers: the memory; arrays: the buffers and parts
+    of them, by name. image: the input of the first stage.
     """
 
     kernels: Kernels
@@ -60,15 +64,17 @@ class PlanBase:
         self.frames = frames
         self.working = shape if self.scale is None else working_shape(shape, self.scale)
         pixels = self.working[0] * self.working[1]
-        self.octaves = 0
+        self.octaves = self.compiled_octaves = 0
+        self.lists = LISTS
         if isinstance(self.rule, BinaryRings):
-            self.lists = 1
+            self.kinds = 1
             self.pad = multiple(max(LEAST_PAD, self.rule.threshold.window // 2), LEAST_PAD)
             self.list_capacity = multiple(pixels // 20 + 1, GROUP)  # the lists grow
         else:
             shorter = min(self.working) // LEAST_OCTAVE
             self.octaves = min(self.rule.octaves, max(shorter, 1).bit_length() - 1)
-            self.lists = 1 + self.rule.fine + self.octaves
+            self.compiled_octaves = MOST_OCTAVES if self.octaves else 0
+            self.kinds = 1 + self.rule.fine + self.compiled_octaves
             self.pad = LEAST_PAD
             # One maximum in 128 pixels is one in a cell of 11 px; the lists grow. Each band fills
             # up its last entries.

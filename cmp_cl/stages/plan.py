@@ -87,7 +87,7 @@ class Plan(PlanBase):
             "PAD": self.pad,
             "GROUP": GROUP,
             "NMS_RADIUS": self.config.nms_radius,
-            "OCTAVES": self.octaves,
+            "OCTAVES": self.compiled_octaves,
             "NOISE_BAND": noise.NOISE_BAND,
             **defines_of(self.types),
             **scale.defines(self),

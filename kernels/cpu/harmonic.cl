@@ -1,4 +1,5 @@
 #include "decide.clh"
+#include "pixel.clh"
 #if OCTAVES
 #include "cpu/halve.clh"
 #endif
@@ -429,7 +430,7 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
 __kernel void harmonic_band(__global const PIXEL *memory, const ulong frame_start,
                             const uint frame_step, const int frame_apart, __global PIXEL *image,
 #if OCTAVES
-                            __global PIXEL *halves,
+                            const uint octaves, __global PIXEL *halves,
 #endif
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint capacity,
@@ -450,11 +451,14 @@ __kernel void harmonic_band(__global const PIXEL *memory, const ulong frame_star
   volatile __global uint *taken = finished + 1;
   __global const PIXEL *frame = memory + (long)frame_start + (long)p * frame_apart;
 #if OCTAVES
-  volatile __global uint *halved = taken + segments * (1 + OCTAVES);
-  halve_frame(frame, frame_step, halves, rows, columns, step, p, frames, halved, halved + 1);
+  volatile __global uint *halved = taken + segments * (1 + octaves);
+  halve_frame(frame, frame_step, halves, octaves, rows, columns, step, p, frames, halved,
+              halved + 1);
+#else
+  const uint octaves = 0;
 #endif
   uint before = 0; /* bands of the smaller octaves: these spread over the work-items */
-  for (int n = OCTAVES; n >= 0; --n) {
+  for (int n = (int)octaves; n >= 0; --n) {
     const Octave octave = octave_of((uint)n, rows, columns, step, frames);
     const uint searching = bands_of((uint)n, rows, bands);
     const uint b = (band + bands - before % bands) % bands;
@@ -478,7 +482,7 @@ __kernel void harmonic_band(__global const PIXEL *memory, const ulong frame_star
   for (uint kind = 0; kind < KINDS; ++kind)
     find_level(kind, p, frames, noise, bands, rows, columns, full_scale, coarse_noise, capacity,
                counters_of_frame, counters, lists, levels, 0);
-  decide_frame(p, levels, strong, rows, step, capacity, coarse_share, fine_share, counters_of_frame,
-               corner_capacity, count_offset, length, counters, lists, maxima, row_counts,
-               row_columns, corners, counts, sums);
+  decide_frame(p, levels, strong, rows, step, capacity, coarse_share, fine_share, NMS_RADIUS,
+               counters_of_frame, corner_capacity, count_offset, length, counters, lists, maxima,
+               row_counts, row_columns, corners, counts, sums);
 }
