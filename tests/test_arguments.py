@@ -31,7 +31,7 @@ from cmp_cl.viz import Moment, corner_overlay, grid_overlay
 GRID = grid_of(np.moveaxis(10.0 * np.mgrid[:5, :6], 0, -1))
 IMAGE = np.zeros((60, 70), np.uint8)
 SIZE = IMAGE.shape[::-1]
-FIELD = displacement(points(gel(12, 10)), points(gel(12, 10)))
+FIELD = displacement(points(gel(18, 19)), points(gel(18, 19)))
 
 
 def several(views=None, **changed):

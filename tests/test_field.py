@@ -33,14 +33,14 @@ def noisy(xy, seed, sigma=0.02):
 def pressed(*, space=True):
     """Return a field with two missing nodes: in space a press of 2 mm and a twist, else a bend."""
     if not space:
-        rest, now = lattice(12, 10), 1.01 * lattice(12, 10) + np.sin(lattice(12, 10) / 40)
+        rest, now = lattice(18, 19), 1.01 * lattice(18, 19) + np.sin(lattice(18, 19) / 40)
         rest[2, 3] = now[7, 8] = np.nan
         return displacement(noisy(rest, 1), noisy(now, 2))
     return displacement(*map(points, pressed_gel()))
 
 
 def pressed_gel():
-    rest, now = gel(12, 10, depth=0), gel(12, 10)
+    rest, now = gel(18, 19, depth=0), gel(18, 19)
     now[..., :2] += 0.05 * np.stack([-now[..., 1], now[..., 0]], axis=-1)
     rest[2, 3] = now[7, 8] = np.nan
     return rest, now
@@ -176,7 +176,7 @@ def test_a_homogeneous_deformation_has_its_strain_everywhere():
 
 
 def test_cells_of_known_side_give_millimetres_through_a_homography():
-    row, column = np.mgrid[:12, :10]
+    row, column = np.mgrid[:18, :19]
     flat = np.stack([column, row], axis=-1) * 2.5  # mm
     tilted = np.array([[8.0, 0.3, 40], [-0.2, 7.5, 30], [2e-3, 1e-3, 1]])
 
@@ -195,7 +195,7 @@ def test_cells_of_known_side_give_millimetres_through_a_homography():
 
 
 def test_the_status_says_which_moment_failed_and_the_source_which_is_less_direct():
-    rest, now = points(gel(12, 10)), points(gel(12, 10))
+    rest, now = points(gel(18, 19)), points(gel(18, 19))
     rest.status[0, :2] = PointStatus.PARALLEL, PointStatus.BEHIND
     now.status[0, :2] = PointStatus.VALID, PointStatus.INCONSISTENT
     now.source[1, 1] = NodeStatus.INTERPOLATED
@@ -207,14 +207,14 @@ def test_the_status_says_which_moment_failed_and_the_source_which_is_less_direct
 
 
 def test_nodes_are_compared_by_number_if_more_are_in_view_than_at_rest():
-    row, column = np.indices((12, 10))
+    row, column = np.indices((18, 19))
     rest = grid_of(np.stack([10.0 * column, 10.0 * row], axis=2))
-    row, column = np.indices((15, 11)) - np.array([2, 1])[:, None, None]
+    row, column = np.indices((21, 20)) - np.array([2, 1])[:, None, None]
     now = grid_of(np.stack([10.0 * column + 3, 10.0 * row - 1], axis=2))
     field = displacement(rest, dataclasses.replace(now, origin=(-2, -1)))
-    expected = np.broadcast_to([3.0, -1.0], (12, 10, 2))
+    expected = np.broadcast_to([3.0, -1.0], (18, 19, 2))
     np.testing.assert_allclose(field.displacement, expected, rtol=1e-6)  # single precision
-    with pytest.raises(FieldError, match=r"rest has rows 0 to 11 .* now has rows 1 to 15"):
+    with pytest.raises(FieldError, match=r"rest has rows 0 to 17 .* now has rows 1 to 21"):
         displacement(rest, dataclasses.replace(now, origin=(1, 0)))
 
 
@@ -258,7 +258,7 @@ def test_depth_area_and_normals_are_those_of_a_bell_pressed_into_a_tilted_gel(ti
 
 
 def test_a_frame_for_pytac3d_has_its_keys_in_mm_row_by_row_and_no_forces():
-    rest, now = gel(12, 10, depth=0), gel(12, 10)
+    rest, now = gel(18, 19, depth=0), gel(18, 19)
     now[2, 3] = np.nan
     frames = [
         displacement(points(rest * size, unit=unit), points(now * size, unit=unit)).raw
@@ -275,8 +275,8 @@ def test_a_frame_for_pytac3d_has_its_keys_in_mm_row_by_row_and_no_forces():
         np.testing.assert_allclose(
             frame["3D_Displacements"], (now - rest).reshape(-1, 3), atol=1e-12
         )
-        assert np.isnan(frame["3D_Normals"]).any(axis=1).nonzero()[0].tolist() == [2 * 10 + 3]
-        assert (np.delete(frame["3D_Normals"], 23, axis=0)[:, 2] < 0).all()
+        assert np.isnan(frame["3D_Normals"]).any(axis=1).nonzero()[0].tolist() == [2 * 19 + 3]
+        assert (np.delete(frame["3D_Normals"], 2 * 19 + 3, axis=0)[:, 2] < 0).all()
     with pytest.raises(FieldError, match="2 coordinates in px"):
         pressed(space=False).as_pytac3d()
     with pytest.raises(FieldError, match="in inch"):

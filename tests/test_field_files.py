@@ -14,8 +14,8 @@ from cmp_cl.space import PointStatus
 
 
 def field(*, space):
-    """Return a field of 12 x 10 nodes with its strain, without node (2, 3)."""
-    rest, now = gel(12, 10, depth=0), gel(12, 10)
+    """Return a field of 18 x 19 nodes with its strain, without node (2, 3)."""
+    rest, now = gel(18, 19, depth=0), gel(18, 19)
     rest[2, 3] = np.nan
     if space:
         return field_of(rest, now).with_strain()
@@ -49,14 +49,14 @@ def test_csv_names_its_units_and_loses_no_digit(tmp_path, space):
     wanted += ["principal_1", "principal_2", "direction", "status", "source"]
     assert list(rows[0])[:2] == ["row", "column"]
     assert set(wanted) <= set(rows[0])
-    assert len(rows) == 120
+    assert len(rows) == 18 * 19
     for row in rows:
         node = int(row["row"]), int(row["column"])
         read = [float(row[f"displacement_{axis}_{unit}"]) for axis in axes]
         np.testing.assert_array_equal(read, saved.displacement[node])
         np.testing.assert_equal(float(row["strain_12"]), saved.strain[node][2])
-    assert int(rows[2 * 10 + 3]["status"]) == PointStatus.MISSING
-    assert rows[2 * 10 + 3][f"position_x_{unit}"] == "nan"
+    assert int(rows[2 * 19 + 3]["status"]) == PointStatus.MISSING
+    assert rows[2 * 19 + 3][f"position_x_{unit}"] == "nan"
 
 
 def read_vtp(path):
@@ -84,7 +84,7 @@ def test_vtp_holds_the_surface(tmp_path, space):
     assert list(zip(row, column, strict=True)) == list(zip(*np.nonzero(valid), strict=True))
     quads = arrays["connectivity"].reshape(-1, 4)
     np.testing.assert_array_equal(arrays["offsets"].ravel(), 4 * np.arange(1, len(quads) + 1))
-    assert len(quads) == 11 * 9 - 4  # those at the missing node
+    assert len(quads) == 17 * 18 - 4  # those at the missing node
     for quad in quads:  # around one cell
         assert sorted(row[quad] - row[quad].min()) == [0, 0, 1, 1]
         assert sorted(column[quad] - column[quad].min()) == [0, 0, 1, 1]

@@ -370,9 +370,9 @@ def test_a_board_without_a_sure_corner_is_refused():
 
 
 def moved_by(cells: float) -> np.ndarray:
-    """Return a checkerboard of cells of 12 px that goes on beyond all edges, (180, 200) uint8."""
+    """Return a checkerboard of cells of 12 px that goes on beyond all edges, (146, 148) uint8."""
     camera = boards.plane(cell=12, middle=(4 + 12 * cells, 3 + 6 * cells))
-    return boards.drawn(camera, (180, 200), count=3).image
+    return boards.drawn(camera, (146, 148), count=3).image
 
 
 def shifts_of(frames: list[float | None], *, track: bool) -> tuple[list[float], list[bool]]:
@@ -384,7 +384,7 @@ def shifts_of(frames: list[float | None], *, track: bool) -> tuple[list[float], 
     config = cmp_cl.DetectorConfig.for_cell(12)
     with measure.OneView(moved_by(0), config=config, track=track) as view:
         for cells in frames:
-            seen = np.full((180, 200), 90, np.uint8) if cells is None else moved_by(cells)
+            seen = np.full((146, 148), 90, np.uint8) if cells is None else moved_by(cells)
             measured = view(seen)
             moved = measured.field.displacement
             known = ~np.isnan(moved[..., 0])

@@ -128,7 +128,7 @@ def test_images_smaller_than_rings_and_windows(detector_in_form, shape, config):
 WIDTHS = [31, 32, 33, 47, 48, 49, 63, 64, 65, 95, 96, 97, 127, 128, 129, 159, 160, 161]
 
 
-@pytest.mark.parametrize("width", some(WIDTHS, (32, 33, 97)))
+@pytest.mark.parametrize("width", some(WIDTHS, (32, 33, 96)))
 @pytest.mark.parametrize("config", [DENSE, DENSE_RINGS], ids=["harmonic", "rings"])
 def test_widths_around_words_and_vectors(detector_in_form, config, width):
     """Maxima lie in the first and the last columns too."""
@@ -157,7 +157,7 @@ def test_any_number_of_bands_gives_the_same_corners(device, monkeypatch, bands):
     assert len(corners) > 0
 
 
-@pytest.mark.parametrize("factor", some([0.05, 1 / 3, 0.999, 1.001, 1.5, 4.0], (0.05, 1.5)))
+@pytest.mark.parametrize("factor", some([0.05, 1 / 3, 0.999, 1.001, 1.5, 4.0], (1 / 3, 1.5)))
 def test_odd_scales(detector_for, factor):
     for shape in ((30, 23), (2, 2)):
         image = noise(shape, seed=2)
@@ -289,7 +289,7 @@ def test_a_list_that_overflows_is_made_again_and_holds_every_maximum(
     device_in_form, config, count, regrown
 ):
     """A mask leaves exactly that many candidates in one list, each of which is a maximum."""
-    image = images.texture((60, 300), seed=9)
+    image = images.texture((200, 83), seed=9)
     mask = np.zeros(image.shape, np.bool_)
     mask[tuple(np.argwhere(reference.maps(image, config).maximum)[:count].T)] = True
     with Detector(shape=image.shape, config=config, device=device_in_form, mask=mask) as detector:
