@@ -1,7 +1,26 @@
 #include "moment.clh"
 
 /* From the nodes of two views to their displacement in space. In float32, points a few centimetres
- * away err by some hundredths of a micrometre. */
+ * away err by some hundredths of a micrometre.
+ *
+ * On a CPU a work-item takes four nodes at a time, in vectors; elsewhere one. */
+
+#if WIDTH == 1
+typedef REAL REALS;
+#define ANY_OF(condition) (condition)
+#else
+#define ANY_OF(condition) any(condition)
+#if DOUBLE
+typedef double4 REALS;
+#else
+typedef float4 REALS;
+#endif
+#endif
+typedef union {
+  REALS all;
+  REAL each[WIDTH];
+} BY_LANE;
+#define EACH_LANE for (int lane = 0; lane < WIDTH; ++lane)
 
 #define MOST_STEPS 30
 #define ROUND_TRIP ((REAL)1e-2) /* px, from a pixel through the lens and back */
@@ -25,45 +44,46 @@
 #define CENTRE (camera + 28)
 
 /* The pixel of a point (x, y) of the plane at distance 1, and its derivatives xx xy yx yy. */
-void distort(__global const REAL *camera, const REAL x, const REAL y, REAL *pixel, REAL *slope) {
-  const REAL r = x * x + y * y;
-  const REAL over = 1 + r * (K4 + r * (K5 + r * K6));
-  const REAL g = (1 + r * (K1 + r * (K2 + r * K3))) / over;
-  const REAL by_r =
+void distort(__global const REAL *camera, const REALS x, const REALS y, REALS *pixel, REALS *slope) {
+  const REALS r = x * x + y * y;
+  const REALS over = 1 + r * (K4 + r * (K5 + r * K6));
+  const REALS g = (1 + r * (K1 + r * (K2 + r * K3))) / over;
+  const REALS by_r =
       (K1 + r * (2 * K2 + 3 * r * K3) - g * (K4 + r * (2 * K5 + 3 * r * K6))) / over;
-  const REAL fx = camera[0], fy = camera[1], thin_x = S1 + 2 * r * S2, thin_y = S3 + 2 * r * S4;
+  const REALS fx = camera[0], fy = camera[1], thin_x = S1 + 2 * r * S2, thin_y = S3 + 2 * r * S4;
   pixel[0] =
       fx * (x * g + 2 * P1 * x * y + P2 * (r + 2 * x * x) + r * (S1 + r * S2)) + camera[2];
   pixel[1] =
       fy * (y * g + P1 * (r + 2 * y * y) + 2 * P2 * x * y + r * (S3 + r * S4)) + camera[3];
-  const REAL mixed = 2 * x * y * by_r + 2 * P1 * x + 2 * P2 * y;
+  const REALS mixed = 2 * x * y * by_r + 2 * P1 * x + 2 * P2 * y;
   slope[0] = fx * (g + 2 * x * x * by_r + 2 * P1 * y + 6 * P2 * x + 2 * x * thin_x);
   slope[1] = fx * (mixed + 2 * y * thin_x);
   slope[2] = fy * (mixed + 2 * x * thin_y);
   slope[3] = fy * (g + 2 * y * y * by_r + 6 * P1 * y + 2 * P2 * x + 2 * y * thin_y);
 }
 
-/* The point of the plane at distance 1 that a pixel shows, by Newton's method; false if the lens
- * cannot be inverted there. */
-int undistort(__global const REAL *camera, const REAL *pixel, REAL *point) {
-  REAL x = (pixel[0] - camera[2]) / camera[0], y = (pixel[1] - camera[3]) / camera[1];
-  REAL seen[2], slope[4], off_x = 0, off_y = 0;
+/* The point of the plane at distance 1 that a pixel shows, by Newton's method. Returns the squared
+ * distance, px^2, before the last step, which is large or NaN if the lens cannot be inverted
+ * there. */
+REALS undistort(__global const REAL *camera, const REALS *pixel, REALS *point) {
+  REALS x = (pixel[0] - camera[2]) / camera[0], y = (pixel[1] - camera[3]) / camera[1];
+  REALS seen[2], slope[4], off_2 = 0;
   for (int step = 0; step < MOST_STEPS; ++step) {
     distort(camera, x, y, seen, slope);
-    off_x = pixel[0] - seen[0];
-    off_y = pixel[1] - seen[1];
-    if (off_x * off_x + off_y * off_y < EXACT * EXACT) break;
-    const REAL determinant = slope[0] * slope[3] - slope[1] * slope[2];
-    x += (slope[3] * off_x - slope[1] * off_y) / determinant;
-    y += (slope[0] * off_y - slope[2] * off_x) / determinant;
+    const REALS off_x = pixel[0] - seen[0], off_y = pixel[1] - seen[1];
+    const REALS inverse = 1 / (slope[0] * slope[3] - slope[1] * slope[2]);
+    x += (slope[3] * off_x - slope[1] * off_y) * inverse;
+    y += (slope[0] * off_y - slope[2] * off_x) * inverse;
+    off_2 = off_x * off_x + off_y * off_y;
+    if (!ANY_OF(off_2 > SMALL * SMALL)) break; /* a step squares the error */
   }
   point[0] = x;
   point[1] = y;
-  return off_x * off_x + off_y * off_y < ROUND_TRIP * ROUND_TRIP;
+  return off_2;
 }
 
 /* A vector (3) of the left camera's frame in that of a camera. */
-void turned_to(__global const REAL *camera, const REAL *vector, REAL *turned) {
+void turned_to(__global const REAL *camera, const REALS *vector, REALS *turned) {
   for (int j = 0; j < 3; ++j)
     turned[j] = ROTATION[3 * j] * vector[0] + ROTATION[3 * j + 1] * vector[1] +
                 ROTATION[3 * j + 2] * vector[2];
@@ -71,21 +91,21 @@ void turned_to(__global const REAL *camera, const REAL *vector, REAL *turned) {
 
 /* The pixel of a point in the frame of its camera, and its two derivatives by the point in that of
  * the left camera. */
-void see(__global const REAL *camera, const REAL *there, REAL *pixel, REAL *by_point) {
-  REAL slope[4];
-  const REAL x = there[0] / there[2], y = there[1] / there[2];
+void see(__global const REAL *camera, const REALS *there, REALS *pixel, REALS *by_point) {
+  REALS slope[4];
+  const REALS x = there[0] / there[2], y = there[1] / there[2];
   distort(camera, x, y, pixel, slope);
   for (int j = 0; j < 3; ++j) {
-    const REAL by_x = (ROTATION[j] - x * ROTATION[6 + j]) / there[2];
-    const REAL by_y = (ROTATION[3 + j] - y * ROTATION[6 + j]) / there[2];
+    const REALS by_x = (ROTATION[j] - x * ROTATION[6 + j]) / there[2];
+    const REALS by_y = (ROTATION[3 + j] - y * ROTATION[6 + j]) / there[2];
     by_point[j] = slope[0] * by_x + slope[1] * by_y;
     by_point[3 + j] = slope[2] * by_x + slope[3] * by_y;
   }
 }
 
-REAL dot_3(const REAL *a, const REAL *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+REALS dot_3(const REALS *a, const REALS *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-void cross_3(const REAL *a, const REAL *b, REAL *result) {
+void cross_3(const REALS *a, const REALS *b, REALS *result) {
   result[0] = a[1] * b[2] - a[2] * b[1];
   result[1] = a[2] * b[0] - a[0] * b[2];
   result[2] = a[0] * b[1] - a[1] * b[0];
@@ -95,8 +115,8 @@ void cross_3(const REAL *a, const REAL *b, REAL *result) {
 #include "window.clh"
 #else
 /* The same of a point in the frame of the left camera. Returns its depth. */
-REAL project(__global const REAL *camera, const REAL *point, REAL *pixel, REAL *by_point) {
-  REAL there[3];
+REALS project(__global const REAL *camera, const REALS *point, REALS *pixel, REALS *by_point) {
+  REALS there[3];
   turned_to(camera, point, there);
   for (int j = 0; j < 3; ++j) there[j] += TRANSLATION[j];
   see(camera, there, pixel, by_point);
@@ -105,12 +125,12 @@ REAL project(__global const REAL *camera, const REAL *point, REAL *pixel, REAL *
 #endif
 
 /* The middle of the shortest segment between two rays, one from 0, the other from `offset`. */
-void between(const REAL *one, const REAL *two, const REAL *offset, REAL *middle) {
-  const REAL oo = dot_3(one, one), ot = dot_3(one, two), tt = dot_3(two, two);
-  const REAL ahead_one = dot_3(one, offset), ahead_two = dot_3(two, offset);
-  const REAL shared = oo * tt - ot * ot;
-  const REAL depth_one = (ahead_one * tt - ot * ahead_two) / shared;
-  const REAL depth_two = (ot * ahead_one - oo * ahead_two) / shared;
+void between(const REALS *one, const REALS *two, const REALS *offset, REALS *middle) {
+  const REALS oo = dot_3(one, one), ot = dot_3(one, two), tt = dot_3(two, two);
+  const REALS ahead_one = dot_3(one, offset), ahead_two = dot_3(two, offset);
+  const REALS shared = oo * tt - ot * ot;
+  const REALS depth_one = (ahead_one * tt - ot * ahead_two) / shared;
+  const REALS depth_two = (ot * ahead_one - oo * ahead_two) / shared;
   for (int k = 0; k < 3; ++k)
     middle[k] = (depth_one * one[k] + depth_two * two[k] + offset[k]) / 2;
 }
@@ -119,9 +139,9 @@ void between(const REAL *one, const REAL *two, const REAL *offset, REAL *middle)
  * camera. */
 #if MEDIA
 /* turned: the second one in that frame. tangents, passed: of both rays, see window.clh. */
-void meet_behind(__global const REAL *left, __global const REAL *right, const REAL *one,
-                 const REAL *turned, REAL *point, REAL *tangents, REAL *passed) {
-  REAL from_one[3], from_two[3], first[3], second[3], offset[3];
+void meet_behind(__global const REAL *left, __global const REAL *right, const REALS *one,
+                 const REALS *turned, REALS *point, REALS *tangents, REALS *passed) {
+  REALS from_one[3], from_two[3], first[3], second[3], offset[3];
   tangents[0] = refract(left, one, passed, from_one, first);
   tangents[1] = refract(right, turned, passed + PASSED, from_two, second);
   for (int k = 0; k < 3; ++k) offset[k] = from_two[k] - from_one[k];
@@ -130,8 +150,8 @@ void meet_behind(__global const REAL *left, __global const REAL *right, const RE
 }
 #else
 /* Sampson's step moves them onto each other's epipolar lines first. */
-void meet(__global const REAL *camera, const REAL *one, const REAL *two, REAL *point) {
-  REAL essential[9], line_one[3], line_two[3], moved[3], centre[3];
+void meet(__global const REAL *camera, const REALS *one, const REALS *two, REALS *point) {
+  REALS essential[9], line_one[3], line_two[3], moved[3], centre[3];
   for (int j = 0; j < 3; ++j) {
     const int next = (j + 1) % 3, last = (j + 2) % 3; /* row j of the matrix of the cross product */
     for (int k = 0; k < 3; ++k)
@@ -143,11 +163,11 @@ void meet(__global const REAL *camera, const REAL *one, const REAL *two, REAL *p
     line_two[j] =
         essential[3 * j] * one[0] + essential[3 * j + 1] * one[1] + essential[3 * j + 2];
   }
-  const REAL square = line_one[0] * line_one[0] + line_one[1] * line_one[1] +
+  const REALS square = line_one[0] * line_one[0] + line_one[1] * line_one[1] +
                       line_two[0] * line_two[0] + line_two[1] * line_two[1];
-  const REAL step = dot_3(line_one, one) / (square > TINY ? square : TINY);
-  const REAL first[3] = {one[0] - step * line_one[0], one[1] - step * line_one[1], 1};
-  const REAL second[3] = {two[0] - step * line_two[0], two[1] - step * line_two[1], 1};
+  const REALS step = dot_3(line_one, one) / fmax(square, (REALS)TINY);
+  const REALS first[3] = {one[0] - step * line_one[0], one[1] - step * line_one[1], one[2]};
+  const REALS second[3] = {two[0] - step * line_two[0], two[1] - step * line_two[1], two[2]};
   for (int k = 0; k < 3; ++k) {
     moved[k] = second[0] * ROTATION[k] + second[1] * ROTATION[3 + k] + second[2] * ROTATION[6 + k];
     centre[k] = CENTRE[k];
@@ -163,7 +183,7 @@ void meet(__global const REAL *camera, const REAL *one, const REAL *two, REAL *p
  * nodes: of both views, complete, px of the view; status: of NodeStatus; sigma: px, not positive if
  * unknown. rest: positions (3 planes), rest_*: their status, source, covariance (6 planes) and
  * motion by bent edges (3 planes). moved: 3 planes, 0 where not valid. points: the sum of the
- * covariances of both moments. own: the variance now per axis. One work-item a node. */
+ * covariances of both moments. own: the variance now per axis. One work-item for WIDTH nodes. */
 __kernel void space(__global const float2 *nodes, __global const uchar *seen_status,
                     __global const float *seen_sigma, __global const REAL *left,
                     __global const REAL *right, const REAL least_sine, const float largest_error,
@@ -175,57 +195,63 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
                     __global float *points, __global float *own, __global float *bent,
                     __global uchar *status, __global uchar *source, __global uchar *valid,
                     __global uchar *measured, __global uchar *votes, __global int *counts) {
-  const int i = get_global_id(0);
-  if (i >= NODES) return;
-  __global const float2 *nodes_left = nodes, *nodes_right = nodes + NODES;
-  __global const uchar *status_left = seen_status, *status_right = seen_status + NODES;
-  __global const float *sigma_left = seen_sigma, *sigma_right = seen_sigma + NODES;
-  const int there = status_left[i] != MISSING && status_right[i] != MISSING;
-  const REAL pixel[4] = {nodes_left[i].x, nodes_left[i].y, nodes_right[i].x, nodes_right[i].y};
-  REAL one[3], two[3], seen[4], slope[4];
-  int now = VALID;
-  const int invertible = undistort(left, pixel, one) & undistort(right, pixel + 2, two);
+  const int first = WIDTH * get_global_id(0);
+  if (first >= NODES) return;
+  BY_LANE pixel_of[4], weight_of[2], bend_in[4];
+  EACH_LANE {
+    const int i = min(first + lane, NODES - 1);
+    const int known = seen_sigma[i] > 0 && seen_sigma[NODES + i] > 0;
+    for (int view = 0; view < 2; ++view) {
+      __global const float2 *at = nodes + view * NODES;
+      const REAL deviation = known ? seen_sigma[view * NODES + i] : 1;
+      const float2 bend = bend_of(at, seen_status + view * NODES, i / COLUMNS, i % COLUMNS,
+                                  bend_down, bend_along, view ? radius_right : radius_left);
+      pixel_of[2 * view].each[lane] = at[i].x;
+      pixel_of[2 * view + 1].each[lane] = at[i].y;
+      weight_of[view].each[lane] = deviation * deviation;
+      bend_in[2 * view].each[lane] = bend.x;
+      bend_in[2 * view + 1].each[lane] = bend.y;
+    }
+  }
+  REALS pixel[4], one[3], two[3], seen[4];
+  for (int j = 0; j < 4; ++j) pixel[j] = pixel_of[j].all;
+  BY_LANE astray_one, astray_two, sine_2, depth_left, depth_right;
+  astray_one.all = undistort(left, pixel, one);
+  astray_two.all = undistort(right, pixel + 2, two);
   one[2] = two[2] = 1;
 
   __global const REAL *turn = right + 16;
-  REAL turned[3], across[3], point[3];
+  REALS turned[3], across[3], point[3];
   for (int k = 0; k < 3; ++k)
     turned[k] = two[0] * turn[k] + two[1] * turn[3 + k] + two[2] * turn[6 + k];
   cross_3(one, turned, across);
-  const REAL sine_2 = dot_3(across, across) / (dot_3(one, one) * dot_3(turned, turned));
+  sine_2.all = dot_3(across, across) / (dot_3(one, one) * dot_3(turned, turned));
 
   /* One Gauss-Newton step */
-  REAL jacobian[12];
+  REALS jacobian[12];
 #if MEDIA
-  REAL tangents[2], passed[2 * PASSED];
+  REALS tangents[2], passed[2 * PASSED];
   meet_behind(left, right, one, turned, point, tangents, passed);
-  const REAL depth_left = project_behind(left, point, tangents[0], passed, seen, jacobian);
-  const REAL depth_right =
+  depth_left.all = project_behind(left, point, tangents[0], passed, seen, jacobian);
+  depth_right.all =
       project_behind(right, point, tangents[1], passed + PASSED, seen + 2, jacobian + 6);
 #else
   meet(right, one, two, point);
-  const REAL depth_left = project(left, point, seen, jacobian);
-  const REAL depth_right = project(right, point, seen + 2, jacobian + 6);
+  depth_left.all = project(left, point, seen, jacobian);
+  depth_right.all = project(right, point, seen + 2, jacobian + 6);
 #endif
-  if (!(depth_left > 0 && depth_right > 0)) now = BEHIND;
-  if (!(sine_2 >= least_sine * least_sine)) now = PARALLEL;
-  if (!invertible) now = INCONSISTENT;
-  const int known = sigma_left[i] > 0 && sigma_right[i] > 0;
-  REAL weight[4], residual[4];
+  REALS weight[4], residual[4], bend[4];
   for (int j = 0; j < 4; ++j) {
-    const REAL deviation = j < 2 ? sigma_left[i] : sigma_right[i];
-    weight[j] = known ? 1 / (deviation * deviation) : 1;
+    weight[j] = 1 / weight_of[j / 2].all;
     residual[j] = pixel[j] - seen[j];
+    bend[j] = bend_in[j].all;
   }
-  const float2 bend_left = bend_of(nodes_left, status_left, i / COLUMNS, i % COLUMNS, bend_down,
-                                   bend_along, radius_left);
-  const float2 bend_right = bend_of(nodes_right, status_right, i / COLUMNS, i % COLUMNS, bend_down,
-                                    bend_along, radius_right);
-  const REAL bend[4] = {bend_left.x, bend_left.y, bend_right.x, bend_right.y};
-  REAL a[6] = {0, 0, 0, 0, 0, 0}, by_residual[3] = {0, 0, 0}, by_bend[3] = {0, 0, 0};
+  REALS a[6], by_residual[3], by_bend[3];
+  for (int p = 0; p < 6; ++p) a[p] = 0;
+  for (int k = 0; k < 3; ++k) by_residual[k] = by_bend[k] = 0;
   for (int j = 0; j < 4; ++j) {
-    const REAL *d = jacobian + 3 * j;
-    const REAL x = weight[j] * d[0], y = weight[j] * d[1], z = weight[j] * d[2];
+    const REALS *d = jacobian + 3 * j;
+    const REALS x = weight[j] * d[0], y = weight[j] * d[1], z = weight[j] * d[2];
     a[0] += x * d[0];
     a[1] += x * d[1];
     a[2] += x * d[2];
@@ -237,34 +263,60 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
       by_bend[k] += weight[j] * d[k] * bend[j];
     }
   }
-  const REAL c0 = a[3] * a[5] - a[4] * a[4], c1 = a[2] * a[4] - a[1] * a[5];
-  const REAL c2 = a[1] * a[4] - a[2] * a[3], determinant = a[0] * c0 + a[1] * c1 + a[2] * c2;
-  const REAL v[6] = {c0 / determinant,
-                     c1 / determinant,
-                     c2 / determinant,
-                     (a[0] * a[5] - a[2] * a[2]) / determinant,
-                     (a[1] * a[2] - a[0] * a[4]) / determinant,
-                     (a[0] * a[3] - a[1] * a[1]) / determinant};
-#define TIMES_COVARIANCE(x)                                                                \
-  {                                                                                        \
-    v[0] * x[0] + v[1] * x[1] + v[2] * x[2], v[1] * x[0] + v[3] * x[1] + v[4] * x[2],      \
-        v[2] * x[0] + v[4] * x[1] + v[5] * x[2]                                            \
-  }
-  const REAL better[3] = TIMES_COVARIANCE(by_residual), bent_by[3] = TIMES_COVARIANCE(by_bend);
-  REAL error = 0;
-  for (int j = 0; j < 4; ++j) {
-    const REAL left_over = residual[j] - dot_3(jacobian + 3 * j, better);
-    error += left_over * left_over;
-  }
-  if (now == VALID && !(error <= 2 * largest_error * largest_error)) now = INCONSISTENT;
-  if (!there) now = MISSING;
-  const int good = judge(i, now, max(status_left[i], status_right[i]), rest_status, rest_source,
-                         status, source, valid, measured, votes, counts);
-  own[i] = good && known ? (float)((v[0] + v[3] + v[5]) / 3) : NAN;
+  const REALS c0 = a[3] * a[5] - a[4] * a[4], c1 = a[2] * a[4] - a[1] * a[5];
+  const REALS c2 = a[1] * a[4] - a[2] * a[3], determinant = a[0] * c0 + a[1] * c1 + a[2] * c2;
+  const REALS inverse = 1 / determinant;
+  BY_LANE v[6];
+  v[0].all = c0 * inverse;
+  v[1].all = c1 * inverse;
+  v[2].all = c2 * inverse;
+  v[3].all = (a[0] * a[5] - a[2] * a[2]) * inverse;
+  v[4].all = (a[1] * a[2] - a[0] * a[4]) * inverse;
+  v[5].all = (a[0] * a[3] - a[1] * a[1]) * inverse;
+  BY_LANE better[3], bent_by[3], error;
+  const int of_row[3][3] = {{0, 1, 2}, {1, 3, 4}, {2, 4, 5}};
   for (int k = 0; k < 3; ++k) {
-    moved[k * NODES + i] = good ? (float)(point[k] + better[k] - rest[k * NODES + i]) : 0.0f;
-    bent[k * NODES + i] = good ? (float)bent_by[k] - rest_bent[k * NODES + i] : 0.0f;
+    const int *row = of_row[k];
+    better[k].all = bent_by[k].all = 0;
+    for (int j = 0; j < 3; ++j) {
+      better[k].all += v[row[j]].all * by_residual[j];
+      bent_by[k].all += v[row[j]].all * by_bend[j];
+    }
   }
-  for (int p = 0; p < 6; ++p)
-    points[p * NODES + i] = good && known ? (float)v[p] + rest_points[p * NODES + i] : NAN;
+  error.all = 0;
+  for (int j = 0; j < 4; ++j) {
+    const REALS *d = jacobian + 3 * j;
+    const REALS left_over = residual[j] - d[0] * better[0].all - d[1] * better[1].all -
+                            d[2] * better[2].all;
+    error.all += left_over * left_over;
+  }
+  for (int k = 0; k < 3; ++k) better[k].all += point[k];
+
+  EACH_LANE {
+    const int i = first + lane;
+    if (i >= NODES) break;
+    const uchar worst = max(seen_status[i], seen_status[NODES + i]);
+    const int known = seen_sigma[i] > 0 && seen_sigma[NODES + i] > 0;
+    int now = VALID;
+    if (!(error.each[lane] <= 2 * largest_error * largest_error)) now = INCONSISTENT;
+    if (!(depth_left.each[lane] > 0 && depth_right.each[lane] > 0)) now = BEHIND;
+    if (!(sine_2.each[lane] >= least_sine * least_sine)) now = PARALLEL;
+    if (!(astray_one.each[lane] < ROUND_TRIP * ROUND_TRIP &&
+          astray_two.each[lane] < ROUND_TRIP * ROUND_TRIP))
+      now = INCONSISTENT;
+    if (seen_status[i] == MISSING || seen_status[NODES + i] == MISSING) now = MISSING;
+    const int good = judge(i, now, worst, rest_status, rest_source, status, source, valid, measured,
+                           votes, counts);
+    const REAL trace = v[0].each[lane] + v[3].each[lane] + v[5].each[lane];
+    own[i] = good && known ? (float)(trace / 3) : NAN;
+    for (int k = 0; k < 3; ++k) {
+      const int at = k * NODES + i;
+      moved[at] = good ? (float)(better[k].each[lane] - rest[at]) : 0.0f;
+      bent[at] = good ? (float)bent_by[k].each[lane] - rest_bent[at] : 0.0f;
+    }
+    for (int p = 0; p < 6; ++p) {
+      const int at = p * NODES + i;
+      points[at] = good && known ? (float)v[p].each[lane] + rest_points[at] : NAN;
+    }
+  }
 }

@@ -396,10 +396,11 @@ def defines_of(shape: tuple[int, int], axes: int, device: Device) -> dict[str, s
 
 
 def of_nodes(
-    kernels: Kernels, shape: tuple[int, int], parts: Mapping[str, Any], name: str
+    kernels: Kernels, shape: tuple[int, int], parts: Mapping[str, Any], name: str, width: int = 1
 ) -> Launch:
-    """Bind a kernel with one work-item per node to the parts of these names."""
-    return bound(kernels, parts, name, (multiple(shape[0] * shape[1], GROUP),), (GROUP,))
+    """Bind a kernel with one work-item for `width` nodes to the parts of these names."""
+    items = multiple(shape[0] * shape[1], GROUP) // width
+    return bound(kernels, parts, name, (items,), (GROUP // width,))
 
 
 def covariances(axes: int) -> int:

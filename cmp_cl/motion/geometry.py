@@ -20,6 +20,7 @@ class InSpace:
 
     views, axes = 2, 3
     file = kernel = "space"
+    width = 4  # nodes of a work-item on a CPU
 
     def __init__(self, rig: StereoRig, radii: Sequence[float]) -> None:
         self._rig, self._radii = rig, radii
@@ -30,7 +31,7 @@ class InSpace:
         return {
             "MEDIA": 0 if window is None else len(window.layers) + 1,
             "NEAR": "1e-4" if double else "1e-3f",
-            "EXACT": "1e-9" if double else "1e-3f",
+            "SMALL": "1e-4" if double else "1e-2f",
             "TINY": "1e-300" if double else "1e-30f",
         }
 
@@ -58,7 +59,7 @@ class InPlane:
     """One camera. radius: the edge radius of its grid, px, NaN if unknown."""
 
     views, axes = 1, 2
-    file, kernel = "flat", "in_plane"
+    file, kernel, width = "flat", "in_plane", 1
 
     def __init__(self, scale: PlaneScale, radius: float) -> None:
         self._scale, self._radius = scale, radius

@@ -32,7 +32,7 @@ from cmp_cl.motion.moments import AtRest, Moment, field_of
 from cmp_cl.motion.nodes import put
 from cmp_cl.motion.tables import axis_tables
 from cmp_cl.motion.track import Tracker
-from cmp_cl.opencl.device import Device
+from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.program import Programs
 
 Array = NDArray[np.float64]
@@ -77,16 +77,18 @@ class FieldPlan:
         )
         self._filter.inputs.arrays["bound_rest"][:, : self.shape[1]] = self._at_rest.most
         self._filter.inputs.upload()
+        width = geometry.width if device.kind is DeviceKind.CPU else 1
         files = [geometry.file, *(["strain"] if strain else [])]
         defines = {
             **defines_of(self.shape, geometry.axes, device),
             "DOUBLE": int(self._double),
+            "WIDTH": width,
             **geometry.defines(double=self._double),
         }
         kernels = programs.kernels(files, defines)
         parts = self._filter.parts | self._constants.parts
         parts |= geometry.numbers(np.float64 if self._double else np.float32)
-        moved = of_nodes(kernels, self.shape, parts, geometry.kernel)
+        moved = of_nodes(kernels, self.shape, parts, geometry.kernel, width)
         self.launches = [moved, *self._filter.launches]
         if strain:
             self.launches.append(of_nodes(kernels, self.shape, parts, "strain"))

@@ -310,3 +310,16 @@ def test_a_device_without_double_precision_errs_by_hundredths_of_a_micrometre(
     _, _, single = run(rig, rest, now)
     off = np.abs(single.displacement - exact.displacement).max()
     assert 0 < off < 1e-4
+
+
+@pytest.mark.parametrize("window", ["no window", "acrylic and gel"])
+def test_nodes_give_the_same_one_by_one_and_four_at_a_time(run, monkeypatch, window):
+    rng, rig = np.random.default_rng(9), rig_with(window=window)
+    rest, now = (views_of(rig, surface(9, 11, press), rng) for press in (0.0, 1.0))
+    now = with_holes(now[0], (0, 0), (4, 3)), with_holes(now[1], (2, 5))
+    _, _, many = run(rig, rest, now)
+    monkeypatch.setattr(InSpace, "width", 1)
+    _, _, one = run(rig, rest, now)
+    np.testing.assert_array_equal(one.status, many.status)
+    np.testing.assert_allclose(one.displacement, many.displacement, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(one.covariance, many.covariance, rtol=1e-4)
