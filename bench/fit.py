@@ -1,14 +1,15 @@
 """What each constant of the octaves, and of sigma, trades: it is varied alone, on drawn boards.
 
-    python bench/fit.py octaves|sigma [BOARDS]      prints a table; some seconds a board
+    python bench/fit.py octaves|sigma [BOARDS]      prints a table; up to 40 s a board
 
 No photograph and no rendered scene is among the boards, and none of another bench.
 
 octaves: the oracle decides about its maxima, on boards of `boards.drawn`. Missed and false are
 means over the boards of shares of a board's corners, at most all of them, %, so that a board of
 thousands counts like one of ten.
-sigma: the share of the errors within two sigma, %, on boards as drawn, enlarged by repeating
-pixels, compressed, in coarse noise or blurred; see `_grown` in cmp_cl/stages/refine.py.
+sigma: the oracle's share of the errors within two sigma, %, and the median sigma over the errors'
+RMS, on boards as drawn, enlarged by repeating pixels, compressed, in coarse noise, blurred, or
+whose ink has spread; see kernels/residual.cl.
 """
 
 import itertools
@@ -22,10 +23,9 @@ import boards
 import numpy as np
 from boards import board, drawn, photographed
 
-from cmp_cl import RingHarmonic, detect
+from cmp_cl import DetectorConfig, RingHarmonic, reference
 from cmp_cl.image import GreyImage
-from cmp_cl.reference import harmonic
-from cmp_cl.stages import refine
+from cmp_cl.reference import edge_step, harmonic
 from cmp_cl.synthetic.scoring import match
 
 FIRST_SEED = 700_000
@@ -41,14 +41,11 @@ OCTAVES: dict[str, tuple[float, ...]] = {  # of the oracle; `relative` is the ru
     "SEEN": (0.5, 2.5),
 }
 SIGMA = {
-    "VARIANCE_OF_RANGE": (3000, 1000, 2000, 5000),  # the first is the default
-    "LEAST_RANGE": (0.0015, 0.0035),
-    "VARIANCE_OF_LEAST": (0, 250, 1000),
-    "GREATEST_LEAST": (0.02, 0.03),
+    "VARIANCE_OF_ODD": (1000, 0, 500, 700, 1400, 2000),  # the first is the default
     "VARIANCE_OF_GRAIN": (0, 1, 1.5, 3),
 }
-ENLARGED = {"x2": 2, "x3": 3, "x4": 4}
-KINDS = ("drawn", *ENLARGED, "JPEG", "coarse noise", "blur")
+ENLARGED = {"x2": 2, "x3": 3, "x4": 4, "x6": 6}
+KINDS = ("drawn", *ENLARGED, "JPEG", "coarse noise", "blur", "spread ink")
 Judged = Iterator[tuple[str, str, tuple[float, ...]]]  # constant and value, kind of board, figures
 
 
@@ -74,9 +71,9 @@ def octaves(count: int) -> Judged:
         for name, value in rows(OCTAVES):
             score = view.score(places(view.image, layers, name, value))
             if score.expected:
-                share = score.missed / score.expected, min(score.false / score.expected, 1)
+                shares = [min(100 * n / score.expected, 100) for n in (score.missed, score.false)]
                 for kind in ("all", *kinds):
-                    yield f"{name} {value:g}", kind, share
+                    yield f"{name} {value:g}", kind, (shares[0], shares[1])
 
 
 def of_kind(kind: str, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
@@ -92,6 +89,7 @@ def of_kind(kind: str, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
         angle=rng.uniform(0, math.pi / 2),
         tilt=rng.uniform(-0.2, 0.2),
         blur=rng.uniform(*soft),
+        ink=cell * rng.uniform(-0.1, 0.1) if kind == "spread ink" else 0.0,
         start=(rng.random(), rng.random()),
     )
     coarse = kind == "coarse noise"
@@ -107,20 +105,21 @@ def of_kind(kind: str, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def sigma(count: int) -> Judged:
-    """Yield the share of the errors of each board within two sigma."""
+    """Yield, of each board, the share of the errors within two sigma, and sigma over their RMS."""
     for seed, kind in itertools.product(range(FIRST_SEED, FIRST_SEED + count), KINDS):
         image, truth, cell = of_kind(kind, seed)
         margin = max(12, 0.6 * cell)
         for name, value in rows(SIGMA):
-            with mock.patch.object(refine, name, np.float32(value)):
-                found = detect(image)
+            with mock.patch.object(edge_step, name, value):
+                found = reference.detect(image, DetectorConfig())
             partner = match(found.xy, truth, max(3.0, 0.1 * cell))
             inside = boards.inside(found.xy, image.shape, margin)
             good = (partner >= 0) & np.isfinite(found.sigma) & inside
             error = np.abs(found.xy[good] - truth[partner[good]])
             if len(error):
                 within = error < 2 * found.sigma[good, None]
-                yield f"{name} {value:g}", kind, (within.mean(),)
+                ratio = np.median(found.sigma[good]) / np.sqrt(np.square(error).mean())
+                yield f"{name} {value:g}", kind, (100 * within.mean(), ratio)
 
 
 def main() -> None:
@@ -129,10 +128,10 @@ def main() -> None:
     for row, kind, figures in {"octaves": octaves, "sigma": sigma}[fit](count):
         judged[row][kind].append(figures)
     kinds = sorted({kind for row in judged.values() for kind in row})
-    print(f"{count} boards of each kind, %")
+    print(f"{count} boards of each kind")
     print(f"{'':24}" + "".join(f"{kind:>20}" for kind in kinds))
     for row, found in judged.items():
-        means = [100 * np.mean(found[kind], axis=0) for kind in kinds]
+        means = [np.mean(found[kind], axis=0) for kind in kinds]
         texts = (" / ".join(f"{each:.2f}" for each in mean) for mean in means)
         print(f"{row:24}" + "".join(f"{text:>20}" for text in texts))
 

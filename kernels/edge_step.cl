@@ -15,12 +15,30 @@
   EIGHT_OF(float8, image + CLAMPED_ROW(from_y + (j)) + (size_t)(from_x + (i)))
 #endif
 
-/* Row j of the disc: as many groups of eight pixels around the middle as its chord needs. */
+/* Row j from the middle pixel: as many groups of eight pixels around it as the chord may need,
+ * wherever in the middle pixel the centre of the disc lies. */
 #define DISC_ROW(j)                                                                 \
-  const float uy = (float)(j) - y, uy_2 = uy * uy;                                  \
-  int eights = 1;                                                                   \
-  while ((float)(16 * eights * eights) < radius_2 - uy_2) ++eights;                 \
-  const int left = (int)floor(x) + 1 - 4 * eights, right = left + 8 * eights;
+  const float nearest = LARGER(MAGNITUDE((float)(j)) - 0.5f, 0.0f);                 \
+  int most = 4;                                                                     \
+  while (((float)most - 0.5f) * ((float)most - 0.5f) < radius_2 - nearest * nearest) most += 4;
+
+/* The model and the grey levels of eight pixels from column i of row j. */
+#define EIGHT_PIXELS(i, j)                                                          \
+  const float8 ux = (float)(middle_x + (i)) - x + EIGHT;                            \
+  const float uy = (float)(middle_y + (j)) - y;                                     \
+  CORNER_MODEL(uy * uy)                                                             \
+  const float8 I = EIGHT_GREYS(middle_x + (i), middle_y + (j)) - centre;
+
+/* Their residual, 0 outside the disc. */
+#define EIGHT_RESIDUALS(i, j)                                                       \
+  EIGHT_PIXELS(i, j)                                                                \
+  SLOPES                                                                            \
+  const float8 r = w > 0 ? RESIDUAL(I, P) : (float8)(0.0f), wr = w * r;
+
+/* The sums of the pixels at distance two, from the last pair to the first: of v and, to its right,
+ * the first two of what follows. */
+#define NEIGHBOURS_BACKWARDS(v, right) \
+  (v.s76543210 + (float8)(right.s10, v.s7654, v.s32))
 
 __kernel void edge_step(__global const PIXEL *restrict image, __global const int *restrict corners,
                         __global const uint *restrict counts, const uint rows,
@@ -40,38 +58,49 @@ __kernel void edge_step(__global const PIXEL *restrict image, __global const int
   if (!good) return;
   const float radius_2 = radius * radius, rim = 4 / radius_2;
   const float a_x = n1x * BY_BLUR, a_y = n1y * BY_BLUR, b_x = n2x * BY_BLUR, b_y = n2y * BY_BLUR;
-  const int top = (int)ceil(y - radius), bottom = (int)floor(y + radius);
+  const int middle_x = (int)floor(x + 0.5f), middle_y = (int)floor(y + 0.5f);
+  const int reach = (int)(radius + 0.5f);
   const float centre = GREY_NEAR(0, 0);
 
   LEVEL_SUMS
-  for (int j = top; j <= bottom; ++j) {
+  for (int j = -reach; j <= reach; ++j) {
     DISC_ROW(j)
-    for (int i = left; i < right; i += 8) {
-      const float8 ux = (float)i - x + EIGHT;
-      CORNER_MODEL(uy_2)
-      const float8 I = EIGHT_GREYS(i, j) - centre;
+    for (int i = -most; i < most; i += 8) {
+      EIGHT_PIXELS(i, j)
       ADD_LEVELS(w, P, I)
     }
   }
   LEVELS
 
   RESIDUAL_SUMS
-  for (int j = top; j <= bottom; ++j) {
+  float8 vro = 0;
+  for (int j = 0; j <= reach; ++j) { /* and row -j, backwards */
     DISC_ROW(j)
-    float last = 0;
-    for (int i = left; i < right; i += 8) {
-      const float8 ux = (float)i - x + EIGHT;
-      CORNER_MODEL(uy_2)
-      SLOPES
-      const float8 all = RESIDUAL((EIGHT_GREYS(i, j) - centre), P);
-      const float8 r = w > 0 ? all : (float8)(0.0f), wr = w * r;
-      ADD_RESIDUAL(wr, r, A, B, P)
-      vrn += (float8)(last, wr.s0123, wr.s456) * r;
-      last = wr.s7;
+    float left = 0;
+    float2 right = 0, right_weighted = 0;
+    for (int i = -most; i < most; i += 8) {
+      float8 here, here_weighted;
+      {
+        EIGHT_RESIDUALS(i, j)
+        ADD_RESIDUAL(wr, r, A, B, P)
+        vrn += (float8)(left, wr.s0123, wr.s456) * r;
+        left = wr.s7;
+        here = r;
+        here_weighted = wr;
+      }
+      EIGHT_RESIDUALS(-i - 8, -j)
+      vro += here_weighted * NEIGHBOURS_BACKWARDS(r, right);
+      if (j > 0) {
+        ADD_RESIDUAL(wr, r, A, B, P)
+        vrn += wr * (float8)(r.s123, r.s4567, right.s0);
+        vro += here * NEIGHBOURS_BACKWARDS(wr, right_weighted);
+      }
+      right = r.s01;
+      right_weighted = wr.s01;
     }
   }
 #define SUM(name) const float name = sum_of_eight(v##name);
-  SUM(rr) SUM(ra) SUM(rb) SUM(rn) SUM(rx) SUM(ry) SUM(px) SUM(py)
+  SUM(rr) SUM(ra) SUM(rb) SUM(rn) SUM(ro) SUM(rx) SUM(ry) SUM(px) SUM(py)
   EDGE_FRAME
   MOMENTS_AT(angle)
 #define MOMENT(axis, i) of_##axis.s##i

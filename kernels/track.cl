@@ -6,7 +6,7 @@
  * Each view has at most CAPACITY corners, and NODES nodes; dimension 1 of a launch is the view.
  *
  * `result` has the corners of all views as kernels/result.clh lays them out: `stride` numbers for a
- * view, with room for `room` corners. The sigma of a corner is that of cmp_cl/stages/refine.py. */
+ * view, with room for `room` corners. */
 #pragma OPENCL FP_CONTRACT OFF
 
 #ifndef LOOKS
@@ -15,21 +15,9 @@
 #if !defined(HEAD) || !defined(EDGES_FIELD) || !defined(METHOD_FIELD) || !defined(VARIANCE_FIELD)
 #error "HEAD and the fields of a result must be defined"
 #endif
-#define LEVELS (OCTAVES + 1)
-#define BY_EDGE_STEP 2          /* of Method */
 #define TORN_PX 0.15f           /* a corner whose sigma is not below it is torn */
 #define CENTROID 0
 #define SAME_PX 0.5f            /* a corner so near is the same */
-#define VARIANCE_OF_EXCESS 1000 /* px^2 per squared excess, as in cmp_cl/stages/refine.py */
-#define VARIANCE_OF_RANGE 3000
-#define LEAST_RANGE 0.0025f
-#define VARIANCE_OF_LEAST 500
-#define GREATEST_LEAST 0.025f
-#define VARIANCE_OF_GRAIN 2.2f
-#define QUANTILES 4
-#define OF_GRAIN 3 /* the last of them */
-#define FEW 8 /* corners that do not tell what the noise is */
-#define VARIANCE_OF_MODEL 1e-4f /* px^2 of the octave */
 
 #define NEAR_CELLS 0.3f /* from the prediction, of the smaller local step */
 #define ALONE_CELLS 0.5f /* no second corner may be as near as that */
@@ -84,31 +72,8 @@
   __global const float *fields = (result) + view * (stride) + HEAD;                 \
   __global const float *edges = fields + EDGES_FIELD * padded;                      \
   __global const uchar *methods = (__global const uchar *)(fields + METHOD_FIELD * padded); \
-  __global const uchar *refusals = methods + padded, *octaves = methods + 2 * padded; \
-  __global const float *variances = fields + VARIANCE_FIELD * padded;               \
-  __global const float *correlations = variances + padded, *grains = correlations + padded;
-#define OCTAVE_OF(n) (OCTAVES ? octaves[n] : 0)
-
-/* A variance, px^2, and by how much it grows: by the grain of the noise, by the excess of the
- * corner's autocorrelation over the median of its octave, by the range of the least, and by the
- * least. */
-float grown_variance(const float variance, const int octave, const int is_step,
-                     const float correlation, const float4 quantile) {
-  if (isinf(quantile.x)) return variance; /* no corner of the octave shows how the noise is */
-  const float excess = fmax(correlation - quantile.z, 0.0f);
-  const float spread = fmax(quantile.y - quantile.x - LEAST_RANGE, 0.0f);
-  const float stepped = fmax(quantile.x - GREATEST_LEAST, 0.0f);
-  const float coarse = fmax(VARIANCE_OF_GRAIN * quantile.w - 1, 0.0f);
-  const float of_noise = is_step ? variance - VARIANCE_OF_MODEL * (float)(1 << 2 * octave) : 0;
-  const float more = coarse * of_noise + VARIANCE_OF_EXCESS * excess * excess +
-                     VARIANCE_OF_RANGE * spread * spread + VARIANCE_OF_LEAST * stepped * stepped;
-  return variance + more;
-}
-
-/* The standard deviation of corner n. */
-#define SIGMA_OF(n, quantile)                                                       \
-  sqrt(grown_variance(variances[n], OCTAVE_OF(n), methods[n] == BY_EDGE_STEP,       \
-                      correlations[n], quantile))
+  __global const uchar *refusals = methods + padded;                                \
+  __global const float *variances = fields + VARIANCE_FIELD * padded;
 
 /* The sine of an angle within .001; sin is a slow call on PoCL. */
 float sine_of(const float angle) {
@@ -130,81 +95,32 @@ int has_colour(const float angle, const float2 along, const float2 down, const i
   return !(sign * (off_down - off_along) <= 0);
 }
 
-/* An integer in the order of the number. */
-uint ordered(const float v) {
-  const uint bits = as_uint(v);
-  return bits & 0x80000000u ? ~bits : bits | 0x80000000u;
-}
-
-/* Of each view and octave, QUANTILES numbers: the 5th, 40th and 50th percentile of the residual's
- * autocorrelation of the corners that EDGE_STEP accepted, infinite if there are none; then the
- * median of their grains, and of FEW more that have none. Byte by byte from the first. The bins of
- * the view are emptied too. One work-group for each number. */
-__kernel void quantiles(__global const float *result, const uint stride, const uint room,
-                        const int bin_rows, const int bin_columns, __global float *quantile,
-                        __global int *first_of_bin) {
-  const int group = get_group_id(1), q = group % QUANTILES, octave = group / QUANTILES % LEVELS;
-  const int view = group / (QUANTILES * LEVELS);
-  const int first = get_local_id(0), items = get_local_size(0);
-  for (int b = first; octave == 0 && q == 0 && b < bin_rows * bin_columns; b += items)
-    first_of_bin[BINS + b] = NONE;
-  RESULT_OF_VIEW(result, stride, room)
-  __global const float *values = q == OF_GRAIN ? grains : correlations;
-  __local uint bins[256], prefix, rank, all;
-  for (int shift = 24; shift >= 0; shift -= 8) {
-    for (int b = first; b < 256; b += items) bins[b] = 0;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    for (int n = first; n < count; n += items) {
-      if (methods[n] != BY_EDGE_STEP || OCTAVE_OF(n) != octave) continue;
-      const uint key = ordered(values[n]);
-      if (shift != 24 && key >> (shift + 8) != prefix) continue;
-      if (items == 1) ++bins[key >> shift & 255];
-      else atomic_inc(bins + (key >> shift & 255));
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (first == 0) {
-      if (shift == 24) {
-        all = 0;
-        for (int b = 0; b < 256; ++b) all += bins[b];
-        const uint above = q == 0   ? 19 * all / 20
-                           : q == 1 ? 3 * all / 5
-                           : q == 2 ? all / 2
-                                    : all / 2 + FEW / 2;
-        rank = all > above ? all - 1 - above : 0;
-        prefix = 0;
-      }
-      uint b = 0;
-      for (; b < 255 && bins[b] <= rank; ++b) rank -= bins[b];
-      prefix = prefix << 8 | b;
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
-  }
-  if (first != 0) return;
-  const float found = as_float(prefix & 0x80000000u ? prefix & 0x7fffffffu : ~prefix);
-  quantile[group] = q == OF_GRAIN ? (all > FEW ? found : 0.0f) : all ? found : INFINITY;
-}
-
-/* Chain the corners of each bin, and predict the nodes: they move on as they moved last. The
- * variance of a corner that does not look like its model grows by its excess over the median, and
- * that of all corners by the range of the least and by the grain of the noise. One work-item a
- * corner or a node. */
-__kernel void place(__global const float *result, const uint stride, const uint room,
-                    __global const float4 *quantile, const float bins_per_px,
-                    const int bin_rows, const int bin_columns, __global const float2 *nodes,
-                    __global float4 *corners, __global float2 *last, __global float2 *predicted,
-                    __global int *first_of_bin, __global int *next, __global int *claims,
-                    __global uint *look_counts, const uint first_count, __global int *tracked) {
+/* Predict the nodes: they move on as they moved last. Empty what is counted and the bins. One
+ * work-item a node or a bin. */
+__kernel void predict(const int bin_rows, const int bin_columns,
+                      __global const float2 *nodes, __global float2 *last,
+                      __global float2 *predicted, __global int *first_of_bin,
+                      __global uint *look_counts, const uint first_count,
+                      __global int *tracked) {
   VIEW
   if (i < COUNTED) tracked[view * COUNTED + i] = 0;
   if (i == 0) look_counts[first_count + view] = 0;
-  if (i < NODES) {
-    const float2 here = nodes[OF_NODE];
-    predicted[OF_NODE] = here + (here - last[OF_NODE]);
-    last[OF_NODE] = here;
-  }
+  if (i < bin_rows * bin_columns) first_of_bin[BINS + i] = NONE;
+  if (i >= NODES) return;
+  const float2 here = nodes[OF_NODE];
+  predicted[OF_NODE] = here + (here - last[OF_NODE]);
+  last[OF_NODE] = here;
+}
+
+/* Chain the corners of each bin. One work-item a corner. */
+__kernel void place(__global const float *result, const uint stride, const uint room,
+                    const float bins_per_px, const int bin_rows, const int bin_columns,
+                    __global float4 *corners, __global int *first_of_bin, __global int *next,
+                    __global int *claims) {
+  VIEW
   RESULT_OF_VIEW(result, stride, room)
   if (i >= min(count, CAPACITY)) return;
-  const float sigma = SIGMA_OF(i, quantile[view * LEVELS + OCTAVE_OF(i)]);
+  const float sigma = sqrt(variances[i]);
   const int whole = sigma < TORN_PX && refusals[i] == 0;
   const float4 corner =
       (float4)(fields[2 * i], fields[2 * i + 1], edges[4 * i], whole ? sigma : -sigma);
@@ -370,8 +286,8 @@ __kernel void check(__global const float4 *corners, const float bins_per_px, con
  * for keeps a corner that is not too far; else it stays at that place, INTERPOLATED between two
  * neighbours. One work-item a node. */
 __kernel void enter(__global const float *look_result, const uint look_stride,
-                    __global const float4 *quantile, __global const float4 *corners,
-                    const float bins_per_px, const int bin_rows, const int bin_columns,
+                    __global const float4 *corners, const float bins_per_px,
+                    const int bin_rows, const int bin_columns,
                     __global const int *first_of_bin, __global const int *next,
                     __global const int *claims, __global const int *kept,
                     __global const int *look, __global const float2 *expected,
@@ -389,7 +305,7 @@ __kernel void enter(__global const float *look_result, const uint look_stride,
   const float2 place = expected[OF_NODE];
   if (n < count && refusals[n] == 0 && methods[n] != CENTROID) {
     const float2 found = (float2)(fields[2 * n], fields[2 * n + 1]);
-    const float deviation = SIGMA_OF(n, quantile[view * LEVELS]), off = length(found - place);
+    const float deviation = sqrt(variances[n]), off = length(found - place);
     const float most = deviation < TORN_PX ? NEAR_CELLS : STRAY_TORN_CELLS;
     if ((off < most * cell || off < STRAY_PX) &&
         has_colour(edges[4 * n], along, down, i, colour[view])) {

@@ -153,7 +153,6 @@ class Measurement(Closing):
                 self._tracker = Tracker(
                     self._detector.queue,
                     programs,
-                    chosen,
                     views=[(view.rest, view.corners) for view in self._views],
                     sizes=[self._detector.shape] * len(self._views),
                     frame=self._plan.frame,

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from cmp_cl.corners import Corners
 from cmp_cl.grid.grid import NO_SIDES, Grid
 from cmp_cl.motion.memory import Layout, Memory
-from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.launches import GROUP, Launch, bound, multiple
 from cmp_cl.opencl.program import Programs
 from cmp_cl.stages import refine
@@ -31,8 +30,6 @@ GONE = 0.50  # largest share of a side's nodes that are lost
 KNOWN = 0.95  # least share of the nodes that the frame at rest must show
 COUNTED = 12  # numbers for each view, as in kernels/track.cl
 LEAST_ROOM = 4096  # corners of a view
-QUANTILES = 4  # of the corners of an octave, as in kernels/track.cl
-QUANTILE_GROUP = 256  # work-items that look for one together
 STENCIL = 24  # nodes that predict a node, at most, as in kernels/track.cl
 _BIN = 1.0  # cells at rest: side of a bin
 _LEAST_BIN = 4.0  # px
@@ -95,7 +92,6 @@ class Tracker:
         self,
         queue: cl.CommandQueue,
         programs: Programs,
-        device: Device,
         *,
         views: Sequence[tuple[Grid, Corners]],
         sizes: Sequence[tuple[int, int]],
@@ -103,13 +99,13 @@ class Tracker:
         octaves: int,
         lists: int,
     ) -> None:
-        self._queue, self._device = queue, device
+        self._queue = queue
         self._frame = frame
         self._bound_to: WeakKeyDictionary[Plan, tuple[cl.Buffer, list[Launch]]] = (
             WeakKeyDictionary()
         )
         self.shape = rows, columns = views[0][0].shape
-        self._count, self._levels = len(views), octaves + 1
+        self._count = len(views)
         self.capacity = multiple(max(LEAST_ROOM, 2 * rows * columns), GROUP)
         self._usual: list[tuple[int, ...]] = [(0, 0, 0, 0)] * len(views)
         self.room = multiple(rows * columns, GROUP)  # of second looks
@@ -122,7 +118,6 @@ class Tracker:
             queue,
             {
                 "corners": ((*corners, 4), np.float32),
-                "quantile": ((self._count, self._levels, QUANTILES), np.float32),
                 "last": ((*nodes, 2), np.float32),
                 "predicted": ((*nodes, 2), np.float32),
                 "residual": ((*nodes, 2), np.float32),
@@ -157,7 +152,6 @@ class Tracker:
                 "CAPACITY": self.capacity,
                 "LOOKS": self.room,
                 "COLUMNS_OF_LOOK": look_columns,
-                "OCTAVES": octaves,
                 "HEAD": RESULT_HEAD,
                 "EDGES_FIELD": EDGES.start,
                 "METHOD_FIELD": METHOD,
@@ -219,11 +213,8 @@ class Tracker:
             "look_length": np.uint32(self._count * self.room),
             "look_stride": np.uint32(_stride(self.room)),
         }
-        group = 1 if self._device.kind is DeviceKind.CPU else QUANTILE_GROUP
-        numbers = self._count * self._levels * QUANTILES
-        quantiles = bound(self._kernels, parts, "quantiles", (group, numbers), (group, 1))
-        items = {"place": max(nodes, self.capacity)}
-        place, match, agree, check, enter = (
+        items = {"predict": max(nodes, math.prod(self._bins)), "place": self.capacity}
+        *before, enter = (
             bound(
                 self._kernels,
                 parts,
@@ -231,9 +222,9 @@ class Tracker:
                 (multiple(items.get(name, nodes), GROUP), self._count),
                 (GROUP, 1),
             )
-            for name in ("place", "match", "agree", "check", "enter")
+            for name in ("predict", "place", "match", "agree", "check", "enter")
         )
-        return [quantiles, place, match, agree, check, *looks, enter]
+        return [*before, *looks, enter]
 
     def begin(self, grids: Sequence[Grid]) -> bool:
         """Go on from the nodes of these grids, which are on the device; return whether they are

@@ -73,9 +73,7 @@ def detect_with_margin(
     values: dict[str, NDArray[Any]] = {}
     for halvings, octave in enumerate(images):
         here, size = found.halvings == halvings, 2**halvings
-        refined = refine.refine(
-            octave, rounded[here], centroid[here], config.refinement, factor, size
-        )
+        refined = refine.refine(octave, rounded[here], centroid[here], config.refinement, factor)
         placed = dataclasses.replace(
             refined, xy=refined.xy * size + (size - 1) / 2, sigma=refined.sigma * size
         )

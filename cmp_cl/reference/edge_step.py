@@ -21,9 +21,8 @@ LEAST_CONTRAST = 1e-3  # grey levels
 LEAST_SPREAD = 1e-3  # of the model, relative to its weighted mean square
 GRADIENT = 1e-3  # 1/px, expected gradient of the light, unless the image shows a larger one
 SIGNIFICANT = 9.0  # squared standard deviations: above it, the gradient in the image is used
-DOUBT = 0.010  # excess autocorrelation of the residual
-GREATEST_LEAST = 0.025  # 5th percentile of the autocorrelations, in a good frame
-LEAST_RANGE = 0.0025  # from the 5th to the 40th percentile of autocorrelations, in a good frame
+DOUBT = 0.010  # excess over the median of the autocorrelations
+VARIANCE_OF_ODD = 1000  # px^2, per squared autocorrelation of the residual's odd part
 # px: error of a position on perfect prints by bent edges, shading and sampling, beside the noise
 STEP_ERROR = 0.01
 FEW = 8
@@ -52,7 +51,6 @@ def edge_step(
     points: EdgePoints,
     refinement: EdgeStep,
     scale: float,
-    size: int = 1,
 ) -> Step:
     """Apply EDGE_STEP: one weighted linear least-squares step of a blurred corner from EDGE_LINES.
 
@@ -61,9 +59,6 @@ def edge_step(
     clamp(0.75 cell s, 4.5, 9) / s with the working scale s. The terms of the normal equations that
     depend only on the model are integrated over the disc. In the frame of the edges the equations
     separate into two systems of two unknowns.
-
-    size: px of the frame of a pixel of the image. What a corner that does not look like the model
-    adds to its variance is in px of the frame.
     """
     radius = disc_radius(refinement, scale)
     n1, n2 = (normal_of(line) for line in both_lines(points))
@@ -80,24 +75,21 @@ def edge_step(
     longest, furthest = LARGEST_STEP / scale, STEP_SHIFT / scale
     accepted = solvable & (length <= longest) & (moved <= furthest)
 
-    excess, spread, stepped, coarse = np.zeros(len(start)), 0.0, 0.0, 1.0
+    typical, coarse = 0.0, 1.0
     if accepted.any():
-        least, low, middle = (ranked(correlation[accepted], n) for n in (5, 40, 50))
-        excess = np.maximum(0, correlation - middle)
-        spread = max(0, low - least - LEAST_RANGE)
-        stepped = max(0, least - GREATEST_LEAST)
+        typical = median(correlation[accepted])
         few = np.zeros(FEW)  # corners more, without grain: so few would not tell what the noise is
-        typical = ranked(np.concatenate([grain[accepted], few]), 50)
-        coarse = max(1, VARIANCE_OF_GRAIN * typical)
-    of_step = STEP_ERROR**2 + 0.5 * variance * coarse + 1000 * (excess / size) ** 2
-    of_frame = (3000 * spread**2 + 500 * stepped**2) / size**2
+        coarse = max(1, VARIANCE_OF_GRAIN * median(np.concatenate([grain[accepted], few])))
+    odd = np.maximum(np.where(accepted, correlation, typical), typical)
+    of_step = STEP_ERROR**2 + 0.5 * variance * coarse
+    of_shape = VARIANCE_OF_ODD * np.maximum(0, odd) ** 2
     of_refused = np.where(solvable, longest**2, 0)  # the lines and the step differ by more
     margin = np.min(
         [
             near,
             np.where(solvable, np.abs(length - longest) / longest, np.inf),
             np.where(solvable, np.abs(moved - furthest) / furthest, np.inf),
-            np.where(accepted, np.abs(excess - DOUBT) / DOUBT, np.inf),
+            np.where(accepted, np.abs(odd - typical - DOUBT) / DOUBT, np.inf),
         ],
         axis=0,
     )
@@ -107,8 +99,8 @@ def edge_step(
         refusal=np.select([accepted, solvable], [Refusal.NONE, Refusal.SHIFT], Refusal.FLAT).astype(
             np.uint8
         ),
-        variance=np.where(accepted, of_step, of_refused) + of_frame,
-        doubtful=accepted & (excess > DOUBT),
+        variance=np.where(accepted, of_step, of_refused) + of_shape,
+        doubtful=odd - typical > DOUBT,
         margin=margin,
     )
 
@@ -118,10 +110,9 @@ def disc_radius(refinement: EdgeStep, scale: float) -> float:
     return min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
 
 
-def ranked(values: Floats, percent: int) -> float:
-    """Return that percentile, of two values the lower one."""
-    ordered = np.sort(values)
-    return float(ordered[len(values) - 1 - (100 - percent) * len(values) // 100])
+def median(values: Floats) -> float:
+    """Return the median, of two values the lower one."""
+    return float(np.sort(values)[(len(values) - 1) // 2])
 
 
 def _step_terms(
@@ -135,12 +126,14 @@ def _step_terms(
     """Return for each corner the step (N, 2), whether the system is regular, tr rho^2, ac, the
         grain, and a margin.
 
-    ac is the mean of r(q) r(q + (1, 0)), weighted by w(q), minus the part that comes from the
-    light's gradient. The mean is over the pixels q that are within the radius, and whose right
-    neighbours are too. rho^2 is mean r^2 minus that product: the noise, which neighbours do not
-    share. The grain is the noise over the disc relative to rho^2. It is seen where the model has
-    nothing but noise: along k P, k the coordinate along s or t, in the part that neither an offset
-    nor the light's gradient explains.
+    ac is the autocorrelation of the residual's odd part, since an even residual moves no corner:
+    half the difference of the means of r(q) r(q + 1) and of r(q) (r(-q - 1) + r(1 - q)) / 2,
+    weighted by w(q), minus the part that comes from the light's gradient. q is counted from the
+    middle pixel, q + 1 is the right neighbour, and r is 0 outside the radius. rho^2 is mean r^2
+    minus the mean of r(q) r(q + 1): the noise, which neighbours do not share. The grain is the
+    noise over the disc relative to rho^2. It is seen where the model has nothing but noise: along
+    k P, k the coordinate along s or t, in the part that neither an offset nor the light's gradient
+    explains.
     """
     height, width = image.shape
     reach = np.arange(-math.ceil(radius), math.ceil(radius) + 1)
@@ -198,17 +191,25 @@ def _step_terms(
         trace = (1 / d_d + by_offset**2 * variance_of_gradient).sum(axis=1)
         explained = (2 * gradient * r_light - gradient**2 * light_2).sum(axis=1)
 
-        pair = np.where(inside[:, :, :-1] & inside[:, :, 1:], w[:, :, :-1], 0)
-        neighbours = np.where(pair > 0, r[:, :, :-1] * r[:, :, 1:], 0)
-        correlation = (pair * neighbours).sum(axis=(1, 2)) / s1
-        white = squares / s1 - correlation
+        within = np.where(inside, r, 0)
+        weighted, mirrored = w * within, within[:, ::-1, ::-1]
+        neighbours, before, behind = (
+            (one * other).sum(axis=(1, 2)) / s1
+            for one, other in (
+                (weighted[:, :, :-1], within[:, :, 1:]),
+                (weighted[:, :, :-1], mirrored[:, :, 1:]),
+                (weighted[:, :, 1:], mirrored[:, :, :-1]),
+            )
+        )
+        white = squares / s1 - neighbours
         variance = np.maximum(0, white) / (c * c) * trace
         of_light = (k_kp + ratio[:, None] * k_kpp - by_offset * d_kp) / left
         broad = r_kp - d_kp / d_d * r_d - of_light * (r_light - by_offset * r_d)
         expected = k_kpp - d_kp**2 / d_d - of_light**2 * left
         grain = (broad**2).sum(axis=1) / expected.sum(axis=1)
         grain /= np.maximum(white, (LEAST_CONTRAST * c) ** 2)
-        correlation = (correlation - explained / s1) / (c * c)
+        odd = (neighbours - (before + behind) / 2) / 2
+        correlation = (odd - explained / s1) / (c * c)
 
         ratios = np.stack([np.abs(c) / LEAST_CONTRAST, spread / (s1 * spp) / LEAST_SPREAD])
         sound = (ratios > 1).all(axis=0) & np.isfinite(step).all(axis=1)

@@ -45,13 +45,12 @@ def refine(
     centroid: Floats,
     refinement: EdgeLines | EdgeStep | Midlines | None,
     scale: float,
-    size: int = 1,
 ) -> Refined:
     """Refine the positions of N corners.
 
     start: (N, 2) (x, y), the rounded centroids; centroid: (N, 2), the positions that are kept if a
         check rejects the refinement; both in the full image. scale: the working scale that they
-        come from. size: px of the frame of a pixel of the image, which may be halved.
+        come from.
     """
     count = len(start)
     unknown = np.full(count, np.nan)
@@ -80,7 +79,7 @@ def refine(
     lines = np.nonzero(method == Method.EDGE_LINES)[0]
     if isinstance(refinement, EdgeStep) and len(lines):
         step = edge_step(
-            image, start[lines], shift[lines], _chosen(points, lines), refinement, scale, size
+            image, start[lines], shift[lines], _chosen(points, lines), refinement, scale
         )
         accepted = lines[step.accepted]
         shift[accepted] = step.position[step.accepted]

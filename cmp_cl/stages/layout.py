@@ -11,11 +11,13 @@ from cmp_cl.opencl.device import Device
 from cmp_cl.opencl.launches import GROUP, Launch, bound, constant, multiple
 from cmp_cl.opencl.program import Kernels
 from cmp_cl.stages.form import Form, form_for
+from cmp_cl.stages.moments import step_radius
 from cmp_cl.stages.resampling import working_shape
 from cmp_cl.stages.types import types_of
 
 LEAST_PAD = 16  # columns on either side of the pixels, for rings, discs and tents
 LANES = 8  # corners of a vector in the form for CPUs
+WIDEST_OF_EIGHT = 24.0  # px, radius of the discs for which kernels/cpu/edge_step.cl has room
 CORNER_COLUMNS = 6  # x, y, response, and the sum and the moments of the responses around it
 LEAST_OCTAVE = 48  # px, the shorter side of a halved frame
 MOST_OCTAVES = 3
@@ -125,8 +127,11 @@ class PlanBase:
     @property
     def lanes(self) -> int:
         """Return the number of corners that a work-item of refinement processes at a time."""
-        lines = isinstance(self.config.refinement, EdgeLines | EdgeStep)
-        return LANES if self.form is Form.CPU and lines else 1
+        refinement = self.config.refinement
+        eight = isinstance(refinement, EdgeLines | EdgeStep)
+        if isinstance(refinement, EdgeStep):
+            eight = step_radius(refinement, self.scale or 1.0) <= WIDEST_OF_EIGHT
+        return LANES if self.form is Form.CPU and eight else 1
 
     def constant(self, table: NDArray[Any]) -> cl.Buffer:
         """Return a constant table as a buffer on the device."""
@@ -158,6 +163,11 @@ class PlanBase:
         size = self.size_of(octave)
         items = (int(size["step"]), height or int(size["rows"]), self.frames)
         return self.stage(name, items, (GROUP if octave else self.width, 1, 1), **arguments)
+
+    def of_groups(self, name: str, groups: int, items: int, **arguments: Any) -> Launch:
+        """Bind a kernel of whole work-groups with so many work-items; on a CPU, with one each."""
+        size = 1 if self._on_cpu else items
+        return self.stage(name, (size, groups), (size, 1), **arguments)
 
     def of_corners(self, name: str, **arguments: Any) -> Launch:
         """Bind a kernel with one work-item per entry of the list of corners."""

@@ -6,9 +6,18 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.config import EdgeStep
+
+STEP_RADIUS = (0.75, 4.5, 9.0)  # of EDGE_STEP's disc: cells, and its least and largest px
 BLUR = 1.2  # px, of the model's edges
 NARROW = 1e-3  # rad: used in place of 0
 MOST_RINGS = 32  # in either part of the disc; far out the model changes little along a radius
+
+
+def step_radius(refinement: EdgeStep, scale: float) -> float:
+    """Return the radius of EDGE_STEP's disc, px of the image."""
+    share, least, most = STEP_RADIUS
+    return min(max(share * refinement.cell * scale, least), most) / scale
 
 
 @functools.lru_cache(maxsize=8)

@@ -25,7 +25,7 @@ from cmp_cl.stages import harmonic, noise, refine, scale
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import CORNER_COLUMNS, LANES, PlanBase
 from cmp_cl.stages.paper import rings
-from cmp_cl.stages.refine import RESULT_FIELDS, RESULT_HEAD
+from cmp_cl.stages.refine import READ_FIELDS, RESULT_HEAD
 from cmp_cl.stages.types import defines_of
 
 SHARED = ("image", "result")  # buffers that the host writes or reads
@@ -117,6 +117,7 @@ class Plan(PlanBase):
             "corners": 4 * columns * self.frames * self.corner_capacity,
             "result": self.frames * refine.result_size(self),
             "counts": 4 * self.frames * (self.lists + 1),  # entries of the lists, corners
+            **refine.sizes(self),
         }
         if self.scale is not None:
             sizes["working"] = (self.frames * self.working[0] + 2) * self.step * pixel
@@ -322,7 +323,7 @@ class Plan(PlanBase):
 
     def _fetch(self, queue: cl.CommandQueue, most: int) -> NDArray[np.float32]:
         """Read the part of each frame's result that holds `most` corners."""
-        numbers = RESULT_HEAD + RESULT_FIELDS * multiple(most, LANES)
+        numbers = RESULT_HEAD + READ_FIELDS * multiple(most, LANES)
         if "result" in self._here:
             self._wait()
             return self._here["result"][:, :numbers].copy()

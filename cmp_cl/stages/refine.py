@@ -9,33 +9,21 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.config import EdgeLines, EdgeStep, Fit, Midlines
-from cmp_cl.corners import Corners, Method
+from cmp_cl.corners import Corners
 from cmp_cl.opencl.launches import GROUP, Launch, multiple
 from cmp_cl.stages.layout import LANES, PlanBase
-from cmp_cl.stages.moments import BLUR, moments
+from cmp_cl.stages.moments import BLUR, moments, step_radius
 from cmp_cl.stages.resampling import full_pixels
 
 RESULT_HEAD = 16  # numbers before the fields of a frame, as in kernels/result.clh
-RESULT_FIELDS = 13
+RESULT_FIELDS, READ_FIELDS = 13, 11  # of a corner; the last two stay on the device
 POSITION, PIXEL, EDGES = slice(0, 2), slice(2, 4), slice(4, 8)
-RESPONSE, METHOD, VARIANCE, CORRELATION, GRAIN = 8, 9, 10, 11, 12
+RESPONSE, METHOD, VARIANCE = 8, 9, 10
 SHARES = 32  # shares of the corners for each unit of the device
 RADII = (3, 4, 5)  # of the rings, px of the working image
 RING_SAMPLES = 32
-STEP_RADIUS = (0.75, 4.5, 9.0)  # of EDGE_STEP's disc: cells, and its least and largest px
 STEP_SHIFT = 2.0  # px of the working image: EDGE_STEP's largest distance from its start
-DOUBTFUL_EXCESS = 0.010  # excess of the residual's autocorrelation over the frame's median
-VARIANCE_OF_EXCESS = 1000  # px^2 per squared excess, fitted on rendered scenes and on boards
-# px^2 per squared range of the lesser autocorrelations, and their range in a good frame; the same
-# for the least of them; then by what the part by noise grows, per median grain. All were fitted on
-# the boards of bench/fit.py.
-VARIANCE_OF_RANGE = np.float32(3000)
-LEAST_RANGE = np.float32(0.0025)
-VARIANCE_OF_LEAST = np.float32(500)
-GREATEST_LEAST = np.float32(0.025)
-VARIANCE_OF_GRAIN = np.float32(2.2)
-FEW = 8  # corners that do not tell what the noise is
-VARIANCE_OF_MODEL = np.float32(1e-4)  # px^2 of the image: the part that noise has no share in
+MEDIAN_GROUP = 256  # work-items that find the medians of an octave
 
 
 def files(plan: PlanBase) -> list[str]:
@@ -44,7 +32,8 @@ def files(plan: PlanBase) -> list[str]:
     if refinement is None:
         return ["centroids"]
     name = _name(refinement)
-    return [f"cpu/{name}" if plan.lanes == LANES else name]
+    kept = [f"cpu/{name}" if plan.lanes == LANES else name]
+    return [*kept, "residual"] if isinstance(refinement, EdgeStep) else kept
 
 
 def _name(refinement: EdgeLines | EdgeStep | Midlines) -> str:
@@ -59,7 +48,7 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
     refinement = plan.config.refinement
     quadratic = isinstance(refinement, Midlines) and refinement.fit is Fit.QUADRATIC
     table = (
-        moments(_step_radius(refinement, plan.scale or 1.0))
+        moments(step_radius(refinement, plan.scale or 1.0))
         if isinstance(refinement, EdgeStep)
         else ()
     )
@@ -78,12 +67,20 @@ def result_size(plan: PlanBase) -> int:
     return 4 * (RESULT_HEAD + RESULT_FIELDS * plan.corner_capacity)
 
 
+def sizes(plan: PlanBase) -> dict[str, int]:
+    """Return the bytes of the buffers that these kernels use, by name."""
+    if not isinstance(plan.config.refinement, EdgeStep):
+        return {}
+    return {"typical": 8 * plan.frames * (plan.octaves + 1)}
+
+
 def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the list of corners to positions."""
     arrays, size = plan.arrays, _full_size(plan)
     if plan.config.refinement is not None:
         given = {name: arrays[name] for name in ("corners", "counts", "result")}
-        return looks(plan, room=plan.corner_capacity, **given)
+        refined, *grown = looks(plan, room=plan.corner_capacity, **given)
+        return [refined, *_typical(plan), *grown]
     return [
         plan.of_corners(
             "centroids",
@@ -101,7 +98,9 @@ def launches(plan: PlanBase) -> list[Launch]:
 def looks(
     plan: PlanBase, *, corners: cl.Buffer, counts: cl.Buffer, result: cl.Buffer, room: int
 ) -> list[Launch]:
-    """Return the launch that refines corners at some places of the plan's frames.
+    """Return the launches that refine corners at some places of the plan's frames.
+
+    The residuals of the corners of the frame tell how large their variances are.
 
     corners, counts, result: as those of the plan, see kernels/result.clh, with room for so many
     corners in each frame, a multiple of the work-items in a group.
@@ -118,7 +117,7 @@ def looks(
     disc: dict[str, Any] = {}
     shift = STEP_SHIFT
     if isinstance(refinement, EdgeStep):
-        radius = _step_radius(refinement, factor)
+        radius = step_radius(refinement, factor)
         disc = {"radius": np.float32(radius), "moments": plan.constant(moments(radius))}
     else:
         shift = refinement.max_shift
@@ -140,7 +139,35 @@ def looks(
         **disc,
         result=result,
     )
-    return [launch]
+    if not isinstance(refinement, EdgeStep):
+        return [launch]
+    grow = plan.stage(
+        "grow_variance",
+        (room, plan.frames),
+        (GROUP, 1),
+        **_residuals(plan, counts, result, room),
+    )
+    return [launch, grow]
+
+
+def _typical(plan: PlanBase) -> list[Launch]:
+    """Return the launch that finds the medians of the residuals, if there are any."""
+    if not isinstance(plan.config.refinement, EdgeStep):
+        return []
+    arrays = _residuals(plan, plan.arrays["counts"], plan.arrays["result"], plan.corner_capacity)
+    groups = plan.frames * (plan.octaves + 1)
+    return [plan.of_groups("typical_residual", groups, MEDIAN_GROUP, **arrays)]
+
+
+def _residuals(plan: PlanBase, counts: cl.Buffer, result: cl.Buffer, room: int) -> dict[str, Any]:
+    """Return the arguments of the kernels of kernels/residual.cl, by name."""
+    return {
+        "result": result,
+        "counts": counts,
+        "capacity": np.uint32(room),
+        "count_offset": np.uint32(plan.frames * plan.lists),
+        "typical": plan.arrays["typical"],
+    }
 
 
 def _full_size(plan: PlanBase) -> dict[str, Any]:
@@ -156,12 +183,6 @@ def _ring_samples(plan: PlanBase, scale: float) -> cl.Buffer:
     pixel = np.floor(offset)
     parts = (offset, np.roll(offset, -1, axis=1) - offset, pixel, offset - pixel)
     return plan.constant(np.concatenate(parts, axis=2))
-
-
-def _step_radius(refinement: EdgeStep, scale: float) -> float:
-    """Return the radius of EDGE_STEP's disc, px of the image."""
-    share, least, most = STEP_RADIUS
-    return min(max(share * refinement.cell * scale, least), most) / scale
 
 
 class Found:
@@ -182,14 +203,13 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
     device, found = str(plan.device), []
     refinement, radius = plan.config.refinement, math.nan
     if isinstance(refinement, EdgeStep):
-        radius = _step_radius(refinement, plan.scale or 1.0)
+        radius = step_radius(refinement, plan.scale or 1.0)
     for row, count in zip(rows, rows[:, 0].view(np.uint32).tolist(), strict=True):
         padded = multiple(count, LANES)
-        fields = row[RESULT_HEAD:][: RESULT_FIELDS * padded].reshape(RESULT_FIELDS, padded)
-        decisions = fields[METHOD].view(np.uint8)  # methods, then why another was rejected
-        method = decisions[:count]
-        octave = decisions[2 * padded : 2 * padded + count] if plan.octaves else None
-        sigma, doubtful = _deviation(fields[:, :count], method, octave)
+        fields = row[RESULT_HEAD:][: READ_FIELDS * padded].reshape(READ_FIELDS, padded)
+        method, refusal, octave, doubtful = (
+            fields[METHOD].view(np.uint8).reshape(4, padded)[:, :count]
+        )
         pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
         if plan.scale is not None:
             pixel = full_pixels(pixel, plan.shape, plan.scale)
@@ -197,72 +217,15 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
             Corners(
                 xy=fields[POSITION].reshape(-1, 2)[:count],
                 pixel=pixel,
-                octave=np.zeros(count, np.uint8) if octave is None else octave,
+                octave=octave if plan.octaves else np.zeros_like(octave),
                 response=fields[RESPONSE, :count],
                 method=method,
-                refusal=decisions[padded : padded + count],
-                sigma=sigma,
+                refusal=refusal,
+                sigma=np.sqrt(fields[VARIANCE, :count]),
                 edges=fields[EDGES].reshape(-1, 4)[:count],
-                doubtful=doubtful,
+                doubtful=doubtful.astype(np.bool_) & isinstance(refinement, EdgeStep),
                 edge_radius=radius,
                 device=device,
             )
         )
     return found
-
-
-def _deviation(
-    fields: NDArray[np.float32], method: NDArray[np.uint8], octave: NDArray[np.uint8] | None
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the standard deviation of each position, px, and which corners are doubtful.
-
-    octave: (N,), or None if the frame is all. Corners that EDGE_STEP did not refine have an
-        autocorrelation and a grain of -inf.
-    """
-    # A plain number: comparing an array with a member of an enumeration is slower.
-    accepted = method == Method.EDGE_STEP.value
-    if octave is None or not octave.any():
-        variance, excess = _grown(fields, accepted)
-    else:
-        variance, excess = fields[VARIANCE].copy(), np.zeros_like(fields[VARIANCE])
-        for n in np.unique(octave):
-            here = octave == n
-            variance[here], excess[here] = _grown(fields[:, here], accepted[here], int(n))
-    return np.sqrt(variance), excess > DOUBTFUL_EXCESS
-
-
-def _grown(
-    fields: NDArray[np.float32], accepted: NDArray[np.bool_], octave: int = 0
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the variances, px^2, with what the corners of an octave show together, and how far
-    each residual's autocorrelation exceeds their median.
-
-    Noise that neighbours share moves a corner more than other noise: the part by noise grows with
-    the median grain. A corner with an excess above DOUBTFUL_EXCESS is doubtful: its surroundings do
-    not look like the corner model. Where the whole frame does not, because its pixels are enlarged
-    or compressed, the least autocorrelations spread, or are all large where pixels are enlarged by
-    more than blur hides; texture beside a pattern changes the others alone.
-    """
-    variance, correlation, grain = fields[VARIANCE], fields[CORRELATION], fields[GRAIN]
-    count = int(np.count_nonzero(accepted))
-    if not count:
-        return variance, np.zeros_like(variance)
-    above = 19 * count // 20, 3 * count // 5, count // 2
-    ranks = [len(correlation) - 1 - n for n in above]
-    ordered = np.partition(correlation, ranks)
-    least, low, middle = (ordered[rank] for rank in ranks)
-    excess = np.maximum(correlation - middle, 0)
-    spread = np.maximum(low - least - LEAST_RANGE, 0)
-    stepped = np.maximum(least - GREATEST_LEAST, 0)
-    coarse = np.float32(0)
-    if count > FEW:
-        rank = ranks[2] - FEW // 2  # the median with FEW corners more that have none
-        coarse = np.maximum(VARIANCE_OF_GRAIN * np.partition(grain, rank)[rank] - 1, 0)
-    of_noise = (variance - VARIANCE_OF_MODEL * np.float32(4**octave)) * accepted
-    more: NDArray[np.float32] = (
-        coarse * of_noise
-        + VARIANCE_OF_EXCESS * excess * excess
-        + VARIANCE_OF_RANGE * spread * spread
-        + VARIANCE_OF_LEAST * stepped * stepped
-    )
-    return variance + more, excess

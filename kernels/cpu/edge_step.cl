@@ -5,71 +5,70 @@
  * a time, the step's sums for one after the other. The pixels that the disc may contain, wherever
  * in the middle pixel its centre lies, are listed once for all corners, row by row. A vector holds
  * the next eight of the list, so every loop has the same length for every corner. The work from a
- * pixel to the sums is cut into three loops, so that several vectors are in flight at a time. */
+ * pixel to the sums is cut into four loops, so that several vectors are in flight at a time. */
 
-/* A disc with more rows or pixels is processed in parts of whole rows. */
-#if SCALED
-#define MOST_ROWS 64
-#define MOST_PIXELS 2048
+#if SCALED /* a radius of 24 needs 49 rows and 1950 pixels */
+#define MOST_ROWS 49
+#define MOST_PIXELS 1950
 #else /* a radius of 9 needs 19 rows and 312 pixels */
 #define MOST_ROWS 19
 #define MOST_PIXELS 312
 #endif
 #define BEHIND 32 /* elements behind the last pixel, which vector stores overwrite */
+#define BEFORE 8 /* residuals before the first pixel, all 0, as those behind the last */
 
 #define ROUNDED(v) ((int)((v) + 1024.5f) - 1024) /* near 0; floor is a call */
 
 /* A row of the list begins with a pixel that is always outside the disc, so that the row before
- * ends there. The columns -most to most from the middle pixel follow. */
+ * ends there. The columns -most to most from the middle pixel follow. So the pixel opposite to
+ * pixel k is count - k. */
 typedef struct {
-  int first, end, count; /* rows, counted from that of the middle pixel, and number of pixels */
+  int reach, count; /* rows on either side of the middle pixel's, and number of pixels */
   int left_of[MOST_ROWS], begin_of[MOST_ROWS + 1];
   float dx_of[MOST_PIXELS + BEHIND], dy_of[MOST_PIXELS + BEHIND];
-} Part;
+} Disc;
 
-/* For each pixel: its weight, the model, the model's slopes and the grey level. */
+/* For each pixel: its weight, the model, the model's slopes, the grey level and the residual. */
 typedef struct {
   PIXEL pixel_of[MOST_PIXELS + BEHIND];
   float weight_of[MOST_PIXELS + BEHIND], model_of[MOST_PIXELS + BEHIND];
   float slope_a_of[MOST_PIXELS + BEHIND], slope_b_of[MOST_PIXELS + BEHIND];
-  float grey_of[MOST_PIXELS + BEHIND];
+  float grey_of[MOST_PIXELS + BEHIND], residual_of[BEFORE + MOST_PIXELS + BEHIND];
 } Values;
 
 /* True if a pixel dx columns away may be in the disc; its row is at least `nearest` from the
  * centre. */
 #define MAY_HOLD(dx) (((dx) - 0.5f) * ((dx) - 0.5f) + nearest * nearest < radius_2)
 
-/* List as many rows as fit, beginning with `first`. */
-void list_part(Part *part, const int first, const int reach, const float radius_2) {
-  int count = 0, most = 0, row = 0, dy = first;
-  for (; dy <= reach && row < MOST_ROWS; ++dy, ++row) {
+/* List the pixels of a disc. */
+void list_disc(Disc *disc, const int reach, const float radius_2) {
+  int count = 0, most = 0;
+  for (int dy = -reach; dy <= reach; ++dy) {
     const float nearest = dy == 0 ? 0.0f : (float)(dy < 0 ? -dy : dy) - 0.5f;
     while (MAY_HOLD((float)most + 1)) ++most;
     while (most > 0 && !MAY_HOLD((float)most)) --most;
     const int width = 2 * most + 2;
-    if (count + width > MOST_PIXELS) break;
     for (int k = 0; k < width + 8; k += 8) {
-      STORE_8(part->dx_of, count + k, (float)(k - most - 1) + EIGHT);
-      STORE_8(part->dy_of, count + k, (float8)((float)dy));
+      STORE_8(disc->dx_of, count + k, (float)(k - most - 1) + EIGHT);
+      STORE_8(disc->dy_of, count + k, (float8)((float)dy));
     }
-    part->left_of[row] = -most - 1;
-    part->begin_of[row] = count;
+    disc->left_of[dy + reach] = -most - 1;
+    disc->begin_of[dy + reach] = count;
     count += width;
   }
-  part->begin_of[row] = count;
-  part->first = first;
-  part->end = dy;
-  part->count = count;
+  disc->begin_of[2 * reach + 1] = count;
+  disc->reach = reach;
+  disc->count = count;
 }
 
-/* Read the pixels of a part around (x, y). The image begins at `start`. */
-void read_part(const Part *part, __global const PIXEL *image, const size_t start, const int last,
+/* Read the pixels of the disc around (x, y). The image begins at `start`. */
+void read_disc(const Disc *disc, __global const PIXEL *image, const size_t start, const int last,
                const uint columns, const uint step, const int x, const int y, PIXEL *pixel_of) {
-  const int top = y + part->first, count = part->end - part->first;
+  const int top = y - disc->reach;
   __global const PIXEL *line = image + HELD_ROW(top, last, start, step);
-  for (int k = 0; k < count; line += (uint)(top + k) < (uint)last ? step : 0, ++k) {
-    const int begin = part->begin_of[k], width = part->begin_of[k + 1] - begin;
-    const int left = x + part->left_of[k];
+  for (int k = 0; k <= 2 * disc->reach; line += (uint)(top + k) < (uint)last ? step : 0, ++k) {
+    const int begin = disc->begin_of[k], width = disc->begin_of[k + 1] - begin;
+    const int left = x + disc->left_of[k];
 #if SCALED
     if (left < 0 || left + width > (int)columns) { /* the padding does not repeat the border here */
       for (int i = 0; i < width; ++i)
@@ -93,12 +92,12 @@ typedef struct {
   float x, y, a_x, a_y, b_x, b_y, rim, centre;
 } Model;
 
-LOOP void values_of(const Part *restrict part, const Model *restrict model,
+LOOP void values_of(const Disc *restrict disc, const Model *restrict model,
                     Values *restrict values) {
   const float a_x = model->a_x, a_y = model->a_y, b_x = model->b_x, b_y = model->b_y;
   const float rim = model->rim;
-  for (int k = 0; k < part->count; k += 8) {
-    const float8 ux = LOAD_8(part->dx_of, k) - model->x, uy = LOAD_8(part->dy_of, k) - model->y;
+  for (int k = 0; k < disc->count; k += 8) {
+    const float8 ux = LOAD_8(disc->dx_of, k) - model->x, uy = LOAD_8(disc->dy_of, k) - model->y;
     CORNER_MODEL(uy * uy)
     SLOPES
     STORE_8(values->weight_of, k, w);
@@ -115,7 +114,7 @@ typedef struct {
 } LevelSums;
 
 LOOP void add_levels(const Values *restrict values, const int count, LevelSums *restrict sums) {
-  float8 v1 = sums->one, vp = sums->p, vpp = sums->pp, vi = sums->i, vpi = sums->pi;
+  LEVEL_SUMS
   for (int k = 0; k < count; k += 8)
     ADD_LEVELS(LOAD_8(values->weight_of, k), LOAD_8(values->model_of, k),
                LOAD_8(values->grey_of, k))
@@ -127,27 +126,41 @@ typedef struct {
   float8 rr, ra, rb, rx, ry, px, py, rn;
 } ResidualSums;
 
-LOOP void add_residuals(const Part *restrict part, const Model *restrict model,
-                        const Values *restrict values, const float m, const float c,
+LOOP void add_residuals(const Disc *restrict disc, const Model *restrict model,
+                        Values *restrict values, const float m, const float c,
                         ResidualSums *restrict sums) {
-  float8 vrr = sums->rr, vra = sums->ra, vrb = sums->rb, vrx = sums->rx, vry = sums->ry;
-  float8 vpx = sums->px, vpy = sums->py, vrn = sums->rn, last = 0;
-  for (int k = 0; k < part->count; k += 8) {
-    const float8 ux = LOAD_8(part->dx_of, k) - model->x, uy = LOAD_8(part->dy_of, k) - model->y;
+  RESIDUAL_SUMS
+  float8 last = 0;
+  for (int k = 0; k < disc->count; k += 8) {
+    const float8 ux = LOAD_8(disc->dx_of, k) - model->x, uy = LOAD_8(disc->dy_of, k) - model->y;
     const float8 w = LOAD_8(values->weight_of, k), P = LOAD_8(values->model_of, k);
     const float8 left = RESIDUAL(LOAD_8(values->grey_of, k), P);
     const float8 r = w > 0 ? left : (float8)(0.0f), wr = w * r;
     ADD_RESIDUAL(wr, r, LOAD_8(values->slope_a_of, k), LOAD_8(values->slope_b_of, k), P)
     vrn += (float8)(last.s7, wr.s0123, wr.s456) * r;
     last = wr;
+    STORE_8(values->residual_of, BEFORE + k, r);
   }
   *sums = (ResidualSums){vrr, vra, vrb, vrx, vry, vpx, vpy, vrn};
+}
+
+/* The products of each residual with those of both neighbours of the pixel opposite. */
+LOOP float8 opposites(const Values *restrict values, const int count) {
+  float8 sum = 0;
+  for (int k = 0; k < count; k += 8) {
+    const float *opposite = values->residual_of + BEFORE + count - k;
+    const float8 neighbours = LOAD_8(opposite, -8) + LOAD_8(opposite, -6);
+    sum += LOAD_8(values->weight_of, k) * LOAD_8(values->residual_of, BEFORE + k) *
+           neighbours.s76543210;
+  }
+  return sum;
 }
 
 /* The sums over the pixels of eight corners that SOLVE_STEP needs. */
 typedef struct {
   float c[LANES], middle[LANES], varied[LANES], sum_1[LANES];
   float rr[LANES], ra[LANES], rb[LANES], rx[LANES], ry[LANES], px[LANES], py[LANES], rn[LANES];
+  float ro[LANES];
   float8 of_s[LANES], of_t[LANES];
 } Sums;
 
@@ -169,19 +182,13 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
   if (get_global_id(0) * LANES >= total) return;
   const float radius_2 = radius * radius;
   const float rim = 4 / radius_2;
-  const int reach = (int)(radius + 0.5f);
 
-  Part part;
+  Disc disc;
   Values values;
   Sums sums;
-  list_part(&part, -reach, reach, radius_2);
-  const int whole = part.end > reach;
-
-#define TAKE_PART(first_row)                                                        \
-  if (!whole) list_part(&part, first_row, reach, radius_2);                         \
-  read_part(&part, image, start, last, columns, pitch, near_x + middle_x,           \
-            near_y + middle_y, values.pixel_of);                                    \
-  values_of(&part, &model, &values);
+  list_disc(&disc, (int)(radius + 0.5f), radius_2);
+  STORE_8(values.residual_of, 0, (float8)(0.0f));
+  STORE_8(values.residual_of, BEFORE + disc.count, (float8)(0.0f));
 
   FOR_EACH_EIGHT {
     EDGES_OF_EIGHT
@@ -210,25 +217,20 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
                            rim,
                            centre};
 
-      LevelSums levels = {0, 0, 0, 0, 0};
-      for (int dy = -reach; dy <= reach; dy = part.end) {
-        TAKE_PART(dy)
-        add_levels(&values, part.count, &levels);
-      }
+      read_disc(&disc, image, start, last, columns, pitch, near_x + middle_x, near_y + middle_y,
+                values.pixel_of);
+      values_of(&disc, &model, &values);
+      LevelSums levels;
+      add_levels(&values, disc.count, &levels);
       const float8 v1 = levels.one, vp = levels.p, vpp = levels.pp, vi = levels.i, vpi = levels.pi;
       LEVELS
-
-      ResidualSums residuals = {0, 0, 0, 0, 0, 0, 0, 0};
-      for (int dy = -reach; dy <= reach; dy = part.end) {
-        if (!whole) {
-          TAKE_PART(dy)
-        }
-        add_residuals(&part, &model, &values, m, c, &residuals);
-      }
+      ResidualSums residuals;
+      add_residuals(&disc, &model, &values, m, c, &residuals);
 #define PUT(name, value) sums.name[lane] = value;
 #define PUT_SUM(name) PUT(name, sum_of_eight(residuals.name))
       PUT(c, c) PUT(middle, middle) PUT(varied, varied) PUT(sum_1, sum_1)
       PUT_SUM(rr) PUT_SUM(ra) PUT_SUM(rb) PUT_SUM(rn)
+      PUT(ro, sum_of_eight(opposites(&values, disc.count)))
       PUT_SUM(rx) PUT_SUM(ry) PUT_SUM(px) PUT_SUM(py)
       MOMENTS_AT(OF_LANE(angle))
       PUT(of_s, of_s) PUT(of_t, of_t)
@@ -236,7 +238,7 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
 
 #define TAKE(name) const REAL name = LOAD_8(sums.name, 0);
     TAKE(c) TAKE(middle) TAKE(varied) TAKE(sum_1)
-    TAKE(rr) TAKE(ra) TAKE(rb) TAKE(rn) TAKE(rx) TAKE(ry) TAKE(px) TAKE(py)
+    TAKE(rr) TAKE(ra) TAKE(rb) TAKE(rn) TAKE(ro) TAKE(rx) TAKE(ry) TAKE(px) TAKE(py)
 #define MOMENT_OF(axis, i, lane) sums.of_##axis[lane].s##i
 #define MOMENT(axis, i)                                                             \
   (REAL)(MOMENT_OF(axis, i, 0), MOMENT_OF(axis, i, 1), MOMENT_OF(axis, i, 2),       \

@@ -16,7 +16,6 @@ from cmp_cl.motion.track import Tracker, colour_of
 from cmp_cl.opencl.program import programs_of
 from cmp_cl.reference.field import track as oracle
 from cmp_cl.stages.refine import (
-    CORRELATION,
     EDGES,
     METHOD,
     POSITION,
@@ -80,7 +79,6 @@ def result_of(found, room):
         fields[METHOD].view(np.uint8)[:count] = corners.method
         fields[METHOD].view(np.uint8)[padded : padded + count] = corners.refusal
         fields[VARIANCE, :count] = corners.sigma**2
-        fields[CORRELATION, :count] = 0.02  # as of a good frame
     return result
 
 
@@ -98,7 +96,6 @@ def tracker_of(device):
         tracker = Tracker(
             queue,
             programs,
-            device,
             views=views,
             sizes=[SIZE] * len(rests),
             frame=frame,
@@ -257,7 +254,6 @@ def test_nodes_without_a_corner_are_looked_at_again(device, every):
         tracker = Tracker(
             hiding.queue,
             programs_of(device.handle),
-            device,
             views=[(grid, corners)],
             sizes=[SIZE],
             frame=frame,

@@ -232,12 +232,16 @@ def step_by_least_squares(
     fitted = np.linalg.solve(held, right)
 
     square = (len(offset), len(offset))
-    r, w = residual.reshape(square), weight.reshape(square)
-    pair = np.where((w[:, :-1] > 0) & (w[:, 1:] > 0), w[:, :-1], 0)
-    alike = (pair * r[:, :-1] * r[:, 1:]).sum()
+    w = weight.reshape(square)
+    r = np.where(w > 0, residual.reshape(square), 0)
+    right_of, left_of = (np.roll(r, step, axis=1) for step in (-1, 1))
+    alike = (w * r * right_of).sum()
+    opposite = (w * r * (right_of + left_of)[::-1, ::-1]).sum() / 2
     rho2 = ((weight * residual**2).sum() - alike) / weight.sum()
+    by_light = 2 * fitted[2:] @ right[2:] - fitted[2:] @ matrix[2:, 2:] @ fitted[2:]
+    odd = ((alike - opposite) / 2 - by_light) / weight.sum() / c**2
     variance = np.trace(np.linalg.inv(held)[:2, :2]) * rho2
-    return fitted[:2], variance
+    return fitted[:2], variance / 2 + 1000 * max(odd, 0) ** 2
 
 
 @pytest.mark.parametrize("cell", [6, 9, 12])
@@ -253,5 +257,5 @@ def test_a_step_is_weighted_least_squares(cell, light):
     points = rays([*angles, angles[0] + math.pi, angles[1] + math.pi])
     found = edge_step.edge_step(image, start, shift, points, EdgeStep(cell=cell), 1.0)
     np.testing.assert_allclose(found.position, shift + step, rtol=1e-3)
-    expected = edge_step.STEP_ERROR**2 + variance / 2
+    expected = edge_step.STEP_ERROR**2 + variance
     np.testing.assert_allclose(found.variance, expected, rtol=1e-3)

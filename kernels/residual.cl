@@ -1,0 +1,94 @@
+#include "result.clh"
+
+/* What the residuals of all corners of a frame, octave by octave, say about each variance. Noise
+ * that neighbouring pixels share moves a corner by more than other noise: the median grain tells.
+ * What the model does not explain and is odd about a corner moves it too, and the median of the
+ * autocorrelations tells how much it is at least. What is even, as ink that joins two squares, does
+ * not. */
+#define LEVELS (OCTAVES + 1)
+#if OCTAVES
+#define OCTAVE_OF_CORNER *RESULT_OCTAVE
+#else
+#define OCTAVE_OF_CORNER 0
+#endif
+#define OF_GRAIN 1 /* of the two medians */
+#define DIGITS 256
+#define FEW 8 /* corners that do not tell what the noise is */
+#define VARIANCE_OF_GRAIN 2.2f
+#define VARIANCE_OF_ODD 1000 /* px^2 per squared autocorrelation */
+#define DOUBT 0.010f /* excess of an autocorrelation over the median */
+
+/* An integer in the order of the number, and the number. */
+uint ordered(const float v) {
+  const uint bits = as_uint(v);
+  return bits & 0x80000000u ? ~bits : bits | 0x80000000u;
+}
+float number_of(const uint order) {
+  return as_float(order & 0x80000000u ? order & 0x7fffffffu : ~order);
+}
+
+/* Of each frame and octave, the median autocorrelation of the residuals of the corners that
+ * EDGE_STEP accepted, -INFINITY if there are none, and the median of their grains and of FEW that
+ * are 0; of two values the lower one. Byte by byte from the first. One work-group each. */
+__kernel void typical_residual(__global float *restrict result,
+                               __global const uint *restrict counts, const uint capacity,
+                               const uint count_offset, __global float *restrict typical) {
+  const size_t group = get_group_id(1), p = group / LEVELS;
+  const uint first = get_local_id(0), items = get_local_size(0);
+  RESULT_OF_FRAME(counts[count_offset + p])
+  const uint total = SMALLER(counts[count_offset + p], capacity);
+  __local uint bins[2][DIGITS], prefix[2];
+  __local int rank[2];
+  for (int shift = 24; shift >= 0; shift -= 8) {
+    for (uint b = first; b < 2 * DIGITS; b += items) bins[b / DIGITS][b % DIGITS] = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint n = first; n < total; n += items) {
+      if (*RESULT_METHOD != METHOD_EDGE_STEP || OCTAVE_OF_CORNER != group % LEVELS) continue;
+      const uint order[2] = {ordered(*RESULT_CORRELATION), ordered(*RESULT_GRAIN)};
+      for (int of = 0; of < 2; ++of) {
+        if (shift < 24 && order[of] >> (shift + 8) != prefix[of]) continue;
+        __local uint *bin = &bins[of][order[of] >> shift & (DIGITS - 1)];
+        if (items == 1) ++*bin;
+        else atomic_inc(bin);
+      }
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint of = first; of < 2; of += items) {
+      if (shift == 24) {
+        int all = 0;
+        for (uint b = 0; b < DIGITS; ++b) all += bins[of][b];
+        const int below = of == OF_GRAIN ? FEW : 0;
+        rank[of] = all + below > 0 ? (all + below - 1) / 2 - below : -1;
+        prefix[of] = 0;
+      }
+      uint b = 0;
+      for (; b < DIGITS - 1 && (int)bins[of][b] <= rank[of]; ++b) rank[of] -= bins[of][b];
+      prefix[of] = prefix[of] << 8 | b;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+  }
+  const float none[2] = {-INFINITY, 0};
+  for (uint of = first; of < 2; of += items)
+    typical[2 * group + of] = rank[of] < 0 ? none[of] : number_of(prefix[of]);
+}
+
+/* The variance of a position, with what the residuals tell, and whether the corner is doubtful: its
+ * surroundings do not look like the model, and those of most others do. One work-item a corner. */
+__kernel void grow_variance(__global float *restrict result, __global const uint *restrict counts,
+                            const uint capacity, const uint count_offset,
+                            __global const float2 *restrict typical) {
+  const size_t n = get_global_id(0), p = get_global_id(1);
+  const uint total = SMALLER(counts[count_offset + p], capacity);
+  if (n >= total) return;
+  RESULT_OF_FRAME(total)
+  const uint octave = OCTAVE_OF_CORNER;
+  const float2 median = typical[p * LEVELS + octave];
+  const float correlation = *RESULT_CORRELATION, odd = fmax(fmax(correlation, median.x), 0.0f);
+  const float coarse = fmax(VARIANCE_OF_GRAIN * median.y - 1, 0.0f);
+  const float area = (float)(1 << 2 * octave); /* px^2 of the frame, of a pixel of the octave */
+  float variance = *RESULT_VARIANCE;
+  if (*RESULT_METHOD == METHOD_EDGE_STEP)
+    variance += coarse * (variance - STEP_ERROR * STEP_ERROR * area);
+  *RESULT_VARIANCE = variance + VARIANCE_OF_ODD * odd * odd * area;
+  *RESULT_DOUBTFUL = correlation - median.x > DOUBT;
+}
