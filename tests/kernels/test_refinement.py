@@ -163,7 +163,7 @@ def test_the_forms_agree_to_the_bit(device, factor):
 
 @pytest.mark.parametrize("cell", some([20.0, 60.0, 130.0], (60.0,)))
 def test_discs_that_leave_the_image_equal_the_oracle(detector_in_form, cell):
-    """Discs have a radius of .6 cells: one part, or several."""
+    """Discs have a radius of .6 cells: that many pixels fit into the form for CPUs, or not."""
     image = board(int(4 * cell), int(5 * cell), cell)[0]
     config = rings(scale=15 / cell, refinement=EdgeStep(cell=cell))
     corners = assert_corners_equal(detector_in_form(image, config), image)
