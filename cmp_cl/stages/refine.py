@@ -71,7 +71,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
     """Return the bytes of the buffers that these kernels use, by name."""
     if not isinstance(plan.config.refinement, EdgeStep):
         return {}
-    return {"typical": 8 * plan.frames * (plan.octaves + 1)}
+    return {"typical": 8 * plan.frames * (plan.compiled_octaves + 1)}
 
 
 def launches(plan: PlanBase) -> list[Launch]:
@@ -155,7 +155,7 @@ def _typical(plan: PlanBase) -> list[Launch]:
     if not isinstance(plan.config.refinement, EdgeStep):
         return []
     arrays = _residuals(plan, plan.arrays["counts"], plan.arrays["result"], plan.corner_capacity)
-    groups = plan.frames * (plan.octaves + 1)
+    groups = plan.frames * (plan.compiled_octaves + 1)
     return [plan.of_groups("typical_residual", groups, MEDIAN_GROUP, **arrays)]
 
 
