@@ -5,6 +5,7 @@ Printing errors, borders, the motion from a reference and a known size add their
 comes first. The best is sure if it beats the second by enough.
 """
 
+import cmath
 import functools
 import math
 from typing import NamedTuple
@@ -16,6 +17,7 @@ from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.printing import Prints, agreement, prints_of
 
 VOTERS = 100  # nodes that show the motion from a reference
+TIE = 1e-6  # nats, for each that a motion beyond the most would weigh
 
 
 class Reference(NamedTuple):
@@ -54,38 +56,89 @@ def like_rest(
         If it was not sure itself, the numbers are continued, but only the frame at rest can make
         them sure.
     """
-    alone = functools.partial(_like, now, prints_of(now.at, k.print_clip), rest, k=k)
+    since_rest = _motion(now, rest)
+    alike = since_rest.alike(k)
+    alone = functools.partial(_like, now, prints_of(now.at, k.print_clip), rest, alike, k)
     if previous is None:
-        return alone(rest, k.rest_sd_cells)
-    decided = alone(previous, k.step_sd_cells)
+        return alone(since_rest, k.rest_sd_cells)
+    decided = alone(_motion(now, previous), k.step_sd_cells)
     if previous.sure:
         return decided
-    fresh = alone(rest, k.rest_sd_cells)
+    fresh = alone(since_rest, k.rest_sd_cells)
     same = fresh.best[1:] == decided.best[1:]
     return decided._replace(margin=min(fresh.margin, decided.margin) if same else 0.0)
+
+
+class _Motion(NamedTuple):
+    """What some nodes of a board tell of its motion since a reference.
+
+    before, after: (M,), the number of the middle of the view in the reference, and its place in the
+        board, as a node tells by the mean steps of each. off: (M,), from the nearest node of the
+        reference to where the node is now, cells. steps: of the reference, px.
+    """
+
+    before: Numbers
+    after: Numbers
+    off: Numbers
+    steps: tuple[complex, complex]
+
+    def unmoved(self, quarters: int, shape: tuple[int, ...]) -> Float:
+        """Return the number, (2,) real, of the node (0, 0) of a board of that shape after quarter
+        turns, if the middle of the view had not moved."""
+        rows, columns = np.subtract(shape, 1).tolist()
+        first = (0, 1j * columns, columns + 1j * rows, rows)[quarters]
+        number = self.before - ((-1j) ** quarters * self.after + first)
+        return np.array([np.median(number.imag), np.median(number.real)])
+
+    def alike(self, k: LatticeConstants) -> float:
+        """Return the greatest share of nodes that moved alike, but for whole cells."""
+        apart = np.subtract.outer(self.off, self.off)
+        near = np.abs(apart - np.rint(apart)) < k.near_cells
+        return float(near.mean(axis=1).max())
+
+
+def _motion(now: Board, reference: Reference) -> _Motion:
+    there = reference.board.at
+    place, nodes = np.argwhere(~np.isnan(now.at)), np.argwhere(~np.isnan(there))
+    z, others = now.at[tuple(place.T)], there[tuple(nodes.T)]
+    middle = complex(z.real.min() + z.real.max(), z.imag.min() + z.imag.max()) / 2
+    some = np.argsort(np.abs(z - middle), kind="stable")[:: max(len(z) // VOTERS, 1)]
+    place, z = place[some], z[some]
+    nearest = np.abs(np.subtract.outer(z, others)).argmin(axis=1)
+    number, other = nodes[nearest] + reference.origin, others[nearest]
+    return _Motion(
+        number @ [1j, 1] + _in_cells(middle - other, reference.board.steps),
+        place @ [1j, 1] + _in_cells(middle - z, now.steps),
+        _in_cells(z - other, reference.board.steps),
+        reference.board.steps,
+    )
+
+
+def _in_cells(way: Numbers, steps: tuple[complex, complex]) -> Numbers:
+    """Return ways in px as columns + 1j rows of steps to the next column and row."""
+    along, down = steps
+    area = (along.conjugate() * down).imag or 1.0
+    column, row = (way.conj() * down).imag / area, (along.conjugate() * way).imag / area
+    return np.asarray(column + 1j * row, np.complex128)
 
 
 def _like(
     now: Board,
     prints: Prints,
     rest: Reference,
-    reference: Reference,
-    sd_cells: float,
-    *,
+    alike: float,
     k: LatticeConstants,
+    motion: _Motion,
+    sd_cells: float,
 ) -> Decision:
-    along, down = now.steps
-    ways = np.array([along, down, -along, -down]) / reference.board.steps[0]
-    angles = np.abs(np.degrees(np.angle(ways))).tolist()
-    against = [min(angle**2 / (2 * k.turn_sd_degrees**2), k.motion_nats) for angle in angles]
     found: list[Numbering] = []
-    for quarters in sorted(range(4), key=lambda q: angles[q]):
-        # How well a turn agrees with the print must not keep another from being tried.
-        if found and -against[quarters] < min(max(found).nats, -min(against)) - 2 * k.sure_nats:
-            break
+    for quarters in range(4):
         turned = now.turned(quarters)
-        here = turned, prints.turned(quarters), rest, _unmoved(turned.at, reference)
-        row, column, score = _scores(*here, against[quarters], sd_cells, k)
+        angle = np.degrees(cmath.phase(turned.steps[0] / motion.steps[0]))
+        turn = angle**2 / (2 * k.turn_sd_degrees**2)
+        at = motion.unmoved(quarters, now.owner.shape)
+        here = turned, prints.turned(quarters), rest, at
+        row, column, score = _scores(*here, turn, alike, sd_cells, k)
         best = np.argsort(-score, axis=None)[:6]
         found += [
             Numbering(float(score[n, m]), quarters, int(row[n]), int(column[m]))
@@ -108,6 +161,7 @@ def _scores(
     rest: Reference,
     at: Float,
     turn: float,
+    alike: float,
     sd_cells: float,
     k: LatticeConstants,
 ) -> tuple[Whole, Whole, Float]:
@@ -115,6 +169,7 @@ def _scores(
     turned already, and their nats, (P, Q).
 
     at: (2,), the number of its first node if nothing had moved. turn: nats against its rotation.
+    alike: the share of nodes that moved alike since rest.
     """
     origin, about = np.array(rest.origin), np.rint(at).astype(np.int64)
     low = np.minimum(origin - now.owner.shape + 1, about - 3)
@@ -122,9 +177,10 @@ def _scores(
     row, column = (np.arange(low[n], high[n] + 1) for n in (0, 1))
     away = np.square(row - at[0])[:, None] + np.square(column - at[1])
     first = row - origin[0], column - origin[1]
-    score = agreement(rest.prints, prints, *first, k)
-    # What was turned by hand was moved too.
-    score -= np.minimum(away / (2 * sd_cells**2) + turn, k.motion_nats)
+    score = agreement(rest.prints, prints, *first, alike, k)
+    moved = away / (2 * sd_cells**2) + turn
+    # What was turned by hand was moved too. Of equal ones the least motion is the best.
+    score -= np.minimum(moved, k.motion_nats) + TIE * moved
     score += _of_ends(first[0], now, rest.board, 0, k)[:, None]
     score += _of_ends(first[1], now, rest.board, 1, k)
     odd = np.add.outer(*first) % 2 == 1
@@ -206,24 +262,3 @@ def seen_lines(now: Board) -> tuple[int, int]:
     top, bottom, left, right = now.outer_lines
     more = now.border.follows.astype(int)
     return bottom - top + 1 + more[:2].sum(), right - left + 1 + more[2:].sum()
-
-
-def _unmoved(at: Numbers, reference: Reference) -> Float:
-    """Return the number, (2,) real, of a board's node (0, 0) if the middle of the view had not
-    moved since the reference.
-
-    Nodes around the middle are compared with the nearest ones of the reference.
-    """
-    there = reference.board.at
-    along, down = reference.board.steps
-    place, nodes = np.argwhere(~np.isnan(at)), np.argwhere(~np.isnan(there))
-    z, others = at[tuple(place.T)], there[tuple(nodes.T)]
-    middle = complex(np.median(z.real), np.median(z.imag))
-    some = np.argsort(np.abs(z - middle), kind="stable")[:: max(len(z) // VOTERS, 1)]
-    place, z = place[some], z[some]
-    nearest = np.abs(np.subtract.outer(z, others)).argmin(axis=1)
-    off, area = z - others[nearest], (along.conjugate() * down).imag or 1.0
-    x, y = (off.conj() * down).imag / area, (along.conjugate() * off).imag / area
-    number = nodes[nearest] + np.stack([y, x], axis=1) - place + reference.origin
-    unmoved: Float = np.median(number, axis=0)
-    return unmoved

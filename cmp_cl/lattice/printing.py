@@ -5,6 +5,7 @@ a node from the cubics through its neighbours leaves these errors and noise. The
 frames agree under the right numbers, and under no others.
 """
 
+import math
 from typing import NamedTuple
 
 import cv2
@@ -56,15 +57,20 @@ def prints_of(at: Numbers, clip: float) -> Prints:
     return Prints(error, known, float(np.abs(step[inner]).mean()))
 
 
-def agreement(rest: Prints, now: Prints, row: Whole, column: Whole, k: LatticeConstants) -> Float:
+def agreement(
+    rest: Prints, now: Prints, row: Whole, column: Whole, alike: float, k: LatticeConstants
+) -> Float:
     """Return the nats for placements of a board by its printing errors, against chance, (P, Q).
 
-    row: (P,), column: (Q,), the number at rest of the board's first node.
+    row: (P,), column: (Q,), the number at rest of the board's first node. alike: the share of nodes
+        that moved alike since rest, but for whole cells.
 
     The errors of two frames at n common nodes are pairs of Gaussian numbers. If their correlation
     is r, the likelihood that they belong together exceeds that of chance by -n log(1 - r^2), over
-    the gain of the cubics, because errors of neighbours depend on each other. Errors that a camera
-    makes at the same pixels of every frame are subtracted.
+    the mean of 2 n r^2 of all placements: the gain of the cubics if the errors of nodes are
+    independent, more if they are the same along rows. The best of all placements agrees by chance
+    by the logarithm of how many there are. Errors that a camera makes at the same places of pixels
+    in both frames are subtracted, for nodes that moved alike.
     """
     rows, columns = (
         cv2.getOptimalDFTSize(int(n)) for n in np.add(rest.known.shape, now.known.shape)
@@ -75,12 +81,17 @@ def agreement(rest: Prints, now: Prints, row: Whole, column: Whole, k: LatticeCo
     products = np.stack(
         [x * rest_x + y * rest_y, one * rest_one, square * rest_one, one * rest_square]
     )
-    total, count, power, rest_power = np.fft.irfft2(products, size)
+    planes: Float = np.fft.irfft2(products, size)
+    total, count, power, rest_power = planes
     count = np.rint(count)
-    camera = 2 * GAIN * k.camera_px**2 / (now.cell * rest.cell)
+    camera = 2 * GAIN * k.camera_px**2 / (now.cell * rest.cell) * alike
     power = np.sqrt(np.maximum(power, 1e-15) * np.maximum(rest_power, 1e-15))
+    many = count >= k.least_board
+    placements = max(int(np.count_nonzero(many)), 1)
+    chance = 2 * float(np.sum(count * np.square(total / power), where=many)) / placements
     share = np.clip((total - camera * count) / power, 0, 0.99)
-    nats = -count / GAIN * np.log1p(-np.square(share))
+    nats = -count / max(chance, GAIN) * np.log1p(-np.square(share)) - math.log(placements)
+    nats = np.maximum(nats, 0)
     low, high = -np.array(now.known.shape), np.array(rest.known.shape)
     inside = ((row > low[0]) & (row < high[0]))[:, None] & ((column > low[1]) & (column < high[1]))
     found: Float = np.where(inside, nats[np.ix_(row % rows, column % columns)], 0.0)

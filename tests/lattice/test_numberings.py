@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cmp_cl.lattice.arrays import NOT_SEEN, Board
+from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.numbers import Reference, like_rest
 from cmp_cl.lattice.printing import Prints, agreement, prints_of
@@ -12,8 +12,8 @@ K = LatticeConstants()
 SIDE = 30  # nodes
 
 
-def whole_board(degrees: float) -> Board:
-    """Return a board that is seen whole and whose last squares reach one cell, turned."""
+def whole_board(degrees: float, reach: float = 1) -> Board:
+    """Return a board that is turned, and whose last squares reach one cell, NaN without an end."""
     place = np.arange(SIDE) - SIDE / 2
     at = 240 + 240j + 10 * np.exp(1j * np.radians(degrees)) * np.add.outer(1j * place, place)
     return Board(
@@ -22,7 +22,7 @@ def whole_board(degrees: float) -> Board:
         owner=np.arange(SIDE**2).reshape(SIDE, SIDE),
         torn=np.zeros((SIDE, SIDE), np.bool_),
         sign=1,
-        border=NOT_SEEN._replace(reach=np.ones(4)),
+        border=NOT_SEEN._replace(reach=np.full(4, reach)),
     )
 
 
@@ -43,6 +43,39 @@ def test_a_few_large_printing_errors_in_common_prove_nothing(seed):
     errors[1, -6:, -6:] *= 4
     one, other = (Prints(each, np.ones((SIDE, SIDE), np.bool_), 20.0) for each in errors)
     shifts = np.arange(1 - SIDE, SIDE)
-    assert agreement(one, other, shifts, shifts, K).max() < K.sure_nats
-    nats = agreement(one, one, shifts, shifts, K)
+    assert agreement(one, other, shifts, shifts, 1.0, K).max() < K.sure_nats
+    nats = agreement(one, one, shifts, shifts, 1.0, K)
     assert np.unravel_index(nats.argmax(), nats.shape) == (SIDE - 1, SIDE - 1)
+
+
+def test_a_pattern_without_an_end_that_turns_behind_an_object_has_not_moved():
+    """Nodes far from the middle move by cells, and fewer of them are seen on one side."""
+    rest, now = whole_board(0, np.nan), whole_board(15, np.nan)
+    now.owner[np.hypot(now.x - 300, now.y - 200) < 40] = NONE
+    reference = Reference(rest, prints_of(rest.at, K.print_clip), (0, 0))
+    decision = like_rest(now, reference, reference, K)
+    assert decision.best[1:] == (0, 0, 0)
+    assert decision.margin > K.sure_nats
+
+
+def printed(size: tuple[int, int], cells: float, seed: int) -> Prints:
+    """Return drawn errors in cells of 20 px, for each node or, of size (1, SIDE), each column."""
+    error = np.random.default_rng(seed).normal(0, cells, (*size, 2)) @ [1, 1j]
+    known = np.ones((SIDE, SIDE), np.bool_)
+    return Prints(np.where(known, error, 0), known, 20.0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_errors_that_all_nodes_of_a_column_have_prove_nothing(seed):
+    """The pixels of a frame cut the straight edge of a column in one way."""
+    one, other = (printed((1, SIDE), 0.02, 2 * seed + n) for n in range(2))
+    shifts = np.arange(1 - SIDE, SIDE)
+    assert agreement(one, other, shifts, shifts, 0.0, K).max() < K.sure_nats
+
+
+@pytest.mark.parametrize(("alike", "sure"), [(0.0, True), (1.0, False)])
+def test_small_errors_tell_where_the_camera_cannot_have_made_them(alike, sure):
+    one = printed((SIDE, SIDE), 0.004, 1)
+    nats = agreement(one, one, np.arange(3), np.arange(3), alike, K)
+    assert (nats[0, 0] > K.sure_nats) == sure
+    assert nats[1:, 1:].max() == 0
