@@ -410,12 +410,10 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
   }
   const int missing = MISSING_NOW;
   if (missing != 0) {
-    before[0] = 0;
-    EACH_COLUMN {
-      int count = 0;
-      for (int t = 0; t <= 2 * side; ++t) count += votes[(first + t) * COLUMNS + c];
-      before[c + 1] = before[c] + count;
-    }
+    for (int c = 0; c <= COLUMNS; ++c) before[c] = 0;
+    for (int r = first; r <= first + 2 * side; ++r)
+      EACH_COLUMN before[c + 1] += votes[r * COLUMNS + c];
+    EACH_COLUMN before[c + 1] += before[c];
   }
   for (int b = get_global_id(2); b < FILTERS_ALONG; b += get_global_size(2)) {
     const int pair = a * FILTERS_ALONG + b, reach = sides_along[b];
@@ -445,12 +443,16 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
     }
     average_along(line, RISK_REACH, rows_risk, loss + pair * PLANE + IN_PIECES(row, 0),
                   IN_PIECES(0, LANES));
-    if (missing != 0) EACH_COLUMN {
-        const int left = WINDOW_START(c, reach, COLUMNS), size = 2 * reach + 1;
-        const int count = before[left + size] - before[left];
-        unsupported[pair * PLANE + row * LINE + c] =
-            !LEAST_SUPPORTED(count, size * (2 * side + 1));
+    if (missing != 0) { /* nodes near an end have the window of those further in */
+      __global float *refused = unsupported + pair * PLANE + row * LINE;
+      const int last = COLUMNS - 1 - reach, size = (2 * reach + 1) * (2 * side + 1);
+      for (int c = reach; c <= last; ++c)
+        refused[c] = !LEAST_SUPPORTED(before[c + reach + 1] - before[c - reach], size);
+      for (int c = 0; c < reach; ++c) {
+        refused[c] = refused[reach];
+        refused[COLUMNS - 1 - c] = refused[last];
       }
+    }
   }
   if (a == 0 && get_global_id(2) == 0) {
     EACH_EIGHT STORE_EIGHT(line + RISK_REACH + c, HAS_VOTE(row, c));

@@ -75,12 +75,14 @@
   __global const uchar *refusals = methods + padded;                                \
   __global const float *variances = fields + VARIANCE_FIELD * padded;
 
-/* The sine of an angle within .001; sin is a slow call on PoCL. */
+/* The sine of an angle within .001. On PoCL sin, floor and fabs are calls, sin a slow one. */
+#define SIZE(v) ((v) < 0 ? -(v) : (v))
 float sine_of(const float angle) {
-  const float turns = angle * 0.15915494f;
-  const float x = 2 * (turns - floor(turns + 0.5f)); /* in pi, -1 to 1 */
-  const float y = 4 * x * (1 - fabs(x));
-  return y * (0.775f + 0.225f * fabs(y));
+  const float turns = angle * 0.15915494f, middle = turns + 0.5f;
+  const int whole = (int)middle - ((float)(int)middle > middle);
+  const float x = 2 * (turns - (float)whole); /* in pi, -1 to 1 */
+  const float y = 4 * x * (1 - SIZE(x));
+  return y * (0.775f + 0.225f * SIZE(y));
 }
 
 /* Whether a corner of this first boundary has the colour of node i, where the lattice has these
@@ -89,10 +91,10 @@ float sine_of(const float angle) {
 int has_colour(const float angle, const float2 along, const float2 down, const int i,
                const int colour) {
   const float2 edge = (float2)(sine_of(angle + 1.57079633f), sine_of(angle));
-  const float off_down = fabs(edge.x * down.y - edge.y * down.x);
-  const float off_along = fabs(along.x * edge.y - along.y * edge.x);
+  const float off_down = edge.x * down.y - edge.y * down.x;
+  const float off_along = along.x * edge.y - along.y * edge.x;
   const float sign = (i / COLUMNS + i % COLUMNS) % 2 ? -colour : colour;
-  return !(sign * (off_down - off_along) <= 0);
+  return !(sign * (SIZE(off_down) - SIZE(off_along)) <= 0);
 }
 
 /* Predict the nodes: they move on as they moved last. Empty what is counted and the bins. One
