@@ -18,7 +18,7 @@ from cmp_cl.lattice.arrays import Board, Border, Units, Votes
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.kernels import Kernel, Over
 from cmp_cl.opencl.device import Device, DeviceKind, check_process, is_forked
-from cmp_cl.opencl.launches import GROUP, Launch, bound, multiple
+from cmp_cl.opencl.launches import GROUP, Launch, bound, enqueue, multiple
 from cmp_cl.opencl.program import Programs, programs_of
 from cmp_cl.opencl.shared import shared_buffer, shares_memory
 from cmp_cl.stages.layout import LEAST_PAD, PlanBase
@@ -206,8 +206,7 @@ class LatticePlan:
 
     def enqueue(self, launches: list[Launch]) -> None:
         """Enqueue launches, in order."""
-        for _, kernel, items, group, _ in launches:
-            cl.enqueue_nd_range_kernel(self.queue, kernel, items, group)
+        enqueue(self.queue, launches)
 
     def start(self) -> None:
         """Enqueue what leads from the corners to the parts, and if one part is large enough, to its

@@ -28,7 +28,7 @@ from cmp_cl.motion.nodes import grid_of
 from cmp_cl.motion.plan import FieldPlan
 from cmp_cl.motion.track import Tracker, can_track, differing
 from cmp_cl.opencl.device import Device, select_device
-from cmp_cl.opencl.launches import sum_times
+from cmp_cl.opencl.launches import enqueue, sum_times
 from cmp_cl.opencl.program import programs_of
 from cmp_cl.space import Bias
 from cmp_cl.stages.plan import Plan
@@ -305,7 +305,7 @@ class Measurement(Closing):
 
     def _track(self, tracker: Tracker, plan: Plan) -> None:
         """Enqueue the kernels that find the nodes of a plan's frame from those on the device."""
-        self._events = [each.start(self._detector.queue) for each in tracker.launches(plan)]
+        self._events = enqueue(self._detector.queue, tracker.launches(plan))
         self._events += self._plan.start()
 
     def _settled(self, begun: _Begun) -> Measured:

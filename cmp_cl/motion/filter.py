@@ -25,7 +25,7 @@ from cmp_cl.motion.tables import (
     in_lines,
 )
 from cmp_cl.opencl.device import Device, DeviceKind
-from cmp_cl.opencl.launches import GROUP, Launch, bound, multiple
+from cmp_cl.opencl.launches import GROUP, Launch, bound, enqueue, multiple
 from cmp_cl.opencl.program import Kernels, Programs, programs_of
 
 ROUNDS = 3  # rounds of the search for outliers
@@ -156,8 +156,7 @@ def _filtered(
     results.arrays["counts"][:] = (there.size - np.count_nonzero(votes), *ROUNDS * [0])
     plan.inputs.upload()
     results.upload()
-    for each in plan.launches:
-        each.start(queue)
+    enqueue(queue, plan.launches)
     results.download()
     queue.finish()
     arrays = results.arrays
@@ -204,7 +203,7 @@ def strain_of(
     }
     found = Memory(queue, layout)
     kernels = programs.kernels(["strain"], defines_of((rows, columns), axes, device))
-    of_nodes(kernels, (rows, columns), given.parts | found.parts, "strain").start(queue)
+    enqueue(queue, [of_nodes(kernels, (rows, columns), given.parts | found.parts, "strain")])
     found.download()
     queue.finish()
     result = nodes(found.arrays["strain"]), matrices(found.arrays["strain_covariance"])

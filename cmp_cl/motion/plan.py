@@ -33,6 +33,7 @@ from cmp_cl.motion.nodes import put
 from cmp_cl.motion.tables import axis_tables
 from cmp_cl.motion.track import Tracker
 from cmp_cl.opencl.device import Device, DeviceKind
+from cmp_cl.opencl.launches import enqueue
 from cmp_cl.opencl.program import Programs
 
 Array = NDArray[np.float64]
@@ -139,7 +140,7 @@ class FieldPlan:
     def start(self) -> list[tuple[str, cl.Event]]:
         """Enqueue the launches and the download of the results; return the event of each launch.
         The inputs are on the device."""
-        events = [each.start(self._queue) for each in self.launches]
+        events = enqueue(self._queue, self.launches)
         self.frame.download()
         self._queue.flush()
         return events

@@ -1,6 +1,6 @@
 """Kernels bound to their arguments, ready to be launched over their work-items."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,10 +21,6 @@ class Launch(NamedTuple):
     group: tuple[int, ...] | None
     arguments: list[Any]
 
-    def start(self, queue: cl.CommandQueue) -> tuple[str, cl.Event]:
-        """Enqueue it; return its stage and the event of its end."""
-        return self.stage, cl.enqueue_nd_range_kernel(queue, self.kernel, self.items, self.group)
-
 
 def bound(
     kernels: Kernels,
@@ -42,6 +38,19 @@ def bound(
     arguments = kernels.arguments[name] if arguments is None else arguments
     given = [parts[each] if isinstance(each, str) else each for each in arguments]
     return Launch(name, kernels.bind(name, *given), items, group, given)
+
+
+def enqueue(
+    queue: cl.CommandQueue, launches: Iterable[Launch], after: Sequence[cl.Event] = ()
+) -> list[tuple[str, cl.Event]]:
+    """Enqueue launches in order, after some events; return the stage of each and the event of its
+    end."""
+    events = []
+    for stage, kernel, items, group, _ in launches:
+        event = cl.enqueue_nd_range_kernel(queue, kernel, items, group, wait_for=after)
+        events.append((stage, event))
+        after = ()
+    return events
 
 
 def constant(context: cl.Context, table: NDArray[Any]) -> cl.Buffer:

@@ -18,7 +18,7 @@ from cmp_cl.config import BinaryRings, DetectorConfig
 from cmp_cl.errors import CapacityError
 from cmp_cl.image import GreyImage
 from cmp_cl.opencl.device import Device, is_forked, is_pocl
-from cmp_cl.opencl.launches import GROUP, Launch, multiple
+from cmp_cl.opencl.launches import GROUP, Launch, enqueue, multiple
 from cmp_cl.opencl.program import Kernels, Programs
 from cmp_cl.opencl.shared import shared_buffer, shares_memory
 from cmp_cl.stages import harmonic, noise, refine, scale
@@ -286,18 +286,9 @@ class Plan(PlanBase):
 
     def launch(self, stages: Sequence[Launch]) -> None:
         """Enqueue the stages in order, after the upload."""
-        queue, before = self.queue, self.uploads
-        for stage, kernel, items, group, _ in stages:
-            self._last = cl.enqueue_nd_range_kernel(queue, kernel, items, group, wait_for=before)
-            before = []
-            if self._profiled:
-                self.events.append((stage, self._last))
-        queue.flush()
-
-    @functools.cached_property
-    def _profiled(self) -> bool:
-        """Return whether the queue keeps the times of its commands."""
-        return bool(self.queue.properties & cl.command_queue_properties.PROFILING_ENABLE)
+        self.events += enqueue(self.queue, stages, self.uploads)
+        self._last = self.events[-1][1]
+        self.queue.flush()
 
     def _wait(self) -> None:
         """Wait until no kernel runs."""

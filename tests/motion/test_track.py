@@ -13,6 +13,7 @@ from cmp_cl.grid.grid import NodeStatus, Sides
 from cmp_cl.motion.memory import Memory
 from cmp_cl.motion.nodes import put
 from cmp_cl.motion.track import Tracker, colour_of
+from cmp_cl.opencl.launches import enqueue
 from cmp_cl.opencl.program import programs_of
 from cmp_cl.reference.field import track as oracle
 from cmp_cl.stages.refine import (
@@ -114,8 +115,7 @@ def tracker_of(device):
             given = result_of(found, ROOM)
             flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
             result = cl.Buffer(queue.context, flags, hostbuf=given)
-            for launch in tracker.bind(result, ROOM, looks=[]):
-                launch.start(queue)
+            enqueue(queue, tracker.bind(result, ROOM, looks=[]))
             frame.download()
             queue.finish()
             arrays = {name: values.copy() for name, values in frame.arrays.items()}
@@ -264,8 +264,7 @@ def test_nodes_without_a_corner_are_looked_at_again(device, every):
         frame.upload()
         tracker.begin([grid])
         plan = hiding.begin([picture])
-        for launch in tracker.launches(plan):
-            launch.start(hiding.queue)
+        enqueue(hiding.queue, tracker.launches(plan))
         frame.download()
         (seen,) = hiding.finish(plan)[0].corners
         hiding.queue.finish()
