@@ -169,11 +169,18 @@ def other_value(scene, setting):
     return (middle, middle) if isinstance(value, tuple) else middle
 
 
-@pytest.mark.parametrize("setting", settings_of(Scene), ids=lambda each: each.name)
-def test_each_field_changes_the_image(setting):
+@pytest.fixture(scope="module")
+def usual():
+    """Return a scene and its image."""
     scene = Scene(markers=20, shape=(120, 160), indenter=Indenter.CUBE, surround=Surround.WHITE)
+    return scene, synthetic.render(scene).image
+
+
+@pytest.mark.parametrize("setting", settings_of(Scene), ids=lambda each: each.name)
+def test_each_field_changes_the_image(usual, setting):
+    scene, image = usual
     changed = dataclasses.replace(scene, **{setting.name: other_value(scene, setting)})
-    image, other = synthetic.render(scene).image, synthetic.render(changed).image
+    other = synthetic.render(changed).image
     assert image.shape != other.shape or (image != other).any()
 
 

@@ -52,17 +52,6 @@ def test_corners_among_others_get_their_numbers(device, seed):
     assert wrong == 0, (right, wrong)
 
 
-def test_the_order_of_the_corners_changes_nothing(device):
-    image = np.ascontiguousarray(VIEW.image[:170])
-    xy, _ = drawn(VIEW.truth[:8], image.shape, 3)
-    grid = cmp_cl.number(xy, image, device=device)
-    order = np.random.default_rng(1).permutation(len(xy))
-    again = cmp_cl.number(xy[order], image, device=device)
-    np.testing.assert_array_equal(again.xy, grid.xy)
-    np.testing.assert_array_equal(again.status, grid.status)
-    np.testing.assert_array_equal(again.index, grid.index[order])
-
-
 @pytest.mark.parametrize("quarters", [1, 2, 3])
 def test_a_turned_image_has_its_rows_from_the_top(device, quarters):
     image, truth = VIEW.image, VIEW.truth

@@ -114,17 +114,3 @@ def test_noise(device):
     xy = (draw.random((700, 2)) * [140, 110] - 4).astype(np.float32)
     edges = draw.uniform(-np.pi, np.pi, (700, 4)).astype(np.float32)
     assert_equal_to_the_oracle(device, image, xy, edges)
-
-
-def test_the_order_of_the_corners_changes_no_part(device):
-    image = gel(2.0, indenter=Indenter.TORUS)
-    corners = detect(image)
-    order = np.random.default_rng(0).permutation(len(corners))
-    first = run(device, image, corners.xy, corners.edges, corners.refusal)
-    again = run(device, image, *(v[order] for v in (corners.xy, corners.edges, corners.refusal)))
-    h = (4 * order[:, None] + np.arange(4)).ravel()  # of the first run, by that of the second
-    twin = np.where(again["twin"] >= 0, h[again["twin"]], -1)
-    np.testing.assert_array_equal(twin, first["twin"][h])
-    np.testing.assert_array_equal(again["cut"], first["cut"][h])
-    sizes = [np.sort(each["faces"][each["faces"] > 0]) for each in (first, again)]
-    np.testing.assert_array_equal(*sizes)
