@@ -134,7 +134,7 @@ def _filtered(
         )
     programs = programs_of(device.handle)
     queue = cl.CommandQueue(programs.context)
-    results = Memory(queue, LatticeFilter.layout((rows, columns), axes))
+    results = Memory(queue, LatticeFilter.layout((rows, columns), axes, slopes=slopes))
     plan = LatticeFilter(
         queue,
         programs,
@@ -276,21 +276,21 @@ class LatticeFilter:
         }
 
     @staticmethod
-    def layout(shape: tuple[int, int], axes: int) -> Layout:
+    def layout(shape: tuple[int, int], axes: int, *, slopes: bool) -> Layout:
         """Return the layout of the results.
 
         displacement, raw_displacement: K planes (R, C), NaN where not valid. covariance,
         raw_covariance: 6 planes xx xy xz yy yz zz, or the variance per axis. slopes: 6 planes, or
-        xx xy yy, for each of the two, see `Filtered`. variance: (R, C and more columns that are not
-        used), of the noise before the filter. counts: nodes without a vote, and those that each
-        round has rejected; 0 at the end.
+        xx xy yy, for each of the two, see `Filtered`; none unless asked for. variance: (R, C and
+        more columns that are not used), of the noise before the filter. counts: nodes without a
+        vote, and those that each round has rejected; 0 at the end.
         """
         planes = {
             "displacement": axes,
             "raw_displacement": axes,
             "covariance": covariances(axes),
             "raw_covariance": covariances(axes),
-            "slopes": axes * (axes + 1),
+            "slopes": axes * (axes + 1) if slopes else 0,
         }
         return {
             **{name: ((count, *shape), np.float32) for name, count in planes.items()},

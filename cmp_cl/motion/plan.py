@@ -119,7 +119,7 @@ class FieldPlan:
     def _frame_layout(self) -> Layout:
         layout = {
             **Tracker.layout(self._geometry.views, self.shape),
-            **LatticeFilter.layout(self.shape, self._geometry.axes),
+            **LatticeFilter.layout(self.shape, self._geometry.axes, slopes=self._strained),
             "own": ((1, *self.shape), np.float32),
             "status": (self.shape, np.uint8),
             "source": (self.shape, np.uint8),
