@@ -6,11 +6,6 @@
  * autocorrelations tells how much it is at least. What is even, as ink that joins two squares, does
  * not. */
 #define LEVELS (OCTAVES + 1)
-#if OCTAVES
-#define OCTAVE_OF_CORNER *RESULT_OCTAVE
-#else
-#define OCTAVE_OF_CORNER 0
-#endif
 #define OF_GRAIN 1 /* of the two medians */
 #define DIGITS 256
 #define FEW 8 /* corners that do not tell what the noise is */
@@ -43,7 +38,7 @@ __kernel void typical_residual(__global float *restrict result,
     for (uint b = first; b < 2 * DIGITS; b += items) bins[b / DIGITS][b % DIGITS] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (uint n = first; n < total; n += items) {
-      if (*RESULT_METHOD != METHOD_EDGE_STEP || OCTAVE_OF_CORNER != group % LEVELS) continue;
+      if (*RESULT_METHOD != METHOD_EDGE_STEP || *RESULT_OCTAVE != group % LEVELS) continue;
       const uint order[2] = {ordered(*RESULT_CORRELATION), ordered(*RESULT_GRAIN)};
       for (int of = 0; of < 2; ++of) {
         if (shift < 24 && order[of] >> (shift + 8) != prefix[of]) continue;
@@ -81,7 +76,7 @@ __kernel void grow_variance(__global float *restrict result, __global const uint
   const uint total = SMALLER(counts[count_offset + p], capacity);
   if (n >= total) return;
   RESULT_OF_FRAME(total)
-  const uint octave = OCTAVE_OF_CORNER;
+  const uint octave = *RESULT_OCTAVE;
   const float2 median = typical[p * LEVELS + octave];
   const float correlation = *RESULT_CORRELATION, odd = fmax(fmax(correlation, median.x), 0.0f);
   const float coarse = fmax(VARIANCE_OF_GRAIN * median.y - 1, 0.0f);

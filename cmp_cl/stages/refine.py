@@ -217,13 +217,13 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
             Corners(
                 xy=fields[POSITION].reshape(-1, 2)[:count],
                 pixel=pixel,
-                octave=octave if plan.octaves else np.zeros_like(octave),
+                octave=octave,
                 response=fields[RESPONSE, :count],
                 method=method,
                 refusal=refusal,
                 sigma=np.sqrt(fields[VARIANCE, :count]),
                 edges=fields[EDGES].reshape(-1, 4)[:count],
-                doubtful=doubtful.astype(np.bool_) & isinstance(refinement, EdgeStep),
+                doubtful=doubtful.view(np.bool_),
                 edge_radius=radius,
                 device=device,
             )

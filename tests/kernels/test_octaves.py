@@ -114,7 +114,11 @@ def test_squares_that_ink_joins_have_their_corners_in_a_halved_frame(detector_in
     seen = truth[boards.inside(truth, SHAPE, cell / 2)]
     assert len(seen) > 8
     assert to_nearest(seen, found.xy).max() < 0.2
-    assert to_nearest(found.xy[boards.inside(found.xy, SHAPE, cell)], truth).max() < 0.1 * cell
+    inner = boards.inside(found.xy, SHAPE, cell)
+    error, sigma = to_nearest(found.xy[inner], truth), found.sigma[inner]
+    assert error.max() < 0.1 * cell
+    assert (error < 2.5 * sigma).mean() > 0.9
+    assert np.median(sigma) < 16 * np.sqrt(np.square(error).mean())  # the joints are even
     assert (found.octave > 0).any()
     order = np.lexsort((found.pixel[:, 0], found.pixel[:, 1]))
     np.testing.assert_array_equal(order, np.arange(len(found)))
