@@ -218,6 +218,9 @@ __kernel void slopes(__global const float *weights, __global const float *estima
   }
 }
 
+/* On PoCL dot is a call. */
+float dot_of(const float3 a, const float3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+
 /* Add the covariance of E11 E22 E12 due to the errors of one moment: xx xy xz yy yz zz. axis_1,
  * axis_2: derivatives of the three by the slope along each axis. inverse: from the steps, by column
  * and by row, to the axes. by_step: covariances of the slopes by step. */
@@ -227,12 +230,12 @@ void add_covariance(const float3 *axis_1, const float3 *axis_2, const float (*in
     float3 one[3], two[3];
     for (int e = 0; e < 3; ++e) {
       one[e] = inverse[0][step] * axis_1[e] + inverse[1][step] * axis_2[e];
-      two[e] = (float3)(dot(by_step[step][0], one[e]), dot(by_step[step][1], one[e]),
-                        dot(by_step[step][2], one[e]));
+      two[e] = (float3)(dot_of(by_step[step][0], one[e]), dot_of(by_step[step][1], one[e]),
+                        dot_of(by_step[step][2], one[e]));
     }
     int p = 0;
     for (int d = 0; d < 3; ++d)
-      for (int e = d; e < 3; ++e) result[p++] += dot(one[d], two[e]);
+      for (int e = d; e < 3; ++e) result[p++] += dot_of(one[d], two[e]);
   }
 }
 
@@ -312,20 +315,20 @@ __kernel void strain(__global const float *rest_position, __global const float *
     slope[m][1] = (cxx * by_y - cxy * by_x) / determinant;
   }
   const float3 a1 = slope[0][0], a2 = slope[0][1];
-  if (!(length(cross(a1, a2)) > 1e-9f * (dot(a1, a1) + dot(a2, a2)))) return;
+  if (!(length(cross(a1, a2)) > 1e-9f * (dot_of(a1, a1) + dot_of(a2, a2)))) return;
 #if K == 2
   const float area = a1.x * a2.y - a1.y * a2.x;
   const float inverse[2][2] = {{a2.y / area, -a1.y / area}, {-a2.x / area, a1.x / area}};
   const float3 q1 = (float3)(1, 0, 0), q2 = (float3)(0, 1, 0), turned = 0;
 #else
-  const float l11 = length(a1), l21 = dot(a1, a2) / l11, l22 = sqrt(dot(a2, a2) - l21 * l21);
+  const float l11 = length(a1), l21 = dot_of(a1, a2) / l11, l22 = sqrt(dot_of(a2, a2) - l21 * l21);
   const float inverse[2][2] = {{1 / l11, 0}, {-l21 / (l11 * l22), 1 / l22}};
   const float3 q1 = inverse[0][0] * a1, q2 = inverse[1][0] * a1 + inverse[1][1] * a2;
   const float3 turned = q2; /* an error of the slope along axis 1 turns the axes */
 #endif
   const float3 f1 = inverse[0][0] * slope[1][0] + inverse[0][1] * slope[1][1];
   const float3 f2 = inverse[1][0] * slope[1][0] + inverse[1][1] * slope[1][1];
-  const float e11 = (dot(f1, f1) - 1) / 2, e22 = (dot(f2, f2) - 1) / 2, e12 = dot(f1, f2) / 2;
+  const float e11 = (dot_of(f1, f1) - 1) / 2, e22 = (dot_of(f2, f2) - 1) / 2, e12 = dot_of(f1, f2) / 2;
   strain[i] = e11;
   strain[NODES + i] = e22;
   strain[2 * NODES + i] = e12;
