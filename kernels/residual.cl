@@ -6,7 +6,7 @@
  * autocorrelations tells how much it is at least. What is even, as ink that joins two squares, does
  * not. */
 #define LEVELS (OCTAVES + 1)
-#define OF_GRAIN 1 /* of the two medians */
+#define MEDIANS 2 /* of an octave */
 #define DIGITS 256
 #define FEW 8 /* corners that do not tell what the noise is */
 #define VARIANCE_OF_GRAIN 2.2f
@@ -23,48 +23,45 @@ float number_of(const uint order) {
 }
 
 /* Of each frame and octave, the median autocorrelation of the residuals of the corners that
- * EDGE_STEP accepted, -INFINITY if there are none, and the median of their grains and of FEW that
- * are 0; of two values the lower one. Byte by byte from the first. One work-group each. */
+ * EDGE_STEP accepted, -INFINITY if there are none; then the median of their grains and of FEW that
+ * are 0. Of two values it is the lower one. Byte by byte from the first. One work-group for each. */
 __kernel void typical_residual(__global float *restrict result,
                                __global const uint *restrict counts, const uint capacity,
                                const uint count_offset, __global float *restrict typical) {
-  const size_t group = get_group_id(1), p = group / LEVELS;
+  const size_t group = get_group_id(1), p = group / (MEDIANS * LEVELS);
+  const uint octave = group / MEDIANS % LEVELS, is_grain = group % MEDIANS;
   const uint first = get_local_id(0), items = get_local_size(0);
   RESULT_OF_FRAME(counts[count_offset + p])
   const uint total = SMALLER(counts[count_offset + p], capacity);
-  __local uint bins[2][DIGITS], prefix[2];
-  __local int rank[2];
+  __local uint bins[DIGITS], prefix;
+  __local int rank;
   for (int shift = 24; shift >= 0; shift -= 8) {
-    for (uint b = first; b < 2 * DIGITS; b += items) bins[b / DIGITS][b % DIGITS] = 0;
+    for (uint b = first; b < DIGITS; b += items) bins[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (uint n = first; n < total; n += items) {
-      if (*RESULT_METHOD != METHOD_EDGE_STEP || *RESULT_OCTAVE != group % LEVELS) continue;
-      const uint order[2] = {ordered(*RESULT_CORRELATION), ordered(*RESULT_GRAIN)};
-      for (int of = 0; of < 2; ++of) {
-        if (shift < 24 && order[of] >> (shift + 8) != prefix[of]) continue;
-        __local uint *bin = &bins[of][order[of] >> shift & (DIGITS - 1)];
-        if (items == 1) ++*bin;
-        else atomic_inc(bin);
-      }
+      if (*RESULT_METHOD != METHOD_EDGE_STEP || *RESULT_OCTAVE != octave) continue;
+      const uint order = ordered(is_grain ? *RESULT_GRAIN : *RESULT_CORRELATION);
+      if (shift < 24 && order >> (shift + 8) != prefix) continue;
+      __local uint *bin = bins + (order >> shift & (DIGITS - 1));
+      if (items == 1) ++*bin;
+      else atomic_inc(bin);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint of = first; of < 2; of += items) {
+    if (first == 0) {
       if (shift == 24) {
-        int all = 0;
-        for (uint b = 0; b < DIGITS; ++b) all += bins[of][b];
-        const int below = of == OF_GRAIN ? FEW : 0;
-        rank[of] = all + below > 0 ? (all + below - 1) / 2 - below : -1;
-        prefix[of] = 0;
+        int all = is_grain ? FEW : 0;
+        for (uint b = 0; b < DIGITS; ++b) all += bins[b];
+        rank = all > 0 ? (all - 1) / 2 - (is_grain ? FEW : 0) : -1;
+        prefix = 0;
       }
       uint b = 0;
-      for (; b < DIGITS - 1 && (int)bins[of][b] <= rank[of]; ++b) rank[of] -= bins[of][b];
-      prefix[of] = prefix[of] << 8 | b;
+      for (; b < DIGITS - 1 && (int)bins[b] <= rank; ++b) rank -= bins[b];
+      prefix = prefix << 8 | b;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
+    if (rank < 0) break;
   }
-  const float none[2] = {-INFINITY, 0};
-  for (uint of = first; of < 2; of += items)
-    typical[2 * group + of] = rank[of] < 0 ? none[of] : number_of(prefix[of]);
+  if (first == 0) typical[group] = rank < 0 ? (is_grain ? 0 : -INFINITY) : number_of(prefix);
 }
 
 /* The variance of a position, with what the residuals tell, and whether the corner is doubtful: its

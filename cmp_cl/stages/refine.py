@@ -23,7 +23,8 @@ SHARES = 32  # shares of the corners for each unit of the device
 RADII = (3, 4, 5)  # of the rings, px of the working image
 RING_SAMPLES = 32
 STEP_SHIFT = 2.0  # px of the working image: EDGE_STEP's largest distance from its start
-MEDIAN_GROUP = 256  # work-items that find the medians of an octave
+MEDIANS = 2  # of an octave's residuals, as in kernels/residual.cl
+MEDIAN_GROUP = 256  # work-items that find one
 
 
 def files(plan: PlanBase) -> list[str]:
@@ -71,7 +72,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
     """Return the bytes of the buffers that these kernels use, by name."""
     if not isinstance(plan.config.refinement, EdgeStep):
         return {}
-    return {"typical": 8 * plan.frames * (plan.compiled_octaves + 1)}
+    return {"typical": 4 * plan.frames * (plan.compiled_octaves + 1) * MEDIANS}
 
 
 def launches(plan: PlanBase) -> list[Launch]:
@@ -155,7 +156,7 @@ def _typical(plan: PlanBase) -> list[Launch]:
     if not isinstance(plan.config.refinement, EdgeStep):
         return []
     arrays = _residuals(plan, plan.arrays["counts"], plan.arrays["result"], plan.corner_capacity)
-    groups = plan.frames * (plan.compiled_octaves + 1)
+    groups = plan.frames * (plan.compiled_octaves + 1) * MEDIANS
     return [plan.of_groups("typical_residual", groups, MEDIAN_GROUP, **arrays)]
 
 
