@@ -151,12 +151,18 @@ def _corners_beyond(board: Board, corners: Corners) -> int:
 
 
 def _hanging(board: Board) -> int:
-    """Return the nodes of the second largest region of a board's firm nodes, 0 if they are few: a
-    pattern that goes on as another by chance hangs on it by rough corners, or by ones on its
-    outline, where cells of one colour differ."""
-    *_, regions, _ = cv2.connectedComponentsWithStats(board.firm.astype(np.uint8), connectivity=4)
-    nodes = np.sort(regions[1:, cv2.CC_STAT_AREA])
-    return int(nodes[-2]) if len(nodes) > 1 and nodes[-2] >= K.least_board else 0
+    """Return the nodes of the second largest region of cells whose four nodes are firm, 0 if they
+    are few: a pattern that goes on as another by chance hangs on it by a single side, or by rough
+    corners, or by ones on its outline, where cells of one colour differ."""
+    firm = board.firm
+    cells = np.pad(firm[:-1, :-1] & firm[1:, :-1] & firm[:-1, 1:] & firm[1:, 1:], 1)
+    _, region, regions, _ = cv2.connectedComponentsWithStats(cells.astype(np.uint8), connectivity=4)
+    if len(regions) < 3:
+        return 0
+    second = region == 1 + np.argsort(regions[1:, cv2.CC_STAT_AREA])[-2]
+    nodes = second[:-1, :-1] | second[1:, :-1] | second[:-1, 1:] | second[1:, 1:]
+    count = int(np.count_nonzero(nodes))
+    return count if count >= K.least_board else 0
 
 
 def _decided(board: Board, asked: Asked) -> Decision:

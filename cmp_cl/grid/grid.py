@@ -94,8 +94,8 @@ class Grid:
         0 where none is: squares behind a board, or a part of a torn pattern without numbers. Places
         inside the grid that show no corner count too, if they are many: two patterns that touch
         leave such a gap, and a part of a torn pattern that is numbered wrongly. So do corners that
-        look like its next lines, and a region that hangs on the grid by torn corners, or by ones
-        beside which cells of one colour differ.
+        look like its next lines, and a region that hangs on the grid by a single side, by torn
+        corners, or by ones beside which cells of one colour differ.
     edge_radius: the `edge_radius` of the corners, px. The filters of positions and displacements
         use it to remove the effect of bent edges. NaN if unknown.
     """
