@@ -316,14 +316,14 @@ def test_a_camera_of_the_rig_may_be_rolled(degrees):
 def test_views_that_may_show_different_parts_of_a_pattern_are_refused():
     camera = [[600, 0, 120], [0, 600, 100], [0, 0, 1]]
     rig = StereoRig(camera, [], camera, [], np.eye(3), np.array([-4.0, 0, 0]))
-    split = cmp_cl.BinocularSplit.halves(500, 240)
+    split = cmp_cl.BinocularSplit.halves(580, 240)
     sheet, _ = drawn(14, 30)  # cells of 20 px; the first column of nodes is at 60 px
     bordered, inside = (
-        np.hstack([sheet[90:330, x : x + 250], sheet[90:330, x + 4 : x + 254]]) for x in (0, 107)
+        np.hstack([sheet[90:330, x : x + 290], sheet[90:330, x + 4 : x + 294]]) for x in (0, 107)
     )
     with measure.TwoViews(bordered, rig, split) as against_rest:
         np.testing.assert_allclose(against_rest.rest.xyz[..., 2], 600, atol=60)
-    _, seen = measure.find_pattern(np.ascontiguousarray(inside[:, :250]))
+    _, seen = measure.find_pattern(np.ascontiguousarray(inside[:, :290]))
     for shape in (None, seen.shape):
         with pytest.raises(GridError, match=r"different parts .* by 0 rows and -?2 columns"):
             measure.TwoViews(inside, rig, split, shape=shape)

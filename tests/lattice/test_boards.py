@@ -40,18 +40,6 @@ def test_a_gel_torn_all_around_a_ring_is_one_board_with_right_numbers(device, se
     assert nodes > 0.88 * shot.truth[..., 0].size
 
 
-def test_every_board_in_view_is_found_and_no_corner_twice(device):
-    one = render(random_scene(5, markers=12, severity=0.3, shape=(200, 200)))
-    two = render(random_scene(6, markers=9, severity=0.3, shape=(200, 200)))
-    corners, seen = found(device, np.hstack([one.image, two.image]))
-    assert [each.there.shape for each in seen[:2]] == [(12, 12), (9, 9)]
-    owners = np.concatenate([each.owner[each.owner >= 0] for each in seen])
-    assert len(np.unique(owners)) == len(owners)
-    for board, truth in ((seen[0], one.truth), (seen[1], two.truth + np.array([200, 0]))):
-        nodes, agreed = right(corners, board, truth)
-        assert nodes == agreed == truth[..., 0].size
-
-
 def test_an_image_without_a_lattice_has_no_board(device):
     noise = np.random.default_rng(1).integers(0, 255, (120, 160)).astype(np.uint8)
     assert found(device, noise)[1] == []
