@@ -318,7 +318,7 @@ def judged(rest: Grid, first: Open, grid: Grid | None, case: Open) -> dict[str, 
 
 def liked(seed: int, count: int) -> list[dict[str, Any]]:
     """Number open patterns like a frame at rest: alone, and after frames that lead there, between
-    which the pattern moves by .3 cells at most."""
+    which the middle moves by .3 cells at most. One frame may turn by up to 60 degrees."""
     rows = [new_row("without an end, like", f"cmp_cl, {form}") for form in ("alone", "followed")]
     for number, case in enumerate(open_patterns(seed, count)):
         config = DetectorConfig.for_cell(case.cell)
