@@ -88,8 +88,9 @@ class LatticeConstants:
         follow, and a side beyond which cells differ by less is an end. Between .2 and .3 nearly
         all is the same.
     end_nats: nats, against a border that is not there, a line that a known size lacks, and one
-        whose places in view are empty; half as much against borders that reach differently far.
-        With 5, the motion from a board at rest made its numbers ambiguous.
+        whose places in view are empty; half as much against borders that reach differently far,
+        a fifth against an end in view that shows no border. With 5, the motion from a board at rest
+        made its numbers ambiguous.
     rest_sd_cells: cells, standard deviation of the motion since rest.
     step_sd_cells: cells, the same from one frame to the next.
     turn_sd_degrees: degrees, standard deviation of the rotation since rest.

@@ -216,7 +216,8 @@ def in_shape(now: Board, shape: tuple[int, int], k: LatticeConstants) -> Decisio
 
     Rows and columns are exchanged if the shape fits better so; the columns then stay nearest to the
     image's x axis. A line that the size lacks, a border inside it, and places in view without
-    corners are against a placement. Scores are 0 where all fits.
+    corners are against a placement; a fifth as much an end in view that shows no border, so that
+    four of them are not taken for a line that lacks. Scores are 0 where all fits.
     """
     turns = [0]
     if shape[0] != shape[1]:
@@ -252,6 +253,8 @@ def _places(
                 total -= k.end_nats * bool(border.ends[n] or border.room[n])
             elif beyond == 0 and border.follows[n]:
                 total -= k.end_nats
+            elif beyond == 0 and border.bare[n]:
+                total -= k.end_nats / 5
         places.append((start - begin, total))
     return places
 

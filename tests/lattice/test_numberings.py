@@ -1,11 +1,13 @@
 """A numbering is sure only if no other explains the frame as well."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board
+from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Border
 from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.lattice.numbers import Reference, like_rest
+from cmp_cl.lattice.numbers import Reference, in_shape, like_rest
 from cmp_cl.lattice.printing import Prints, agreement, prints_of
 
 K = LatticeConstants()
@@ -32,6 +34,22 @@ def test_a_board_that_turned_nearly_as_far_as_another_way_round_is_not_sure(degr
     reference = Reference(rest, prints_of(rest.at, K.print_clip), (0, 0))
     decision = like_rest(whole_board(degrees), reference, None, K)
     assert (decision.margin > K.sure_nats) == sure, decision
+
+
+@pytest.mark.parametrize("bottom", [1.0, np.nan])
+def test_an_end_in_view_that_shows_no_border_may_be_none(bottom):
+    """Of 6 x 4 nodes, 4 x 3 are seen. If the last of the four lines shows the border, they are all
+    of the four columns; if it shows nothing, they may be some of the six rows."""
+    whole = whole_board(0)
+    seen = {name: getattr(whole, name)[:4, :3] for name in ("x", "y", "owner", "torn")}
+    border = Border(
+        reach=np.array([1, bottom, np.nan, 1]),
+        follows=np.array([False, False, True, False]),
+        room=np.array([True, True, False, True]),
+    )
+    part = dataclasses.replace(whole, **seen, border=border)
+    decision = in_shape(part, (6, 4), K)
+    assert (decision.margin > K.sure_nats) == np.isfinite(bottom), decision
 
 
 @pytest.mark.parametrize("seed", range(3))
