@@ -50,10 +50,11 @@ def beside(one, other):
         (lambda one, other: np.stack([other, one])[::-1], True),
         (beside, True),
         (lambda one, other: beside(other, one)[::-1], True),
+        (lambda one, other: np.stack([one, *[other] * 12])[::12], False),
         (lambda one, other: (one.copy(), other.copy()), False),
         (lambda one, other: (np.vstack([one, one])[: len(one)], other.copy()), False),
     ],
-    ids=["stack", "stack reversed", "beside", "beside reversed", "apart", "views apart"],
+    ids=["stack", "stack reversed", "beside", "beside reversed", "far", "apart", "views apart"],
 )
 def test_frames_of_one_array_are_read_where_they_lie(handle, device, arranged, read_there):
     with Detector(shape=BOARD.shape, device=device) as detector:

@@ -29,6 +29,7 @@ from cmp_cl.stages.refine import READ_FIELDS, RESULT_HEAD
 from cmp_cl.stages.types import defines_of
 
 SHARED = ("image", "result")  # buffers that the host writes or reads
+SPREAD = 4  # times their pixels: frames that lie in more memory are copied
 ALIGNMENT = 128  # bytes: an alignment that every device accepts for a sub-buffer
 
 
@@ -390,10 +391,12 @@ _copy_rectangle: Any = cl.enqueue_copy  # whose stub does not know the form for 
 def _where(frames: Sequence[GreyImage]) -> tuple[NDArray[Any], tuple[int, int, int]] | None:
     """Return the memory in which frames lie, and of it the first pixel of the first frame, the
     pixels from a row to the next and those from a frame to the next; None unless they are equally
-    spaced parts of one array."""
+    spaced parts of one array, with little between them."""
     base, pitch, size = frames[0].base, _pitch(frames[0]), frames[0].itemsize
+    most = SPREAD * len(frames) * frames[0].size
     if len(frames) == 1:
-        return _flat(frames[0]), (0, pitch // size, 0)
+        memory = _flat(frames[0])
+        return (memory, (0, pitch // size, 0)) if memory.size <= most else None
     starts = [frame.__array_interface__["data"][0] for frame in frames]
     apart = starts[1] - starts[0]
     together = isinstance(base, np.ndarray) and all(
@@ -404,6 +407,8 @@ def _where(frames: Sequence[GreyImage]) -> tuple[NDArray[Any], tuple[int, int, i
         return None
     least = min(starts)
     memory = _flat(frames[starts.index(least)], (max(starts) - least) // size)
+    if memory.size > most:
+        return None
     return memory, ((starts[0] - least) // size, pitch // size, apart // size)
 
 
