@@ -76,6 +76,31 @@ def test_a_pattern_without_an_end_that_turns_behind_an_object_has_not_moved():
     assert decision.margin > K.sure_nats
 
 
+def test_numbers_that_nothing_tells_are_those_of_the_least_motion():
+    rest, now = whole_board(0, np.nan), whole_board(40, np.nan)
+    reference = Reference(rest, prints_of(rest.at, K.print_clip), (0, 0))
+    decision = like_rest(now, reference, None, K)
+    assert decision.best[1:] == (0, 0, 0)
+    assert decision.margin < K.sure_nats
+
+
+@pytest.mark.parametrize(("degrees", "sure"), [(0, False), (15, True)])
+def test_small_errors_may_be_a_cameras_where_all_nodes_moved_alike(degrees, sure):
+    """The same errors at the same pixels are no print's. Where the pattern turned, they are."""
+
+    def worn(degrees):
+        board = whole_board(degrees, np.nan)
+        error = np.random.default_rng(0).normal(0, 0.05, (SIDE, SIDE, 2)) @ [1, 1j]
+        error *= np.exp(1j * np.radians(degrees))
+        board.x, board.y = (board.x + error.real, board.y + error.imag)
+        return board
+
+    rest = worn(0)
+    reference = Reference(rest, prints_of(rest.at, K.print_clip), (0, 0))
+    decision = like_rest(worn(degrees), reference, None, K)
+    assert (decision.margin > K.sure_nats) == sure, decision
+
+
 def printed(size: tuple[int, int], cells: float, seed: int) -> Prints:
     """Return drawn errors in cells of 20 px, for each node or, of size (1, SIDE), each column."""
     error = np.random.default_rng(seed).normal(0, cells, (*size, 2)) @ [1, 1j]
