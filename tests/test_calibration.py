@@ -11,7 +11,7 @@ from stereo_data import gel, grid_of, opencv_pairs, project, toed_in_rig
 
 from cmp_cl import CalibrationError, calibrate
 from cmp_cl.points import sides
-from cmp_cl.space import Lens, MisfitError
+from cmp_cl.space import Lens
 from cmp_cl.space.calibration.advice import advice
 
 THREE = {
@@ -190,11 +190,10 @@ def test_swapped_views_are_refused_and_named():
     seen = views({name: THREE[name] for name in "ab"})
     right = list(seen["b"])
     seen["b"][2], seen["b"][7] = right[7], right[2]
-    with pytest.raises(MisfitError, match="worst fit those of moment 2, 7") as why:
+    with pytest.raises(CalibrationError, match="worst fit views 2, 7, from 0"):
         calibrated(seen)
-    assert why.value.odd == [2, 7]
     seen["b"] = [*right[1:], right[0]]  # no view fits
-    with pytest.raises(MisfitError, match="no pose between the cameras fits"):
+    with pytest.raises(CalibrationError, match="no pose between the cameras fits"):
         calibrated(seen)
 
 

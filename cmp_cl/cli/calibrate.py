@@ -20,7 +20,7 @@ from cmp_cl.cli.arguments import (
     positive_number,
     views_of,
 )
-from cmp_cl.cli.messages import counted, one_line, progress, shown, tell
+from cmp_cl.cli.messages import one_line, progress, shown, tell
 from cmp_cl.cli.window import add_window, through_window, window_files
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
 from cmp_cl.grid import Grid
@@ -28,7 +28,7 @@ from cmp_cl.image import GreyImage
 from cmp_cl.measure import find_board
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.points import sides
-from cmp_cl.space import Calibration, Lens, MisfitError, calibrate
+from cmp_cl.space import Calibration, Lens, calibrate
 from cmp_cl.space.calibration.advice import advice
 from cmp_cl.space.exports import check_cameras, save_cameras, save_corners
 from cmp_cl.viz import save_figure
@@ -81,12 +81,9 @@ def run(arguments: argparse.Namespace) -> int:
     _check(arguments, files, picture)
     device = select_device(arguments.device)
     grids, sizes, left_out = _boards(arguments, files, device)
-    try:
-        found = calibrate(grids, spacing=arguments.square, sizes=sizes, lens=Lens(arguments.lens))
-    except CalibrationError as error:
-        raise CalibrationError(_explained(error, files, left_out)) from error
     for line in left_out:
         tell(f"left out {line}")
+    found = calibrate(grids, spacing=arguments.square, sizes=sizes, lens=Lens(arguments.lens))
     window, covariance = None, found.covariance
     if arguments.window is not None:
         rig = through_window(found.rig(), arguments, device)
@@ -212,19 +209,6 @@ def _unseen(
         f"no view{of} shows a board of {rows} x {columns} corners ({len(files[name])} given); "
         f"{left_out[0]}; {hint}"
     )
-
-
-def _explained(
-    error: CalibrationError, files: Mapping[str, list[Path]], left_out: Sequence[str]
-) -> str:
-    """Return the message of an error with the names of the views that it is about."""
-    text = str(error)
-    if isinstance(error, MisfitError) and error.odd:
-        odd = [files[name][moment].name for moment in error.odd for name in files]
-        text += f"; these are {', '.join(map(shown, dict.fromkeys(odd)))}"
-    if left_out:
-        text += f"; {counted(len(left_out), 'view')} left out, the first {left_out[0]}"
-    return text
 
 
 def _report(found: Calibration, names: Mapping[str, list[str]]) -> None:

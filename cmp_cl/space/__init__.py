@@ -2,7 +2,7 @@
 
 from cmp_cl.points import Points3D, PointStatus
 from cmp_cl.space.bias import Bias
-from cmp_cl.space.calibration import Calibration, Camera, MisfitError, calibrate
+from cmp_cl.space.calibration import Calibration, Camera, calibrate
 from cmp_cl.space.lens import Lens
 from cmp_cl.space.refraction import calibrate_window
 from cmp_cl.space.rig import StereoRig
@@ -15,7 +15,6 @@ __all__ = [
     "Calibration",
     "Camera",
     "Lens",
-    "MisfitError",
     "PointStatus",
     "Points3D",
     "StereoRig",

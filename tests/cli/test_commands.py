@@ -157,14 +157,6 @@ def test_images_are_those_of_one_camera(run, opencv_views, tmp_path):
     assert cv2.imread("calibration.png").std() > 10
 
 
-def test_files_in_the_wrong_order_are_named(run, opencv_views):
-    left, right = opencv_views
-    views = "--left", *left, "--right", *right[:2], right[3], right[2], right[4]
-    outcome = run("calibrate", *views, *CHESSBOARD, "--out", "rig.yaml")
-    fails_in_one_line(outcome, "left03.jpg, right04.jpg, left04.jpg, right03.jpg")
-    assert not Path("rig.yaml").exists()
-
-
 def test_named_cameras_make_a_rig_that_run_takes(run, opencv_views):
     left, right = (views[:4] for views in opencv_views)
     cameras = (

@@ -1,5 +1,5 @@
 """Calibrates one, two or more cameras on views of a board."""
 
-from cmp_cl.space.calibration.calibrate import Calibration, Camera, MisfitError, calibrate
+from cmp_cl.space.calibration.calibrate import Calibration, Camera, calibrate
 
-__all__ = ["Calibration", "Camera", "MisfitError", "calibrate"]
+__all__ = ["Calibration", "Camera", "calibrate"]

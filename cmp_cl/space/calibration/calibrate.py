@@ -39,14 +39,6 @@ _MAX_MISFIT_RATIO = 3.0  # times the largest error of a camera alone
 Array = NDArray[np.float64]
 
 
-class MisfitError(CalibrationError):
-    """No pose between the cameras fits the views; odd: the moments that fit the others worst."""
-
-    def __init__(self, message: str, odd: Sequence[int]) -> None:
-        super().__init__(message)
-        self.odd = odd
-
-
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Camera:
     """A calibrated camera, and its pose relative to the first one.
@@ -317,14 +309,13 @@ def _alone(name: str, seen: Seen, size: tuple[int, int], lens: Lens) -> Alone:
 def _check_fit(
     looks: Sequence[Look], state: State, alone: Mapping[str, Alone], odd: Sequence[int]
 ) -> None:
-    """Raise MisfitError if cameras fit the views much worse together than each alone."""
+    """Raise CalibrationError if cameras fit the views much worse together than each alone."""
     error = root_mean_square([residuals(look, state) for look in looks])
     best = max(each.error for each in alone.values())
     if error > max(_MAX_MISFIT, _MAX_MISFIT_RATIO * best):
-        named = f"; worst fit those of moment {', '.join(map(str, odd))}" if odd else ""
-        raise MisfitError(
+        named = f"; worst fit views {', '.join(map(str, odd))}, from 0" if odd else ""
+        raise CalibrationError(
             f"no pose between the cameras fits the views of {', '.join(alone)}: together they miss "
             f"by {error:.1f} px, each alone by at most {best:.2f} px{named}; check the shape of "
-            "the board, and that all cameras see it at the same moments",
-            odd,
+            "the board, and that all cameras see it at the same moments"
         )
