@@ -2,7 +2,6 @@
 
 import contextlib
 import glob
-import itertools
 import os
 import re
 import struct
@@ -34,7 +33,6 @@ _SIGNATURES = re.compile(  # of these formats; no other reader of OpenCV gets th
 )
 _WITHOUT_ALPHA = re.compile(rb"\xff\xd8|BM|P")
 _MOST_PAGES = 1 << 20  # those of libtiff
-_SAMPLES_PER_PIXEL = 277  # of the tags of a TIFF
 _BLOCK = 1 << 26  # px of the pages that are decoded at once: OpenCV repeats all earlier ones
 _MOST_OVER_WHITE = 10**9 // 9  # bytes of a grey image: OpenCV has all four channels twice beside it
 
@@ -65,9 +63,10 @@ def read_image(path: str | PathLike[str]) -> GreyImage:
     """Read an image file as (H, W) uint8 or uint16; colour becomes grey as cv2.imread does it.
 
     It reads the first of several pages, rotates the image as its EXIF tag says, and puts what is
-    transparent on white. Raises ImageError if the file cannot be read, is damaged, has more pixels
-    than OpenCV's limit (2**27, unless the variable OPENCV_IO_MAX_IMAGE_PIXELS is set before cmp_cl
-    is imported) or than fit into 1 GB with their transparency, or is not an image of 8 or 16 bits.
+    transparent on white, but not in images of over 111 MB. Raises ImageError if the file cannot be
+    read, is damaged, has more pixels than OpenCV's limit (2**27, unless the variable
+    OPENCV_IO_MAX_IMAGE_PIXELS is set before cmp_cl is imported), or is not an image of 8 or 16
+    bits.
     """
     return next(read_pages(path))
 
@@ -85,7 +84,7 @@ def read_pages(path: str | PathLike[str]) -> Iterator[GreyImage]:
     except OSError as error:
         raise ImageError(f"cannot read {str(path)!r}: {error.strerror}") from error
     first, pages = 0, decoded(data, path, 0, 1)
-    promised = max(1, sum(1 for _ in _directories(data)))  # OpenCV does not say what is missing
+    promised = max(1, _promised(data))  # OpenCV does not say what is missing
     count = max(1, _BLOCK // max(pages[0].size, 1))
     while pages:
         yield from pages
@@ -95,16 +94,15 @@ def read_pages(path: str | PathLike[str]) -> Iterator[GreyImage]:
         raise ImageError(f"{str(path)!r} is damaged or cut off: it has no page {first}, from 0")
 
 
-def _directories(data: NDArray[np.uint8]) -> Iterator[tuple[str, str, int, int]]:
-    """Yield the directory of each page that a TIFF leads to; none of another image.
+def _promised(data: NDArray[np.uint8]) -> int:
+    """Return the number of pages that a TIFF leads to, 0 for another format.
 
-    A directory is its number of entries, the entries, and the place of the next one. Yields the
-    order of bytes and the format of that number, for struct; the size of an entry; and the place.
+    The directory of a page is its number of entries, the entries, and the place of the next one.
     """
     head = data[:4].tobytes()
     order = {b"II": "<", b"MM": ">"}.get(head[:2])
     if order is None or head[2:] not in (b"*\0", b"\0*", b"+\0", b"\0+"):
-        return
+        return 0
     big = b"+" in head
     place, entries, size = ("Q", "Q", 20) if big else ("I", "H", 12)
     seen: set[int] = set()
@@ -112,10 +110,10 @@ def _directories(data: NDArray[np.uint8]) -> Iterator[tuple[str, str, int, int]]
         (next_one,) = struct.unpack_from(order + place, data.data, 8 if big else 4)
         while next_one and next_one not in seen and len(seen) < _MOST_PAGES:
             seen.add(next_one)
-            yield order, entries, size, next_one
             (count,) = struct.unpack_from(order + entries, data.data, next_one)
             after = next_one + struct.calcsize(f"={entries}") + size * count
             (next_one,) = struct.unpack_from(order + place, data.data, after)
+    return len(seen)
 
 
 def decoded(
@@ -144,7 +142,7 @@ def decoded(
                 f"{str(path)!r} holds {page.dtype} pixels, expected 8 or 16 bits without sign; "
                 "scale it and save it as PNG"
             )
-    return [_over_white(page, data, path, first + k) for k, page in enumerate(pages)]
+    return [_over_white(page, data, first + k) for k, page in enumerate(pages)]
 
 
 def _has_chunks(data: NDArray[np.uint8]) -> bool:
@@ -160,20 +158,10 @@ def _has_chunks(data: NDArray[np.uint8]) -> bool:
     return data[0] != 0x89 or place == data.size
 
 
-def _over_white(
-    grey: GreyImage, data: NDArray[np.uint8], path: str | PathLike[str], page: int
-) -> GreyImage:
-    """Return a page over a white ground, if its file is a PNG, a WebP or a TIFF with alpha; path:
-    for messages."""
-    if _WITHOUT_ALPHA.match(data[:2].tobytes()) or grey.all():
+def _over_white(grey: GreyImage, data: NDArray[np.uint8], page: int) -> GreyImage:
+    """Return a page over a white ground, if its file is a PNG, a WebP or a TIFF with alpha."""
+    if grey.all() or grey.nbytes > _MOST_OVER_WHITE or _WITHOUT_ALPHA.match(data[:2].tobytes()):
         return grey  # nothing that is transparent is grey 0
-    if grey.nbytes > _MOST_OVER_WHITE:
-        if not _has_alpha(data, page):
-            return grey
-        raise ImageError(
-            f"{str(path)!r} has {grey.size / 1e6:.0f} million px with transparency, which take "
-            "more than 1 GB; save it without an alpha channel"
-        )
     full = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED, range=(page, page + 1))[1]
     if not full or full[0].ndim != 3 or full[0].shape != (*grey.shape, 4):
         return grey
@@ -182,24 +170,6 @@ def _over_white(
         alpha = pixels[:, 3] / np.float32(white)
         row[:] = np.rint(row * alpha + white * (1 - alpha))
     return grey
-
-
-def _has_alpha(data: NDArray[np.uint8], page: int) -> bool:
-    """Return whether the header of a PNG, a WebP or a TIFF says so."""
-    if data[0] == 0x89:
-        return bool(data[25] & 4) or b"tRNS" in data.tobytes()
-    flags = {b"VP8L": 24, b"VP8X": 20}.get(data[12:16].tobytes())  # where a WebP has them
-    if flags is not None:
-        return bool(data[flags] & 16)
-    for order, entries, size, place in itertools.islice(_directories(data), page, page + 1):
-        (count,) = struct.unpack_from(order + entries, data.data, place)
-        first = place + struct.calcsize(f"={entries}")
-        for entry in range(first, min(first + size * count, data.size - size), size):
-            (tag,) = struct.unpack_from(order + "H", data.data, entry)
-            if tag == _SAMPLES_PER_PIXEL:
-                value = entry + (size + 4) // 2  # behind the tag, its type and a count
-                return bool(struct.unpack_from(order + "H", data.data, value)[0] > 3)
-    return False
 
 
 def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
