@@ -1,6 +1,5 @@
 """What an image is, with an error that says how to convert anything else."""
 
-from collections.abc import Sequence
 from os import PathLike
 from typing import Any, TypeAlias, cast
 
@@ -62,38 +61,21 @@ def _not_an_image(image: Any) -> Exception:
     """Return an ImageError that says what is wrong with the image and how to convert it."""
     expected = "expected a NumPy array (H, W) of uint8 or uint16"
     if not isinstance(image, np.ndarray):
-        hint = ""
-        if image is None:
-            hint = "; cv2.imread gives None for a file that it cannot read"
-        elif isinstance(image, str | PathLike):
-            hint = "; cv2.imread(image, cv2.IMREAD_GRAYSCALE) converts"
-        elif hasattr(image, "image"):
-            hint = "; its attribute image is one"
-        elif hasattr(image, "__cuda_array_interface__"):
-            hint = "; it lies on a device: its get() or cpu() copies it"
-        elif hasattr(image, "__array__") or isinstance(image, Sequence):
-            hint = "; numpy.asarray(image) converts"
-        return ImageError(f"{expected}, got {type(image).__name__}{hint}")
+        hint = "numpy.asarray(image) converts most"
+        if image is None or isinstance(image, str | PathLike):
+            hint = "cv2.imread(file, 0) reads one, and gives None for a file that it cannot read"
+        return ImageError(f"{expected}, got {type(image).__name__}; {hint}")
     came = f"got shape {image.shape} of {image.dtype}"
     if np.ma.is_masked(image):
-        return ImageError(
-            f"{expected}, got a masked array; image.filled(level) converts, and Detector(mask=...) "
-            "leaves pixels out"
-        )
-    if image.ndim == 3 and image.shape[2] in (3, 4):
+        came = "got a masked array"
+        hint = "image.filled(level) converts, and Detector(mask=...) leaves pixels out"
+    elif image.ndim == 3 and image.shape[2] in (3, 4):
         code = "cv2.COLOR_BGR2GRAY" if image.shape[2] == 3 else "cv2.COLOR_BGRA2GRAY"
         hint = f"cv2.cvtColor(image, {code}) converts"
     elif image.ndim != 2:
         hint = "image.reshape(height, width) or one frame of it converts"
-    elif image.dtype == np.bool_:
-        hint = "image.astype(numpy.uint8) * 255 converts"
-    elif image.dtype.kind in "ui" and image.dtype.itemsize == 2 and image.dtype not in _PIXELS:
-        hint = "image.clip(0).astype(numpy.uint16) converts"
     elif image.dtype not in _PIXELS:
-        hint = (
-            "numpy.nan_to_num(image * (255 / white)).round().clip(0, 255).astype(numpy.uint8) "
-            "converts, white being its largest level"
-        )
+        hint = "numpy.clip(image * (255 / white), 0, 255).astype(numpy.uint8) converts"
     elif not image.size:
         hint = "there must be at least one pixel"
     else:
