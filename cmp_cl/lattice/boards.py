@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.lattice.arrays import Board, Mask
+from cmp_cl.lattice.arrays import Board
 from cmp_cl.lattice.joins import Joining
 from cmp_cl.lattice.kernels import TAKEN
 from cmp_cl.lattice.plan import LatticePlan
@@ -33,14 +33,8 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
         numbers = joining.run(main, left)
         numbers[taken] = TAKEN
         board = plan.settle(numbers)
-        owner = board.owner[board.owner >= 0]
         if np.count_nonzero(board.there) < k.least_board:
             continue
-        taken[owner] = True
-        left = [part for part in left if _is_free(taken[units.corner[joining.members[part]]])]
+        taken[board.owner[board.owner >= 0]] = True
+        left = [part for part in left if not taken[units.corner[joining.members[part]]].all()]
         yield board
-
-
-def _is_free(taken: Mask) -> bool:
-    """Return whether no more than half of a part's corners are taken."""
-    return 2 * int(np.count_nonzero(taken)) <= len(taken)

@@ -5,8 +5,9 @@ a node from the cubics through its neighbours leaves these errors and noise. The
 frames agree under the right numbers, and under no others.
 """
 
+import dataclasses
+import functools
 import math
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -19,7 +20,8 @@ FROM_CUBICS[2] = FROM_CUBICS[:, 2] = np.array([1, -4, 12, -4, 1]) / 12
 GAIN = float(np.square(FROM_CUBICS).sum())  # variance of the result, of errors of variance 1
 
 
-class Prints(NamedTuple):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Prints:
     """The printing errors of a board.
 
     error: (R, C) complex, cells, along rows plus 1j along columns, 0 where unknown. known: (R, C).
@@ -35,7 +37,7 @@ class Prints(NamedTuple):
         if not quarters % 4:
             return self
         error = np.rot90(self.error, quarters) * (-1j) ** (quarters % 4)
-        return self._replace(error=error, known=np.rot90(self.known, quarters))
+        return Prints(error, np.rot90(self.known, quarters), self.cell)
 
 
 def prints_of(at: Numbers, clip: float) -> Prints:
@@ -77,7 +79,7 @@ def agreement(
     )
     size = rows, columns
     x, y, one, square = np.conj(_spectra(now, size))
-    rest_x, rest_y, rest_one, rest_square = _spectra(rest, size)
+    rest_x, rest_y, rest_one, rest_square = _spectra_at_rest(rest, size)
     products = np.stack(
         [x * rest_x + y * rest_y, one * rest_one, square * rest_one, one * rest_square]
     )
@@ -105,3 +107,7 @@ def _spectra(prints: Prints, size: tuple[int, int]) -> Numbers:
     planes = np.stack([error.real, error.imag, prints.known, np.square(np.abs(error))])
     spectra: Numbers = np.fft.rfft2(planes, size)
     return spectra
+
+
+# of both forms of a pattern at rest, with all its frames
+_spectra_at_rest = functools.lru_cache(maxsize=4)(_spectra)

@@ -1,8 +1,10 @@
 """Boards: parts in one frame of numbers, across tears where that is sure."""
 
+import dataclasses
+
 import numpy as np
 import pytest
-from lattice_plans import plan_for
+from lattice_plans import K, gel, plan_for
 
 from cmp_cl import Detector, DetectorConfig, detect
 from cmp_cl.lattice.boards import boards
@@ -10,10 +12,12 @@ from cmp_cl.synthetic import Indenter, random_scene, render
 from cmp_cl.synthetic.scoring import agreeing
 
 
-def found(device, image):
-    """Return the corners, and the boards of an image, the largest part's first."""
+def found(device, image, **changed):
+    """Return the corners, and the boards of an image, the largest part's first; changed: constants
+    of the lattice."""
     corners = detect(image, device=device)
-    plan = plan_for(device, image, len(corners))
+    constants = dataclasses.replace(K, **changed)
+    plan = plan_for(device, image, len(corners), constants=constants)
     plan.take(image, corners.xy, corners.edges, corners.refusal)
     plan.start()
     return corners, list(boards(plan, corners.xy))
@@ -38,6 +42,17 @@ def test_a_gel_torn_all_around_a_ring_is_one_board_with_right_numbers(device, se
     nodes, agreed = right(corners, board, shot.truth)
     assert agreed == nodes
     assert nodes > 0.88 * shot.truth[..., 0].size
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_a_corner_is_a_node_of_one_board_at_most(device, seed):
+    """A whole gel of many small parts, of which none are joined: a board grows into others."""
+    image = gel(1.0, seed=seed)
+    _, every = found(device, image, agree=0.05, join_votes=np.inf)
+    assert len(every) > 3
+    assert all(np.count_nonzero(board.there) >= K.least_board for board in every)
+    owner = np.concatenate([board.owner[board.owner >= 0] for board in every])
+    assert len(np.unique(owner)) == len(owner)
 
 
 def test_an_image_without_a_lattice_has_no_board(device):

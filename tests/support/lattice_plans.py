@@ -12,10 +12,14 @@ K = LatticeConstants()
 
 
 def plan_for(
-    device: Device, image: NDArray[np.integer], count: int, full_scale: int = 255
+    device: Device,
+    image: NDArray[np.integer],
+    count: int,
+    full_scale: int = 255,
+    constants: LatticeConstants = K,
 ) -> LatticePlan:
     """Return a plan for images like this one, with so many corners."""
-    return LatticePlan(device, image.shape, image.dtype, full_scale, count)
+    return LatticePlan(device, image.shape, image.dtype, full_scale, count, constants)
 
 
 def gel(
