@@ -118,8 +118,8 @@ class Detector(Closing):
     @property
     def memory(self) -> int:
         """Return the bytes allocated on the device."""
-        lattice = 0 if self._lattice is None else sum(self._lattice.sizes.values())
-        return lattice + sum(sum(plan.sizes.values()) for plan in self._plans)
+        lattice = 0 if self._lattice is None else self._lattice.bytes
+        return lattice + sum(plan.bytes for plan in self._plans)
 
     @property
     def times(self) -> dict[str, float]:
@@ -197,7 +197,7 @@ class Detector(Closing):
         with self._lock:
             self._check_alive()
             before = self.regrown
-            found = self._found(plan, self._transfers)
+            found = self._found(plan)
             return found, self.regrown == before
 
     def batch(self, stack: NDArray[Any] | Sequence[GreyImage]) -> list[Corners]:
@@ -213,7 +213,7 @@ class Detector(Closing):
             self._check_alive()
             plan = self._plans.lend(len(frames))
             self._start(plan, frames, self._queue)
-            return self._found(plan, self._queue).corners
+            return self._found(plan).corners
 
     def maps(self, frame: GreyImage) -> Maps | HarmonicMaps:
         """Return every intermediate image of a frame. Raises the errors of a call."""
@@ -225,7 +225,7 @@ class Detector(Closing):
             plan = self._plans.make(frames=1, form=Form.PORTABLE)
             try:
                 self._start(plan, [image], self._queue)
-                self._found(plan, self._queue)  # lets the lists grow
+                self._found(plan)  # lets the lists grow
                 return read_maps(plan)
             finally:
                 plan.release()
@@ -258,7 +258,7 @@ class Detector(Closing):
         while True:
             lattice = self._lattice_of(plan)
             lattice.start()
-            found = self._found(plan, self._queue)  # while the kernels of the lattice run
+            found = self._found(plan)  # while the kernels of the lattice run
             if lattice is self._lattice_of(plan):  # else a list was too short, and has grown
                 return found.corners[0], lattice
 
@@ -283,12 +283,12 @@ class Detector(Closing):
         except cl.MemoryError as error:
             raise plan.refused(error) from error
 
-    def _found(self, plan: Plan, transfers: cl.CommandQueue) -> Found:
+    def _found(self, plan: Plan) -> Found:
         self._plans.take_back(plan)
         try:
             while True:
                 try:
-                    return Found(plan.read(transfers), plan)
+                    return Found(plan.read(), plan)
                 except Overflow as overflow:
                     self._grow(plan, overflow)
         except cl.MemoryError as error:

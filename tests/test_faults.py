@@ -42,10 +42,10 @@ def test_memory_that_is_refused_is_a_capacity_error(device, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "call", ["pyopencl.enqueue_nd_range_kernel", "cmp_cl.stages.plan._copy_rectangle"]
+    "call", ["pyopencl.enqueue_nd_range_kernel", "cmp_cl.stages.plan.copy_rectangle"]
 )
 def test_memory_that_runs_out_in_a_frame_is_a_capacity_error(device, monkeypatch, call):
-    monkeypatch.setattr("cmp_cl.stages.plan.shares_memory", lambda _: False)
+    monkeypatch.setattr("cmp_cl.opencl.memory.shares_memory", lambda _: False)
     with Detector(shape=images.SHAPE, device=device) as detector:
         expected = detector(BOARD)
         with monkeypatch.context() as patch:

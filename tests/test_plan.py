@@ -14,6 +14,7 @@ from cmp_cl import (
     Midlines,
     SpectralCriteria,
 )
+from cmp_cl.opencl.memory import ALIGNMENT
 from cmp_cl.stages.form import Form
 
 IMAGE = images.eight_bits()["board"]
@@ -38,11 +39,9 @@ def plan_of(detector_for, config):
     kernels = plan.kernels.names
     launched = [launch.stage for launch in plan.launches]
     assert set(launched) <= kernels
-    assert set(plan.buffers) == set(plan.sizes)
-    for name, buffer in plan.buffers.items():
-        assert buffer.size == max(plan.sizes[name], 4), name
-    every = [each.buffers.values() for each in detector._plans]
-    assert detector.memory == sum(buffer.size for buffers in every for buffer in buffers)
+    assert set(plan.memory) == set(plan.sizes)
+    for name, memory in plan.memory.items():
+        assert 0 <= memory.buffer.size - plan.sizes[name] < ALIGNMENT, name
     return plan, set(launched), kernels
 
 

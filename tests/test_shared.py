@@ -9,8 +9,7 @@ import pytest
 from comparison import assert_same_bytes
 
 from cmp_cl import Detector
-from cmp_cl.opencl.shared import shares_memory
-from cmp_cl.stages import plan as plans
+from cmp_cl.opencl import memory
 
 BOARD = images.eight_bits()["board"]
 TEXTURE = images.texture(BOARD.shape)
@@ -18,7 +17,7 @@ TEXTURE = images.texture(BOARD.shape)
 
 @pytest.fixture
 def handle(device):
-    if not shares_memory(device.handle):
+    if not memory.shares_memory(device.handle):
         pytest.skip(f"{device} does not share memory")
     return device.handle
 
@@ -28,9 +27,9 @@ def test_a_detector_gives_the_same_corners_with_and_without_shared_memory(
 ):
     results = []
     for shares in (True, False):
-        monkeypatch.setattr(plans, "shares_memory", lambda _, shares=shares: shares)
+        monkeypatch.setattr(memory, "shares_memory", lambda _, shares=shares: shares)
         with Detector(shape=BOARD.shape, device=device) as detector:
-            assert bool(detector._plans.lend()._here) is shares
+            assert detector.layout.memory["image"].shared is shares
             results.append([detector(BOARD), *detector.batch([TEXTURE, BOARD])])
     for here, copied in zip(*results, strict=True):
         assert_same_bytes(here, copied)

@@ -106,7 +106,6 @@ def sizes(plan: "LatticePlan") -> dict[str, int]:
         **dict.fromkeys(("lines", "choice", "twin", "face", "beyond", "part"), 16),
         **dict.fromkeys(("waiting", "faces_of_part", "numbers"), 16),
         **{"used": 1, "cut": 4, "steps": 64, "state": 64},
-        "votes": 4 * VOTE * ROOM,
     }
     of_places = {
         **dict.fromkeys(("torn", "rough", "tried", "node_kind"), 1),
@@ -137,7 +136,6 @@ def values(plan: "LatticePlan") -> dict[str, Any]:
         "least_part": k.least_part,
         "places": plan.places,
         "rounds": ROUNDS,
-        "room": ROOM * plan.capacity,
     }
     real = {
         "radius": k.contrast_radius_px,

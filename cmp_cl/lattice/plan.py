@@ -17,10 +17,10 @@ from cmp_cl.lattice import kernels, parts
 from cmp_cl.lattice.arrays import Board, Border, Units, Votes
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.kernels import Kernel, Over
-from cmp_cl.opencl.device import Device, DeviceKind, check_process, is_forked
+from cmp_cl.opencl.device import Device, DeviceKind, check_process
 from cmp_cl.opencl.launches import GROUP, Launch, bound, enqueue, multiple
+from cmp_cl.opencl.memory import Memory
 from cmp_cl.opencl.program import Programs, programs_of
-from cmp_cl.opencl.shared import shared_buffer, shares_memory
 from cmp_cl.stages.layout import LEAST_PAD, PlanBase
 from cmp_cl.stages.refine import (
     EDGES,
@@ -30,11 +30,6 @@ from cmp_cl.stages.refine import (
     RESULT_HEAD,
 )
 
-# That the host writes or reads.
-SHARED = (
-    *("image", "corners", "layout", "nodes", "node_owner", "node_kind", "border"),
-    *("part", "state", "faces_of_part", "votes"),
-)
 ONE_GROUP = 256  # work-items of a kernel that is one work-group
 PLACES = 16384  # of a board with few corners
 ROWS = 64  # work-items, of which each takes rows of a board, on a CPU
@@ -70,7 +65,6 @@ class LatticePlan:
         self.full_scale = full_scale
         self.constants = LatticeConstants() if constants is None else constants
         self.lock = threading.RLock()  # held by who uses the plan
-        self._here: dict[str, NDArray[np.uint8]] = {}
         if detection:
             self.capacity, self.pad, self.step = capacity, detection.pad, detection.full_step
             given = {"image": detection.arrays["image"], "corners": detection.arrays["result"]}
@@ -78,18 +72,14 @@ class LatticePlan:
             self.capacity, self.pad = multiple(capacity, GROUP), LEAST_PAD
             self.step, given = multiple(shape[1] + 2 * self.pad, GROUP), {}
         self.kernels = programs.kernels(kernels.FILES, self._defines)
-        self.sizes = {n: size for n, size in kernels.sizes(self).items() if n not in given}
-        self.buffers = given | {name: self.buffer(name, n) for name, n in self.sizes.items()}
         self.values = kernels.values(self)
+        sizes = {n: size for n, size in kernels.sizes(self).items() if n not in given}
+        self.memory = Memory(self.queue, {n: ((size,), np.uint8) for n, size in sizes.items()})
+        self.buffers = given | self.memory.parts
+        self.make_room(kernels.ROOM * self.capacity)
         self.launches = self._bound(kernels.PARTS_OF_CORNERS)
-        self.find_votes = self._bound(kernels.VOTES_OF_PARTS)
         self.lay = self._bound(kernels.BOARD_OF_NUMBERS)
         self._likely = 0  # places of a board, as of the frame before
-
-    def __del__(self) -> None:
-        """Keep the shared memory until no kernel uses it."""
-        if not is_forked():
-            self.queue.finish()
 
     @classmethod
     def of(cls, detection: PlanBase, programs: Programs) -> "LatticePlan":
@@ -130,13 +120,10 @@ class LatticePlan:
             "SPAN": k.span,
         }
 
-    def buffer(self, name: str, size: int) -> cl.Buffer:
-        """Return a buffer, in memory shared with the host if it is one of SHARED and the device
-        can."""
-        if name in SHARED and shares_memory(self.device.handle):
-            buffer, self._here[name] = shared_buffer(self.queue.context, size)
-            return buffer
-        return cl.Buffer(self.queue.context, cl.mem_flags.READ_WRITE, size)
+    @property
+    def bytes(self) -> int:
+        """Return the bytes allocated on the device."""
+        return int(self.memory.buffer.size + self._votes.buffer.size)
 
     @property
     def places(self) -> int:
@@ -190,19 +177,16 @@ class LatticePlan:
         self.write("image", padded)
         self.write("corners", numbers)
 
-    def write(self, name: str, values: NDArray[Any], first: int = 0) -> None:
-        """Write an array to a buffer, from element `first` on."""
-        if name in self._here:
-            self.queue.finish()
-            self._here[name].view(values.dtype)[first : first + values.size] = values.ravel()
-        else:
-            copy: Any = cl.enqueue_copy  # whose stub does not know offsets
-            copy(
-                self.queue,
-                self.buffers[name],
-                np.ascontiguousarray(values),
-                dst_offset=first * values.itemsize,
-            )
+    def write(self, name: str, values: NDArray[Any]) -> None:
+        """Write the first elements of an array."""
+        self.queue.finish()
+        self.memory.arrays[name].view(values.dtype)[: values.size] = values.ravel()
+        self.memory.upload(name)
+
+    def _set(self, place: int, value: int) -> None:
+        """Enqueue the writing of a number of the layout."""
+        layout = self.memory.parts["layout"]
+        cl.enqueue_fill_buffer(self.queue, layout, np.full(1, value, np.int32), 4 * place, 4)
 
     def enqueue(self, launches: list[Launch]) -> None:
         """Enqueue launches, in order."""
@@ -212,10 +196,6 @@ class LatticePlan:
         """Enqueue what leads from the corners to the parts, and if one part is large enough, to its
         board. Nothing is waited for."""
         self.enqueue([*self.launches, *self.lay])
-
-    def wait(self) -> None:
-        """Wait until the launches are done."""
-        self.queue.finish()
 
     def alone(self) -> Board | None:
         """Wait for the parts. Return the board if one part is large enough, (0, 0) without any,
@@ -230,23 +210,24 @@ class LatticePlan:
         count, votes = 4 * len(xy), int(self.read("layout", np.int32)[kernels.VOTES])
         if votes > self.values["room"]:  # which of them are kept is chance
             self.make_room(votes)
+            self._set(kernels.VOTES, 0)
             self.enqueue(self.find_votes)
-        root, state, faces, found = self.fetch(
+        self._votes.download(votes=kernels.VOTE * votes)
+        root, state, faces = self.fetch(
             ("part", np.int32, count),
             ("state", np.int32, 4 * count),
             ("faces_of_part", np.int32, count),
-            ("votes", np.int32, kernels.VOTE * votes),
         )
+        found = self._votes.arrays["votes"][: kernels.VOTE * votes].copy()
         return parts.parts_of(root, state, faces, found, xy, self.constants.least_part)
 
     def make_room(self, votes: int) -> None:
-        """Empty the list of votes, with room for so many."""
+        """Make the list of votes anew, with room for so many."""
         room = multiple(votes, GROUP)
-        self.sizes["votes"] = 4 * kernels.VOTE * room
-        self.buffers["votes"] = self.buffer("votes", self.sizes["votes"])
+        self._votes = Memory(self.queue, {"votes": ((kernels.VOTE * room,), np.int32)})
+        self.buffers |= self._votes.parts
         self.values["room"] = np.int32(room)
         self.find_votes = self._bound(kernels.VOTES_OF_PARTS)
-        self.write("layout", np.zeros(1, np.int32), kernels.VOTES)
 
     def settle(self, numbers: NDArray[np.int32]) -> Board:
         """Return the board of numbered corners, its nodes settled, as `_board`.
@@ -256,7 +237,7 @@ class LatticePlan:
             board is empty if they reach farther than four places for each corner.
         """
         self.write("numbers", numbers)
-        self.write("layout", np.ones(1, np.int32), kernels.PARTS)
+        self._set(kernels.PARTS, 1)
         self.enqueue(self.lay)
         return self._board()[1]
 
@@ -289,16 +270,13 @@ class LatticePlan:
         return layout, board.upright()
 
     def fetch(self, *wanted: tuple[str, Any, int]) -> list[NDArray[Any]]:
-        """Return the first elements of buffers after the launches: names, dtypes, counts."""
-        found: list[NDArray[Any]] = [np.empty(count, dtype) for _, dtype, count in wanted]
-        for (name, _, count), values in zip(wanted, found, strict=True):
-            if count and name not in self._here:
-                cl.enqueue_copy(self.queue, values, self.buffers[name], is_blocking=False)
-        self.wait()
-        for (name, dtype, count), values in zip(wanted, found, strict=True):
-            if name in self._here:
-                values[:] = self._here[name].view(dtype)[:count]
-        return found
+        """Return the first elements of arrays after the launches: names, dtypes, counts."""
+        counts = {name: count * np.dtype(dtype).itemsize for name, dtype, count in wanted}
+        self.memory.download(**counts)
+        self.queue.finish()
+        return [
+            self.memory.arrays[name][: counts[name]].copy().view(dtype) for name, dtype, _ in wanted
+        ]
 
     def read(self, name: str, dtype: Any, count: int | None = None) -> NDArray[Any]:
         """Return the first elements of a buffer, or all, once the launches are done."""

@@ -16,7 +16,6 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.filter import STRAIN_REACH, bilinear_surface
-from cmp_cl.motion.memory import Layout, Memory
 from cmp_cl.motion.tables import (
     LANES,
     NOISE_GAUSSIAN,
@@ -25,7 +24,8 @@ from cmp_cl.motion.tables import (
     in_lines,
 )
 from cmp_cl.opencl.device import Device, DeviceKind
-from cmp_cl.opencl.launches import GROUP, Launch, bound, enqueue, multiple
+from cmp_cl.opencl.launches import GROUP, Launch, bound, constant, enqueue, multiple
+from cmp_cl.opencl.memory import Layout, Memory
 from cmp_cl.opencl.program import Kernels, Programs, programs_of
 
 ROUNDS = 3  # rounds of the search for outliers
@@ -189,25 +189,24 @@ def strain_of(
     programs = programs_of(device.handle)
     queue = cl.CommandQueue(programs.context)
     there: Bools = np.asarray(np.isfinite(displacement).all(axis=2), np.bool_)
-    given = Memory.of(
-        queue,
+    inputs = {
         **constants,
-        displacement=planes(displacement),
-        valid=there.astype(np.uint8),
-        covariance=flat(covariance),
-        slopes=slopes,
-    )
+        "displacement": planes(displacement),
+        "valid": there.astype(np.uint8),
+        "covariance": flat(covariance),
+        "slopes": slopes,
+    }
+    given = {name: constant(queue.context, value) for name, value in inputs.items()}
     layout: Layout = {
         "strain": ((3, rows, columns), np.float32),
         "strain_covariance": ((covariances(3), rows, columns), np.float32),
     }
     found = Memory(queue, layout)
     kernels = programs.kernels(["strain"], defines_of((rows, columns), axes, device))
-    enqueue(queue, [of_nodes(kernels, (rows, columns), given.parts | found.parts, "strain")])
+    enqueue(queue, [of_nodes(kernels, (rows, columns), given | found.parts, "strain")])
     found.download()
     queue.finish()
     result = nodes(found.arrays["strain"]), matrices(found.arrays["strain_covariance"])
-    given.release()
     found.release()
     return result
 
@@ -241,20 +240,20 @@ class LatticeFilter:
         self._is_cpu = device.kind is DeviceKind.CPU
         self._down, self._along = (axis_tables(n) for n in shape)
         self.inputs = Memory(queue, self._inputs())
-        self._tables = Memory.of(queue, **self._table_arrays())
         self._work = Memory(queue, self._work_layout())
-        self._work.upload()  # no votes beyond the last column
         self.parts: dict[str, Any] = {"bends": np.int32(bends), "keep": np.int32(slopes)}
-        for memory in (self.inputs, self._tables, self._work, results):
+        for memory in (self.inputs, self._work, results):
             self.parts |= memory.parts
+        for name, table in self._tables().items():
+            self.parts[name] = constant(queue.context, table)
         files = ["filter", *(["strain"] if slopes else [])]
         self._kernels = programs.kernels(files, defines_of(shape, axes, device))
         self.launches = self._listed()
 
     def release(self) -> None:
         """Release the device's memory."""
-        for memory in (self.inputs, self._tables, self._work):
-            memory.release()
+        self.inputs.release()
+        self._work.release()
 
     # What is compiled and allocated
 
@@ -298,7 +297,7 @@ class LatticeFilter:
             "counts": ((1 + ROUNDS,), np.int32),
         }
 
-    def _table_arrays(self) -> dict[str, NDArray[Any]]:
+    def _tables(self) -> dict[str, NDArray[Any]]:
         down, along = self._down, self._along
         return {
             "sides_down": down.sides,

@@ -27,13 +27,13 @@ from cmp_cl.motion.filter import (
     planes,
 )
 from cmp_cl.motion.geometry import InPlane, InSpace
-from cmp_cl.motion.memory import Layout, Memory
 from cmp_cl.motion.moments import AtRest, Moment, field_of
 from cmp_cl.motion.nodes import put
 from cmp_cl.motion.tables import axis_tables
 from cmp_cl.motion.track import Tracker
 from cmp_cl.opencl.device import Device, DeviceKind
-from cmp_cl.opencl.launches import enqueue
+from cmp_cl.opencl.launches import constant, enqueue
+from cmp_cl.opencl.memory import Layout, Memory
 from cmp_cl.opencl.program import Programs
 
 Array = NDArray[np.float64]
@@ -64,7 +64,6 @@ class FieldPlan:
         self._queue, self._strained, self._geometry = queue, strain, geometry
         self._at_rest = AtRest(rest, device, slopes=strain)
         self._double = has_double(device)
-        self._constants = Memory.of(queue, **self._constant_arrays())
         self.frame = Memory(queue, self._frame_layout())
         self._filter = LatticeFilter(
             queue,
@@ -87,8 +86,9 @@ class FieldPlan:
             **geometry.defines(double=self._double),
         }
         kernels = programs.kernels(files, defines)
-        parts = self._filter.parts | self._constants.parts
-        parts |= geometry.numbers(np.float64 if self._double else np.float32)
+        parts = self._filter.parts | geometry.numbers(np.float64 if self._double else np.float32)
+        for name, table in self._tables().items():
+            parts[name] = constant(queue.context, table)
         moved = of_nodes(kernels, self.shape, parts, geometry.kernel, width)
         self.launches = [moved, *self._filter.launches]
         if strain:
@@ -96,15 +96,14 @@ class FieldPlan:
 
     def release(self) -> None:
         """Release the device's memory."""
-        self._queue.finish()
-        for memory in (self._filter, self._constants, self.frame):
-            memory.release()
+        self._filter.release()
+        self.frame.release()
 
-    def _constant_arrays(self) -> dict[str, NDArray[Any]]:
+    def _tables(self) -> dict[str, NDArray[Any]]:
         rest, real = self._at_rest.moment, np.float64 if self._double else np.float32
         down, along = (axis_tables(n) for n in self.shape)
         seen = {name: np.asarray(each, real) for name, each in self._geometry.constants().items()}
-        constants: dict[str, NDArray[Any]] = {
+        tables: dict[str, NDArray[Any]] = {
             "bend_down": down.bend,
             "bend_along": along.bend,
             **seen,
@@ -114,7 +113,7 @@ class FieldPlan:
             "rest_points": flat(rest.covariance),
             "rest_bent": planes(rest.bend),
         }
-        return constants | (self._at_rest.strain_constants if self._strained else {})
+        return tables | (self._at_rest.strain_constants if self._strained else {})
 
     def _frame_layout(self) -> Layout:
         layout = {

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners
 from cmp_cl.grid.grid import NO_SIDES, Grid
-from cmp_cl.motion.memory import Layout, Memory
-from cmp_cl.opencl.launches import GROUP, Launch, bound, multiple
+from cmp_cl.opencl.launches import GROUP, Launch, bound, constant, multiple
+from cmp_cl.opencl.memory import Layout, Memory
 from cmp_cl.opencl.program import Programs
 from cmp_cl.stages import refine
 from cmp_cl.stages.layout import CORNER_COLUMNS
@@ -134,15 +134,12 @@ class Tracker:
                 "look_result": ((self._count, _stride(self.room)), np.float32),
             },
         )
-        self._constants = Memory.of(
-            queue,
-            colour=np.array([colour_of(*view) for view in views], np.int32),
-            stencils=stencils(columns),
-        )
+        colour = np.array([colour_of(*view) for view in views], np.int32)
         self._parts = {
-            name: part
-            for memory in (frame, self._work, self._constants)
-            for name, part in memory.parts.items()
+            **frame.parts,
+            **self._work.parts,
+            "colour": constant(queue.context, colour),
+            "stencils": constant(queue.context, stencils(columns)),
         }
         self._kernels = programs.kernels(
             ["track"],
@@ -179,9 +176,7 @@ class Tracker:
 
     def release(self) -> None:
         """Release the device's memory."""
-        self._queue.finish()
-        for memory in (self._work, self._constants):
-            memory.release()
+        self._work.release()
 
     def launches(self, plan: Plan) -> list[Launch]:
         """Return the launches that track the nodes in the frames of a detector's plan."""

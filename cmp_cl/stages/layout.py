@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from cmp_cl.config import BinaryRings, DetectorConfig, EdgeLines, EdgeStep
 from cmp_cl.opencl.device import Device
 from cmp_cl.opencl.launches import GROUP, Launch, bound, constant, multiple
+from cmp_cl.opencl.memory import Memory
 from cmp_cl.opencl.program import Kernels
 from cmp_cl.stages.form import Form, form_for
 from cmp_cl.stages.moments import step_radius
@@ -36,8 +37,8 @@ class PlanBase:
     frames: number of frames; kinds: number of lists of maxima or candidates per frame, with
     `list_capacity` entries each; lists: of which a frame has counts, the first ones those of its
     kinds; corner_capacity: entries of the list of a frame's corners. bands: bands of rows that a
-    frame is divided into in the form for CPUs. buffers: the memory; arrays: the buffers and parts
-    of them, by name. image: the input of the first stage.
+    frame is divided into in the form for CPUs. memory: by name, an array each; arrays: their
+    buffers and parts of them, by name. image: the input of the first stage.
     """
 
     kernels: Kernels
@@ -85,7 +86,7 @@ class PlanBase:
         self.full_step = multiple(shape[1] + 2 * self.pad, GROUP)
         # One corner in 96 pixels is one in a cell of 10 px; the list grows too.
         self.corner_capacity = multiple(min(config.max_corners, pixels // 96 + 256), GROUP)
-        self.buffers: dict[str, cl.Buffer] = {}
+        self.memory: dict[str, Memory] = {}
 
     def size_of(self, octave: int) -> dict[str, Any]:
         """Return rows, columns and step of an octave, by argument."""
@@ -99,7 +100,7 @@ class PlanBase:
         if not octave:
             return self.image
         start, end = (self.dtype.itemsize * at for at in self.octave_starts[octave : octave + 2])
-        return self.buffers["image"].get_sub_region(start, end - start)
+        return self.memory["image"].buffer.get_sub_region(start, end - start)
 
     @property
     def octave_starts(self) -> list[int]:

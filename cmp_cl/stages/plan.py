@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from cmp_cl.config import BinaryRings, DetectorConfig
 from cmp_cl.errors import CapacityError
 from cmp_cl.image import GreyImage
-from cmp_cl.opencl.device import Device, is_forked, is_pocl
+from cmp_cl.opencl.device import Device, is_pocl
 from cmp_cl.opencl.launches import GROUP, Launch, enqueue, multiple
+from cmp_cl.opencl.memory import ALIGNMENT, Memory, copy_rectangle
 from cmp_cl.opencl.program import Kernels, Programs
-from cmp_cl.opencl.shared import shared_buffer, shares_memory
 from cmp_cl.stages import harmonic, noise, refine, scale
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import CORNER_COLUMNS, LANES, PlanBase
@@ -28,9 +28,7 @@ from cmp_cl.stages.paper import rings
 from cmp_cl.stages.refine import READ_FIELDS, RESULT_HEAD
 from cmp_cl.stages.types import defines_of
 
-SHARED = ("image", "result")  # buffers that the host writes or reads
 SPREAD = 4  # times their pixels: frames that lie in more memory are copied
-ALIGNMENT = 128  # bytes: an alignment that every device accepts for a sub-buffer
 
 
 class Overflow(Exception):
@@ -50,7 +48,7 @@ class Plan(PlanBase):
     """
 
     _frames: cl.Buffer | None = None  # that the launches read where they lie
-    _last: cl.Event | None = None  # the last of the kernels, until the host has waited for it
+    _last: cl.Event | None = None  # of a launch or of a copy, until the host has waited for it
 
     def __init__(
         self,
@@ -68,18 +66,12 @@ class Plan(PlanBase):
         super().__init__(queue, device, shape, dtype, config, frames, form)
         self.events: list[tuple[str, cl.Event]] = []
         self.uploads: list[cl.Event] = []  # unfinished, in another queue
-        self._here: dict[str, NDArray[Any]] = {}  # what the host writes or reads of shared buffers
         self._mask = mask
         self._programs = programs
         self.detection: ModuleType = rings if isinstance(self.rule, BinaryRings) else harmonic
         self.kernels = self._build()
         self._allocate()
         self._bind()
-
-    def __del__(self) -> None:
-        """Keep the shared memory until no kernel uses it."""
-        if not is_forked():
-            self._wait()
 
     # What is compiled
 
@@ -147,11 +139,13 @@ class Plan(PlanBase):
             )
         try:
             for name, size in self.sizes.items():
-                if name not in self.buffers:
-                    self.buffers[name] = self._buffer(name, max(size, 4))
-                    self._clear(self.buffers[name])
+                if name not in self.memory:
+                    rows = self.frames if name == "result" else 1
+                    layout = {name: ((rows, max(size // rows, 4)), np.uint8)}
+                    self.memory[name] = Memory(self.queue, layout)
             self.queue.finish()
-            self.arrays = {**self.buffers, **self._parts_of_work()}
+            self.arrays = {name: each.buffer for name, each in self.memory.items()}
+            self.arrays |= self._parts_of_work()
         except cl.Error as error:  # too little memory, or above the device's largest buffer
             raise self.refused(error) from error
         self._upload_area()
@@ -164,34 +158,22 @@ class Plan(PlanBase):
             "images or fewer frames at a time"
         )
 
-    def _buffer(self, name: str, size: int) -> cl.Buffer:
-        """Return a buffer, in memory shared with the host if it is one of SHARED and the device
-        can."""
-        if name in SHARED and shares_memory(self.device.handle):
-            buffer, memory = shared_buffer(self.queue.context, size)
-            self._here[name] = self._pixels(memory) if name == "image" else self._results(memory)
-            return buffer
-        return cl.Buffer(self.queue.context, cl.mem_flags.READ_WRITE, size)
+    @property
+    def bytes(self) -> int:
+        """Return the bytes allocated on the device."""
+        return sum(each.buffer.size for each in self.memory.values())
 
-    def _pixels(self, memory: NDArray[np.uint8]) -> NDArray[Any]:
-        """Return the pixels of all frames in the buffer "image", one frame below the other."""
-        lines = memory.view(self.dtype)[: (self.frames * self.shape[0] + 2) * self.full_step]
-        lines = lines.reshape(-1, self.full_step)
-        return lines[1:-1, self.pad : self.pad + self.shape[1]]
-
-    def _results(self, memory: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Return the buffer "result" with a row for each frame."""
-        return memory.view(np.float32).reshape(self.frames, -1)
-
-    def _clear(self, buffer: cl.Buffer) -> None:
-        cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint8), 0, buffer.size)
+    @property
+    def _shared(self) -> bool:
+        """Return whether the device works in the host's memory."""
+        return self.memory["image"].shared
 
     def _parts_of_work(self) -> dict[str, cl.Buffer]:
         parts = {}
         for layout in self._layouts:
             start = 0
             for name, size in layout.items():
-                parts[name] = self.buffers["scratch"].get_sub_region(start, size)
+                parts[name] = self.memory["scratch"].buffer.get_sub_region(start, size)
                 start += multiple(size, ALIGNMENT)
         return parts
 
@@ -208,15 +190,14 @@ class Plan(PlanBase):
             allowed = self._mask[np.ix_(y, x)]
         after = self.step - self.pad - columns
         padded = np.pad(allowed, ((0, 0), (self.pad, after)))
-        bits = np.packbits(padded, bitorder="little")
-        cl.enqueue_copy(self.queue, self.buffers["area"], bits)
+        area = self.memory["area"]
+        area.arrays["area"][0] = np.packbits(padded, bitorder="little")
+        area.upload()
 
     def release(self, *kept: str) -> None:
         """Release the device's memory, except for the buffers of the given names."""
-        self._wait()
-        for name in self.buffers.keys() - kept:
-            self.buffers.pop(name).release()
-            self._here.pop(name, None)
+        for name in self.memory.keys() - kept:
+            self.memory.pop(name).release()
 
     # What is launched
 
@@ -227,8 +208,7 @@ class Plan(PlanBase):
         # The same for frames that lie elsewhere. Intel's runtime copies such frames, and PoCL reads
         # them where they lie.
         self._in_place: list[Launch] = []
-        shared = "image" in self._here and is_pocl(self.device.handle)
-        if shared and self.detection is harmonic:
+        if self._shared and is_pocl(self.device.handle) and self.detection is harmonic:
             first = harmonic.launch_in_place(self)
             self._in_place = [first, *self.launches[1:]] if first else []
         self._numbers: tuple[int, int, int] | None = None  # of their place
@@ -255,16 +235,16 @@ class Plan(PlanBase):
                 harmonic.set_place(self._in_place[0], *numbers)
                 self._numbers = numbers
             return self._in_place
-        if "image" in self._here:
+        if self._shared:
             self._write(frames)
             return self.launches
         size = self.dtype.itemsize
         for n, frame in enumerate(frames):
             pitch = _pitch(frame)
             host = _flat(frame)
-            copy = _copy_rectangle(
+            copy = copy_rectangle(
                 queue,
-                self.buffers["image"],
+                self.arrays["image"],
                 host,
                 buffer_origin=(self.pad * size, n * self.shape[0] + 1, 0),
                 host_origin=(0, 0, 0),
@@ -281,15 +261,27 @@ class Plan(PlanBase):
     def _write(self, frames: Sequence[GreyImage]) -> None:
         """Copy the frames into the memory that the device shares."""
         self._wait()  # for an earlier frame that may still run
-        rows = self.shape[0]
+        rows, columns = self.shape
+        elements = self.memory["image"].arrays["image"][0].view(self.dtype)
+        lines = elements[: (self.frames * rows + 2) * self.full_step].reshape(-1, self.full_step)
         for n, frame in enumerate(frames):
-            self._here["image"][n * rows : (n + 1) * rows] = frame
+            lines[1 + n * rows : 1 + (n + 1) * rows, self.pad : self.pad + columns] = frame
 
     def launch(self, stages: Sequence[Launch]) -> None:
-        """Enqueue the stages in order, after the upload."""
+        """Enqueue the stages in order, after the upload, and the download of the result."""
         self.events += enqueue(self.queue, stages, self.uploads)
         self._last = self.events[-1][1]
+        self._download()
         self.queue.flush()
+
+    def _download(self) -> None:
+        """Enqueue the download of the result, with as many corners as there will likely be."""
+        for copied in self.memory["result"].download(result=self._bytes(self._likely)):
+            self._last = copied
+
+    def _bytes(self, corners: int) -> int:
+        """Return the bytes of the result of a frame that hold so many corners."""
+        return 4 * (RESULT_HEAD + READ_FIELDS * multiple(corners, LANES))
 
     def _wait(self) -> None:
         """Wait until no kernel runs."""
@@ -297,41 +289,24 @@ class Plan(PlanBase):
             self._last.wait()
             self._last = None
 
-    def read(self, queue: cl.CommandQueue) -> NDArray[np.float32]:
-        """Read the result of each frame as kernels/result.clh lays it out, (frames, numbers), once
-        the launches are done; raises Overflow.
+    def read(self) -> NDArray[np.float32]:
+        """Return the result of each frame as kernels/result.clh lays it out, (frames, numbers),
+        once the launches are done; raises Overflow.
         """
-        rows = self._fetch(queue, self._likely)
+        self._wait()
         self.uploads.clear()
         self._frames = None
-        heads = rows[:, : 1 + self.lists].view(np.uint32).tolist()
+        result = self.memory["result"].arrays["result"]
+        heads = result[:, : 4 * (1 + self.lists)].view(np.uint32).tolist()
         most, listed = max(head[0] for head in heads), max(max(head[1:]) for head in heads)
         if listed > self.list_capacity or most > self.corner_capacity:
             raise Overflow(listed, most)
-        if most > self._likely:
-            rows = self._fetch(queue, most)
-        self._likely = min(most * 9 // 8, self.corner_capacity)  # the next frame has about as many
-        return rows
-
-    def _fetch(self, queue: cl.CommandQueue, most: int) -> NDArray[np.float32]:
-        """Read the part of each frame's result that holds `most` corners."""
-        numbers = RESULT_HEAD + READ_FIELDS * multiple(most, LANES)
-        if "result" in self._here:
+        short, self._likely = most > self._likely, most
+        if short:
+            self._download()
             self._wait()
-            return self._here["result"][:, :numbers].copy()
-        rows = np.empty((self.frames, numbers), np.float32)
-        _copy_rectangle(
-            queue,
-            rows,
-            self.buffers["result"],
-            buffer_origin=(0, 0, 0),
-            host_origin=(0, 0, 0),
-            region=(4 * numbers, self.frames, 1),
-            buffer_pitches=(refine.result_size(self), 0),
-            host_pitches=(4 * numbers, 0),
-            wait_for=[self._last],
-        )
-        return rows
+        self._likely = min(most * 9 // 8, self.corner_capacity)  # the next frame has about as many
+        return result[:, : self._bytes(most)].copy().view(np.float32)
 
     def grow(self, overflow: Overflow) -> None:
         """Enlarge the lists that overflowed, with a quarter to spare; the frames stay."""
@@ -383,9 +358,6 @@ class Plans:
         alike = self._alike[plan.frames]
         alike[:] = [other for other in alike if other is not plan]
         plan.release()
-
-
-_copy_rectangle: Any = cl.enqueue_copy  # whose stub does not know the form for rectangles
 
 
 def _where(frames: Sequence[GreyImage]) -> tuple[NDArray[Any], tuple[int, int, int]] | None:

@@ -90,6 +90,6 @@ def test_a_list_of_votes_that_is_too_short_grows(device, monkeypatch):
         found = plan.parts(corners.xy)[1]
         counted = plan.read("layout", np.int32)[kernels.VOTES]
         assert room < counted <= plan.values["room"]
-        assert plan.buffers["votes"].size == plan.sizes["votes"] >= 24 * counted
+        assert plan.buffers["votes"].size >= 24 * counted
         for one, other in zip(found, wanted, strict=True):
             np.testing.assert_array_equal(one, other)

@@ -10,10 +10,10 @@ from stereo_data import grid_of
 
 from cmp_cl import Detector, DetectorConfig
 from cmp_cl.grid.grid import NodeStatus, Sides
-from cmp_cl.motion.memory import Memory
 from cmp_cl.motion.nodes import put
 from cmp_cl.motion.track import Tracker, colour_of
 from cmp_cl.opencl.launches import enqueue
+from cmp_cl.opencl.memory import Memory
 from cmp_cl.opencl.program import programs_of
 from cmp_cl.reference.field import track as oracle
 from cmp_cl.stages.refine import (
