@@ -182,17 +182,3 @@ def test_each_field_changes_the_image(usual, setting):
     changed = dataclasses.replace(scene, **{setting.name: other_value(scene, setting)})
     other = synthetic.render(changed).image
     assert image.shape != other.shape or (image != other).any()
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "words"),
-    [
-        ("markers", 20.0, r"integer in \[3, 100\], not 20.0"),
-        ("severity", math.nan, r"number in \[0, 2\], not nan"),
-        ("shape", (480, 63), r"\[64, 8192\], not 63"),
-        ("mode", Indenter.BALL, "Mode.PRESS"),
-    ],
-)
-def test_a_wrong_field_is_named_with_its_value_and_range(field, value, words):
-    with pytest.raises(ConfigError, match=rf"Scene\.{field} .*{words}"):
-        Scene(**{field: value})

@@ -10,10 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stereo_data import gel, grid_of, toed_in_rig
 
-from cmp_cl import CalibrationError, StereoRig, Window, build_grid, detect
-from cmp_cl.motion import displacement
+from cmp_cl import CalibrationError, StereoRig, Window
 from cmp_cl.space import Bias, PointStatus
-from cmp_cl.synthetic import Scene, default_rig, render_stereo
 from cmp_cl.synthetic.camera import straightened
 
 GEL = Window((0.02, -0.03, 1.0), 20.0, ((5.0, 1.49),), 1.41)
@@ -65,18 +63,6 @@ def test_points_behind_a_window_are_found_and_their_sigma_is_that_of_the_errors(
     inverse = np.linalg.inv(points.covariance.reshape(-1, 3, 3))
     chi2 = np.einsum("ni,nij,nj->n", miss, inverse, miss)
     assert chi2.mean() == pytest.approx(3, rel=0.08)
-
-
-def test_derivatives_are_differences():
-    points, centre = gel(4, 4).reshape(-1, 3), np.array([14.0, 1.0, 2.0])
-    points[0] = centre + 40 * GEL.normal  # on the axis
-    _, by_point = GEL.apparent(centre, points)
-    step = 1e-5 * np.eye(3)
-    ahead, back = (
-        np.stack([GEL.apparent(centre, points + d)[0] for d in way], axis=-1)
-        for way in (step, -step)
-    )
-    np.testing.assert_allclose(by_point, (ahead - back) / 2e-5, rtol=0, atol=1e-7)
 
 
 def test_points_in_front_of_the_last_face_and_rays_that_miss_the_window_are_nan():
@@ -162,38 +148,3 @@ def test_the_bias_of_a_field_is_what_an_error_of_the_rig_does_to_it():
         known = dataclasses.replace(rig, covariance=np.outer(error, error))
         stated = Bias(known, before).sigma(now - before)
         np.testing.assert_allclose(stated, off, rtol=0.1, atol=2e-5)
-
-
-def seen_press(scene, rig, device):
-    """Return the displacement that rendered images of a press give, and the true one, mm."""
-    moments, like = [], (None, None)
-    for each in (scene.at_rest(), scene):
-        *views, xyz = render_stereo(each, rig)
-        grids = [
-            build_grid(detect(v.image, device=device), v.image, shape=xyz.shape[:2], like=known)
-            for v, known in zip(views, like, strict=True)
-        ]
-        moments.append((rig.triangulate(*grids), xyz))
-        like = grids
-    (rest, before), (now, after) = moments
-    return displacement(rest, now), after - before
-
-
-def test_images_through_a_window_show_the_press_as_exactly_as_in_air(device):
-    """The renderer bends the light by its own way, bisection of Snell's law."""
-    scene = Scene(markers=20, shape=(320, 240), side=22.0, severity=0.5, corrosion=0.5, seed=3)
-    air = default_rig(scene.shape)
-    facing = np.array([0.0, 0.0, 1.0]) + air.R[2]
-    facing /= np.linalg.norm(facing)
-    glass = Window(facing, 20.0, ((5.0, 1.49),), 1.41)
-    behind = dataclasses.replace(air, window=glass)
-    errors = {}
-    for name, rig in (("air", air), ("behind", behind)):
-        field, truth = seen_press(scene, rig, device)
-        assert field.valid.mean() > 0.97
-        off = (field.displacement - truth)[field.valid]
-        errors[name] = np.sqrt(np.square(off).sum(axis=1).mean())
-    assert errors["behind"] < 1.5 * errors["air"]
-    views = render_stereo(scene, behind)
-    for view, seen in zip(views[:2], behind.project(views[2].reshape(-1, 3)), strict=True):
-        np.testing.assert_allclose(view.truth.reshape(-1, 2), seen, rtol=0, atol=1e-7)

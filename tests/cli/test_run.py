@@ -24,11 +24,9 @@ from cmp_cl import (
     DetectorConfig,
     DeviceError,
     EdgeLines,
-    NodeStatus,
     StereoRig,
     select_device,
 )
-from cmp_cl.measure import TwoViews
 from cmp_cl.media import Frame, read_image
 from cmp_cl.series import SeriesWriter, read_series
 from cmp_cl.synthetic import boards
@@ -130,32 +128,6 @@ def test_a_mirrored_view_is_reversed(run, recording, press):
     status, _, _ = run("run", recording, *STEREO, "--split", where, "--mirror", "right")
     assert status == 0
     np.testing.assert_array_equal(np.load("press.npz")["displacement"], straight)
-
-
-def test_one_view_gives_positions_in_the_image(run, recording, press):
-    for number, shot in enumerate(press):
-        cv2.imwrite(str(recording / f"{number}.png"), shot.left.image)
-    status, out, _ = run("run", recording, "--out", "flat.npz")
-    assert status == 0
-    assert "px (frame 2) in the image: --stereo or --cell give lengths" in out
-    series = np.load("flat.npz")
-    assert series["xy"].shape == (3, 12, 12, 2)
-    off = series["xy"][2] - press[2].left.truth
-    assert np.sqrt(np.mean(np.square(off).sum(axis=2))) < 0.4
-    assert (series["source"] == NodeStatus.DETECTED).all()
-    assert np.isfinite(series["sigma"]).mean() > 0.98
-
-
-def test_the_pace_is_that_of_the_frames_without_what_is_made_before(run, recording, monkeypatch):
-    class Slow(TwoViews):
-        def __init__(self, *arguments, **settings):
-            super().__init__(*arguments, **settings)
-            time.sleep(2)
-
-    run("run", recording, *STEREO)  # compiles what is left
-    monkeypatch.setattr("cmp_cl.cli.run.TwoViews", Slow)
-    _, out, _ = run("run", recording, *STEREO)
-    assert float(re.search(r"([\d.]+) frames a second", out)[1]) > 1.5  # of 3 frames
 
 
 def test_run_uses_the_settings_of_a_file(run, recording):
@@ -265,24 +237,6 @@ def test_a_stopped_run_keeps_what_it_has(run, recording, monkeypatch, name, time
     found = np.load("press.npz")["index"].tolist()
     assert found == [0] if times == 2 else found[:2] == [0, 1]
     assert [signal.getsignal(getattr(signal, stop)) for stop in STOPS] == before
-
-
-def test_a_stopped_run_measures_few_more_frames(run, recording, press, monkeypatch):
-    append = SeriesWriter.append
-
-    def stopped(series, **frame):
-        signal.raise_signal(signal.SIGINT) if not len(series) else None
-        append(series, **frame)
-
-    def images():
-        for number in range(40):
-            time.sleep(0.02)
-            yield press[number % 2].frame
-
-    monkeypatch.setattr(cv2, "VideoCapture", camera_of(images()))
-    monkeypatch.setattr(SeriesWriter, "append", stopped)
-    assert run("run", "7", *STEREO)[0] == 0
-    assert 0 < len(np.load("press.npz")["index"]) < 30
 
 
 # Cameras and pairs
@@ -418,8 +372,6 @@ def test_a_calibration_that_does_not_fit_or_is_missing_is_noticed_at_rest(run, r
         (["--left", "frames", *STEREO], ["--right"]),
         (["--left", "frames", "--right", "frames", "--out", "a.npz"], ["--stereo"]),
         (["--left", "frames", "--right", "frames", "--mirror", "left", *STEREO], ["--split"]),
-        (["frames", "--set", "exposure=3", *STEREO], ["not a camera"]),
-        (["0", "--set", "fourcc=MJ", *STEREO], ["four letters, such as MJPG"]),
         (["0", "--set", "fps", *STEREO], ["--set: 'fps' is not NAME=VALUE"]),
         (["frames", "--out", "a.npz", "--cell", "2", "--stereo", "rig.yaml"], ["for one view"]),
     ],
@@ -461,14 +413,6 @@ def test_a_sheet_and_one_annotated_video_are_written(run, recording, press):
     sheet = cv2.imread("shown.png")
     assert run("plot", "press.npz", "--out", "same.png")[0] == 0
     np.testing.assert_array_equal(cv2.imread("same.png"), sheet)
-
-
-def test_strain_is_in_the_series_if_requested(run, recording):
-    status, _, err = run("run", recording, *STEREO, "--strain")
-    assert (status, err) == (0, "")
-    found = read_series("press.npz")
-    assert found["strain"].shape == found["displacement"].shape
-    assert np.nanmax(found["strain_sigma"]) < 0.1
 
 
 def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
