@@ -318,14 +318,10 @@ class DetectorConfig(Settings):
         """
         check_path(path, ConfigError)
         try:
-            data = read_toml(path)
+            return _made(read_toml(path), cls)
         except OSError as error:
             why = error.strerror
             raise ConfigError(f"cannot read the configuration {str(path)!r}: {why}") from error
-        except ValueError as error:
-            raise ConfigError(f"cannot read the configuration {str(path)!r}: {error}") from error
-        try:
-            return _made(data, cls)
         except ValueError as error:
             raise ConfigError(f"{path}: {error}") from error
 

@@ -24,7 +24,6 @@ from cmp_cl.grid import align
 from cmp_cl.measure import OneView, TwoViews
 from cmp_cl.media.cameras import Source
 from cmp_cl.motion import PlaneScale, contact_of, displacement, filter_positions
-from cmp_cl.space.exports import save_cameras
 from cmp_cl.synthetic import random_scene, render
 from cmp_cl.viz import Moment, corner_overlay, grid_overlay
 
@@ -61,7 +60,6 @@ def several(views=None, **changed):
         (lambda: several({"a": GRID}), r"views\['a'\] must"),
         (lambda: several(sizes={"a": (9, 0)}), r"sizes\['a'\] must"),
         (lambda: several(lens="pinhole"), "lens must"),
-        (lambda: save_cameras("a.yaml", {"a": 3}), r"cameras\['a'\] must"),
         (lambda: render(None), "scene must be of type Scene"),
         (lambda: random_scene(-1), "Scene.seed must"),
     ],

@@ -2,7 +2,7 @@
 
 import argparse
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -187,28 +187,13 @@ def _boards(
             bar.update()
     for name in files:
         if name not in sizes:
-            raise CalibrationError(_unseen(name, files, left_out, arguments))
+            rows, columns = arguments.board
+            raise CalibrationError(
+                f"no view of {name} shows a board of {rows} x {columns} corners; {left_out[0]}; "
+                "--board counts the inner corners, one less than the squares along each side, and "
+                "--stereo is for images that show two views"
+            )
     return grids, sizes, left_out
-
-
-def _unseen(
-    name: str,
-    files: Mapping[str, list[Path]],
-    left_out: Sequence[str],
-    arguments: argparse.Namespace,
-) -> str:
-    """Return why a camera sees no board, and what to type instead."""
-    rows, columns = arguments.board
-    of = f" of {name}" if len(files) > 1 else ""
-    hint = "--board counts the inner corners, one less than the squares along each side"
-    if arguments.stereo:
-        hint += "; without --stereo each IMAGE is one view"
-    elif arguments.images:
-        hint += "; frames that show two views side by side need --stereo"
-    return (
-        f"no view{of} shows a board of {rows} x {columns} corners ({len(files[name])} given); "
-        f"{left_out[0]}; {hint}"
-    )
 
 
 def _report(found: Calibration, names: Mapping[str, list[str]]) -> None:

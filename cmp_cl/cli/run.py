@@ -170,7 +170,12 @@ def run(arguments: argparse.Namespace) -> int:
     for picture in pictures:
         print(f"wrote {shown(picture)}", file=report)
     if found.ambiguous:
-        tell(_about_ambiguous(found.ambiguous, track=arguments.track))
+        tell(
+            f"in {counted(found.ambiguous, 'frame')} no border of the pattern decides which node "
+            "is which: all displacements of such a frame may be wrong by whole cells, trust none "
+            "of them (the array `ambiguous` says which frames); show a border of the pattern in "
+            "every frame, or give --track if it moves by less than half a cell from frame to frame"
+        )
     failed = [one_line(error) for error in (ended_by, found.error) if error is not None]
     if failed:
         tell("; ".join(failed))
@@ -284,18 +289,3 @@ def _measured(
                 yield frame, None
             else:
                 yield frame, measure(frame.image)
-
-
-def _about_ambiguous(count: int, *, track: bool) -> str:
-    """Return what it means that the numbering of so many frames is ambiguous, and what to do."""
-    cure = "show a border of the pattern in every frame"
-    if not track:
-        cure += (
-            ", or give --track if it moves by less than half a cell from frame to frame, which "
-            "continues the numbers of the frame before"
-        )
-    return (
-        f"in {counted(count, 'frame')} no border of the pattern decides which node is which: all "
-        "displacements of such a frame may be wrong by whole cells, so trust none of them (the "
-        f"array `ambiguous` says which frames); {cure}"
-    )

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError, ConfigError, check_kind
-from cmp_cl.files import check_path, suffix_of, write_text
+from cmp_cl.errors import CalibrationError, ConfigError
+from cmp_cl.files import check_path, write_text
 from cmp_cl.grid.grid import Grid
 from cmp_cl.space.calibration import Camera
 from cmp_cl.space.lens import Lens
@@ -45,16 +45,10 @@ def save_corners(path: str | PathLike[str], views: Views) -> None:
     image without the board. mrcal weights a level of n by 2^-n. The level is
     log2(sigma / smallest sigma of all), rounded, and 0 if sigma is unknown.
 
-    Raises ConfigError on another suffix than .vnl or without any view, CalibrationError if shapes
-    differ or a name has white space, OSError.
+    Raises ConfigError without any view, CalibrationError if shapes differ or a name has white
+    space, OSError.
     """
-    if suffix_of(path, ConfigError) != ".vnl":
-        raise ConfigError(f"{str(path)!r}: corners are written as .vnl, for mrcal")
-    check_kind("views", views, Mapping, CalibrationError)
-    for name, grid in views.items():
-        check_kind("each name of views", name, str, CalibrationError)
-        if grid is not None:
-            check_kind(f"views[{name!r}]", grid, Grid, CalibrationError)
+    for name in views:
         if not name or any(letter.isspace() for letter in name) or name.startswith("#"):
             raise CalibrationError(f"mrcal's .vnl cannot hold the file name {name!r}")
     grids = [grid for grid in views.values() if grid is not None]
@@ -108,12 +102,6 @@ def save_cameras(
     other than 0) or the unit is not m, cm, mm or um, and OSError.
     """
     ending, target = check_cameras(path), Path(path)
-    check_kind("cameras", cameras, Mapping, CalibrationError)
-    for name, camera in cameras.items():
-        check_kind("each name of cameras", name, str, CalibrationError)
-        check_kind(f"cameras[{name!r}]", camera, Camera, CalibrationError)
-    if not cameras:
-        raise CalibrationError("cameras must be at least one")
     if ending in (".yaml", ".yml"):
         save_storage(target, _of_opencv(cameras, covariance, window))
         return [target]

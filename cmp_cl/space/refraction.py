@@ -121,18 +121,9 @@ def calibrate_window(
         raise CalibrationError(
             "the search for the window does not end; check the pitch, the layers and the rig"
         )
-    by_index = known[-1, -1] * np.outer(by_known[:, -1], by_known[:, -1])
-    known[-1, -1] = 0
     whole = by_known @ known @ by_known.T
     whole[np.ix_(free, free)] += covariance
     _check_sigma(np.sqrt(np.diag(whole)[free]), rig)
-    whole += by_index
-    _check_sigma(
-        np.sqrt(np.diag(whole)[free]),
-        rig,
-        what=f"an index of the last layer that is known to {index_sigma:g} does",
-        cure="give a smaller index_sigma",
-    )
     mean = float(sides(surface.points).mean())
     if abs(mean / pitch - 1) > _LARGEST_SCALE:
         raise CalibrationError(
@@ -260,32 +251,23 @@ def _with_neighbours(inverse: Array, scores: Array, block: NDArray[np.intp]) -> 
     return covariance
 
 
-def _check_sigma(
-    sigma: Array,
-    rig: StereoRig,
-    times: float = 1.0,
-    *,
-    what: str = "the views do",
-    cure: str = (
-        "show more of the pattern at rest, sharper, or calibrate the cameras on more views"
-    ),
-) -> None:
-    """Raise CalibrationError if the sigma of a parameter is `times` too large.
-
-    what, cure: says what leaves it so large, and what helps.
-    """
+def _check_sigma(sigma: Array, rig: StereoRig, times: float = 1.0) -> None:
+    """Raise CalibrationError if the sigma of a parameter is `times` too large."""
     window = rig.window
     assert window is not None
     depth = window.distance + window.thickness
     limits = {
-        "tilt about its second axis": (sigma[0], _LARGEST_TILT, "rad"),
-        "tilt about its first axis": (sigma[1], _LARGEST_TILT, "rad"),
-        "distance": (sigma[2], _LARGEST_DISTANCE * depth, rig.unit),
+        "tilt about its second axis": (_LARGEST_TILT, "rad"),
+        "tilt about its first axis": (_LARGEST_TILT, "rad"),
+        "distance": (_LARGEST_DISTANCE * depth, rig.unit),
     }
     wide = [
-        f"{name} ({f'+- {sigma:.2g} {unit}' if sigma < _HOPELESS * largest else 'free'})"
-        for name, (sigma, largest, unit) in limits.items()
-        if not sigma <= times * largest
+        f"{name} ({f'+- {each:.2g} {unit}' if each < _HOPELESS * largest else 'free'})"
+        for each, (name, (largest, unit)) in zip(sigma, limits.items(), strict=True)
+        if not each <= times * largest
     ]
     if wide:
-        raise CalibrationError(f"{what} not fix the window's {', '.join(wide)}: {cure}")
+        raise CalibrationError(
+            f"the views and the index do not fix the window's {', '.join(wide)}: show more of the "
+            "pattern at rest, sharper, calibrate the cameras on more views, or give a surer index"
+        )

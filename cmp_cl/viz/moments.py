@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.field import DisplacementField, green_lagrange
+from cmp_cl.field.strain import principal_of
 
 Array = NDArray[np.float64]
 
@@ -120,9 +121,9 @@ class Moment:
 
     def _principal_strains(self) -> tuple[Array, Array]:
         rest = np.where(np.isnan(self.shift), np.nan, self.rest)
-        first, second, shear = np.moveaxis(green_lagrange(rest, rest + self.shift), -1, 0)
-        middle, half = (first + second) / 2, np.hypot((first - second) / 2, shear)
-        return middle + half, middle - half
+        strain = green_lagrange(rest, rest + self.shift)
+        larger, smaller = np.moveaxis(principal_of(strain, np.zeros((*strain.shape, 3)))[0], 2, 0)
+        return larger, smaller
 
 
 class Summary:

@@ -109,7 +109,7 @@ def test_calibrate_finds_the_cameras_again(run, boards):
         ([], ["--left IMAGE... --right IMAGE..."]),
         (["--stereo", "0.png", "1.png"], ["3 different views", "not 2"]),
         (["--stereo", "0.png", "--board", "9x6"], ["looks like", "--board counts the inner"]),
-        (["plain.png"], ["no view shows a board of 12 x 12 corners", "--stereo"]),
+        (["plain.png"], ["no view of camera shows a board of 12 x 12", "--stereo"]),
         (["--stereo", "--left", "0.png", "--right", "1.png"], ["--stereo is for IMAGE"]),
         (["none.png"], ["none.png"]),
         (
