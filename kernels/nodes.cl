@@ -156,9 +156,7 @@ typedef struct {
                       BY_1 * AT(2 * (r), 2 * (c)))                                  \
   PREDICTS(MIDDLE_WEIGHT, 0.5f * AT(-(r), -(c)) + 0.5f * AT(r, c))
 #define CORNER_OF_CELL(r, c) PREDICTS(CELL_WEIGHT, AT(r, 0) + AT(0, c) - AT(r, c))
-#define BEYOND(r, c)                                                                \
-  PREDICTS(BEYOND_WEIGHT, 2.0f * AT(r, c) - AT(2 * (r), 2 * (c)))                            \
-  PREDICTS(BEYOND_WEIGHT, 3.0f * AT(r, c) - 3.0f * AT(2 * (r), 2 * (c)) + AT(3 * (r), 3 * (c)))
+#define BEYOND(r, c) PREDICTS(BEYOND_WEIGHT, 2.0f * AT(r, c) - AT(2 * (r), 2 * (c)))
 #define BY_4 (4.0f / 6.0f)
 #define BY_1 (-1.0f / 6.0f)
 Prediction predicted(__global const float2 *at, const int place, const int width) {
@@ -376,12 +374,9 @@ __kernel void score_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
   }
 }
 
-/* Whether a node scores too little; one that is less likely than not goes at once, of others the
- * worst of each 3 x 3 first. */
+/* Whether a node scores too little, and is the worst of its 3 x 3: the others may need it less. */
 bool is_weak(__constant Nats *nats, const int width, const int place, __global const float *score) {
   const float own = score[place];
-  if (own == NO_SCORE) return false;
-  if (own < 0) return true;
   bool is_worst = own < nats->stay;
   for (int r = -1; is_worst && r <= 1; ++r)
     for (int c = -1; c <= 1; ++c) is_worst &= own <= score[place + r * width + c];
@@ -412,21 +407,15 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
   if (!(prediction.weight > 0) || !(p.x > 0 && p.y > 0 && p.x < right && p.y < bottom)) return found;
   const Steps steps = steps_of(at, place, width);
   if (!steps.known) return found;
-  float square;
-  const float beside = nats->near * steps.cell, edge = nats->edge;
+  const float edge = nats->edge;
   found.nearest = nearest_corner(corners, capacity, layout, starts, binned, rows, columns, p,
-                                 nats->reach * steps.cell, &square);
-  int own = PLACE;
-  found.at = p;
-  if (found.nearest != NONE && !used[found.nearest]) {
-    own = found.nearest;
-    found.at = POSITIONS(corners)[own];
-  } else if ((found.nearest != NONE && square < beside * beside) || p.x < edge || p.y < edge ||
-             p.x > right - edge || p.y > bottom - edge) {
+                                 nats->reach * steps.cell);
+  const bool is_free = found.nearest != NONE && !used[found.nearest];
+  if (!is_free && (p.x < edge || p.y < edge || p.x > right - edge || p.y > bottom - edge))
     return found;
-  }
-  float2 here = found.at;
-  if (own != PLACE && IS_TORN(own)) here = blended(here, prediction, steps.cell, nats->rough_weight);
+  float2 here = found.at = is_free ? POSITIONS(corners)[found.nearest] : p;
+  if (is_free && IS_TORN(found.nearest))
+    here = blended(here, prediction, steps.cell, nats->rough_weight);
   const Cells seen = cells_at(LEVELS, here, steps, parity, nats->depth);
   const float share = usual_share(cells, place, width);
   float whole = 0;
@@ -436,7 +425,7 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
   ADD_NEW_SIDE(place - width, at[place - width], here, parity)
   const float score = score_of(LEVELS, whole, seen.quality, share, found.at, here, prediction,
                                steps.cell, nats);
-  if (!(score < nats->enter)) found.owner = own;
+  if (!(score < nats->enter)) found.owner = is_free ? found.nearest : PLACE;
   return found;
 }
 

@@ -69,9 +69,8 @@ class LatticeConstants:
     rough_weight_per_px2: 1/px^2, weight of a rough corner among the predictions of its
         neighbours, per area of a cell: 14 at cells of 13 px. Least false nodes and least error
         of 6 to 30 tried there.
-    near_cells: cells, a node farther from its prediction is rough, and a corner nearer to a
-        missing place is at that place itself; nodes whose motions differ by less moved alike. .08
-        to .2 do the same.
+    near_cells: cells, a node farther from its prediction is rough; nodes whose motions differ by
+        less moved alike. .08 to .2 do the same.
     reach_cells: cells, a corner so far from a prediction or a place is another; .4 does the same.
     side_nats: nats, for each whole side (this and the three below: regression).
     cells_nats: nats, for the whole contrast of the four cells.

@@ -69,7 +69,6 @@ def predictors(k: LatticeConstants) -> list[tuple[Any, list[tuple[int, int, Any]
         found.append((of_cell, [(r, 0, F(1)), (0, c, F(1)), (r, c, F(-1))]))
     for r, c in FOUR:
         found.append((of_beyond, [(r, c, F(2)), (2 * r, 2 * c, F(-1))]))
-        found.append((of_beyond, [(r, c, F(3)), (2 * r, 2 * c, F(-3)), (3 * r, 3 * c, F(1))]))
     return found
 
 
@@ -326,9 +325,7 @@ def settled(
         r, c = row[good], column[good]
         new_x[r, c], new_y[r, c] = xy[nearest[good]].T
         new_owner[r, c], new_torn[r, c] = nearest[good], torn[nearest[good]]
-        close = F(k.near_cells) * cell
-        ask = ~good & ~(used[nearest] & (square < close * close))
-        r, c = row[ask], column[ask]
+        r, c = row[~good], column[~good]
         new_x[r, c], new_y[r, c], new_owner[r, c], new_torn[r, c] = px[r, c], py[r, c], LOOKED, True
         found = evidence(plane, board, k, (new_x, new_y, new_torn))
         edge = F(k.contrast_radius_px)
@@ -360,8 +357,7 @@ def dropped(plane: Plane, board: Board, k: LatticeConstants) -> Board:
         for i in range(-1, 2):
             for j in range(-1, 2):
                 worst = np.fmin(worst, shifted(score, i, j, np.nan))
-        low = score < F(k.stay_nats)
-        bad = there & low & ((score <= worst) | (score < 0))
+        bad = there & (score < F(k.stay_nats)) & (score <= worst)
         if not bad.any():
             return board
         board = Board(
