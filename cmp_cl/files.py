@@ -7,6 +7,7 @@ import math
 import os
 import re
 import secrets
+import shutil
 import tomllib
 from collections.abc import Callable, Collection, Iterable, Iterator
 from io import StringIO
@@ -22,6 +23,7 @@ from cmp_cl.errors import CmpClError
 
 _MOST_TOML = 1 << 16  # bytes
 _WRITABLE = 0o222  # mode bits that allow writing
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def check_path(path: object, error: type[CmpClError | OSError]) -> None:
@@ -41,13 +43,8 @@ def suffix_of(path: str | PathLike[str], error: type[CmpClError]) -> str:
 
 @contextlib.contextmanager
 def whole_file(path: str | PathLike[str]) -> Iterator[BinaryIO]:
-    """Write a file as `whole_path` does; a device or a pipe is written directly."""
-    target = check_target(path)
-    if target.exists() and not target.is_file():
-        with _named(path), open(target, "wb") as file:
-            yield file
-        return
-    with whole_path(target) as temporary, open(temporary, "wb") as file:
+    """Give a file to write, as `whole_path` does, open."""
+    with whole_path(path) as temporary, open(temporary, "wb") as file:
         yield file
 
 
@@ -55,47 +52,41 @@ def whole_file(path: str | PathLike[str]) -> Iterator[BinaryIO]:
 def whole_path(path: str | PathLike[str], suffix: str = ".tmp") -> Iterator[Path]:
     """Give a file to write, which gets the name `path` only if the block ends without an error.
 
-    It lies in the same folder. An older file stays until then, and its mode and owner are kept.
-    suffix: the suffix of its name. Raises OSError if the folder is missing, not writable or full,
-    or the file is read-only, or no regular one.
+    It lies in the same folder. An older file stays until then, and its mode is kept. suffix: the
+    suffix of its name. Raises OSError if the disk is full, and as `check_target`.
     """
-    target = check_regular(path)
+    target = check_target(path)
     temporary = target.with_name(f".{secrets.token_hex(8)}{suffix}")
     try:
-        with _named(path, temporary):
-            with open(temporary, "xb"):
-                _keep_rights(target, temporary)
-            yield temporary
-            os.replace(temporary, target)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
+        with open(temporary, "xb"), contextlib.suppress(FileNotFoundError):
+            shutil.copymode(target, temporary)
+        yield temporary
+        os.replace(temporary, target)
+    except OSError as error:
+        full = error.filename is None and error.errno in _FULL
+        if full or error.filename == str(temporary):
+            raise OSError(error.errno, error.strerror, str(path)) from error
         raise
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def check_target(path: str | PathLike[str]) -> Path:
     """Return the file that an output path names, with links resolved.
 
-    Raises OSError if the path is no name of a file, is a folder or a read-only file, or lies in a
-    folder that does not exist or cannot be written.
+    Raises OSError if the path is no name of a file, is a folder, a device or a read-only file, or
+    lies in a folder that does not exist or cannot be written.
     """
     check_path(path, FileNotFoundError)
-    if os.path.isdir(path):
-        raise IsADirectoryError(f"{str(path)!r} is a folder, not a file")
     target = Path(os.path.realpath(path))
+    if target.exists() and not target.is_file():
+        raise OSError(errno.EINVAL, "it is a folder or a device, not a file", str(path))
     if not target.parent.is_dir():
         raise FileNotFoundError(f"there is no folder {str(target.parent)!r} to write to")
     if target.is_file() and not (os.access(target, os.W_OK) and target.stat().st_mode & _WRITABLE):
         raise PermissionError(errno.EACCES, "the file is read-only", str(path))
     if not target.exists() and not os.access(target.parent, os.W_OK):
         raise PermissionError(errno.EACCES, "its folder cannot be written", str(path))
-    return target
-
-
-def check_regular(path: str | PathLike[str]) -> Path:
-    """Return the file as `check_target` does; raises OSError also for a device or a pipe."""
-    target = check_target(path)
-    if target.exists() and not target.is_file():
-        raise OSError(errno.EINVAL, "only a regular file can hold this format", str(path))
     return target
 
 
@@ -113,30 +104,6 @@ def new_folder(path: Path) -> tuple[Path, list[Path]]:
             free = path.with_name(f"{path.name}-{len(taken) + 1}")
         else:
             return free, taken
-
-
-def _keep_rights(old: Path, new: Path) -> None:
-    """Give a file the mode of another one, and its owner if that is allowed."""
-    with contextlib.suppress(FileNotFoundError):
-        stat = old.stat()
-        if hasattr(os, "chown"):
-            with contextlib.suppress(OSError):
-                os.chown(new, stat.st_uid, stat.st_gid)
-        new.chmod(stat.st_mode & 0o7777)
-
-
-@contextlib.contextmanager
-def _named(path: str | PathLike[str], temporary: Path | None = None) -> Iterator[None]:
-    """Put the path into errors that name a temporary file, or that report a full disk without a
-    name."""
-    full = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-    try:
-        yield
-    except OSError as error:
-        unnamed = error.filename is None and error.errno in full
-        if unnamed or (temporary is not None and error.filename == str(temporary)):
-            raise OSError(error.errno, error.strerror, str(path)) from error
-        raise
 
 
 def write_bytes(path: str | PathLike[str], data: bytes) -> None:

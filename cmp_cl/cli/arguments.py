@@ -25,8 +25,7 @@ Box = tuple[int, int, int, int]  # x, y, width, height, px
 def check_files(inputs: Iterable[str | Path | None], outputs: Iterable[str | Path | None]) -> None:
     """Raise ConfigError if an output is an input, or two outputs are one file.
 
-    None stands for a file that was not requested. Devices and pipes may be named twice. Raises
-    OSError if an output cannot be written.
+    None stands for a file that was not requested. Raises OSError if an output cannot be written.
     """
     read = {os.path.realpath(path) for path in inputs if path is not None}
     written = set()
@@ -34,14 +33,13 @@ def check_files(inputs: Iterable[str | Path | None], outputs: Iterable[str | Pat
         if path is None:
             continue
         real = os.path.realpath(path)
-        if os.path.isfile(path) or not os.path.exists(path):
-            if real in read:
-                raise ConfigError(
-                    f"{shown(path)} is an input and would be overwritten; give another name"
-                )
-            if real in written:
-                raise ConfigError(f"{shown(path)} is given for two outputs")
-            written.add(real)
+        if real in read:
+            raise ConfigError(
+                f"{shown(path)} is an input and would be overwritten; give another name"
+            )
+        if real in written:
+            raise ConfigError(f"{shown(path)} is given for two outputs")
+        written.add(real)
         check_target(path)
 
 

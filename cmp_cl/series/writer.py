@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError, check_kind, extra
-from cmp_cl.files import check_regular, new_folder, suffix_of, whole_path
+from cmp_cl.files import check_target, new_folder, suffix_of, whole_path
 from cmp_cl.series import formats, mcap
 from cmp_cl.series.part import Arrays, Part, Stored
 
@@ -133,7 +133,7 @@ class SeriesWriter(Closing):
             self._sink: Part | _Lines = _Lines(about, self._constants)
             return
         _known_suffix(path)
-        self._target = check_regular(path)
+        self._target = check_target(path)
         _known_suffix(self._target)  # a link may name a file of another format
         self._of_nodes = self._target.suffix.lower() in _OF_NODES
         part, self.earlier = new_folder(self._target.with_name(f"{self._target.name}.part"))
