@@ -7,8 +7,8 @@
  * signal: it is there inside, it is gone where the pattern ends, and it comes back where cells
  * follow. Levels are those of the image; decisions rest on their sums.
  *
- * nodes: the positions of a board, row by row; owner: their corners; only nodes with one are read
- * here. Sides are top, bottom, left, right; line 0 of a side is its last one. */
+ * nodes: the positions of a board, row by row; node_owner: their corners; only nodes with one are
+ * read here. Sides are top, bottom, left, right; line 0 of a side is its last one. */
 #define SIDES 4
 #define PAIRS 16  /* pairs of neighbouring squares of a side that are read */
 #define DEPTHS 10 /* half a cell inside, beyond, and in steps of levels where squares may end */
@@ -109,9 +109,10 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
 }
 
 /* The position of a corner's node, NAN without one. */
-#define AT(side, line, k) corner_at(nodes, owner, place_on(side, line, k, (int4)(0, height, 0, width), width))
-float2 corner_at(__global const float2 *nodes, __global const int *owner, const int place) {
-  return owner[place] >= 0 ? nodes[place] : (float2)(NAN, NAN);
+#define AT(side, line, k)                                                           \
+  corner_at(nodes, node_owner, place_on(side, line, k, (int4)(0, height, 0, width), width))
+float2 corner_at(__global const float2 *nodes, __global const int *node_owner, const int place) {
+  return node_owner[place] >= 0 ? nodes[place] : (float2)(NAN, NAN);
 }
 #define IS_HERE(p) ((p).x == (p).x)
 
@@ -131,19 +132,19 @@ int grey_at(IMAGE_OF_BOARD, const float2 p) {
 typedef struct {
   float2 middle, out, along;
 } Square;
-Square square_at(__global const float2 *nodes, __global const int *owner, const int side,
+Square square_at(__global const float2 *nodes, __global const int *node_owner, const int side,
                  const int k, const int height, const int width) {
   const float2 a = AT(side, 0, k + 1), b = AT(side, 0, k);
   const float2 middle = 0.5f * (a + b), inner = 0.5f * (AT(side, 1, k + 1) + AT(side, 1, k));
   Square found = {middle, middle - inner, a - b};
   return found;
 }
-#define SQUARE_AT(side, k) square_at(nodes, owner, side, k, height, width)
+#define SQUARE_AT(side, k) square_at(nodes, node_owner, side, k, height, width)
 #define IS_SQUARE(square) IS_HERE((square).out)
 
 /* The steps of a tilted board grow from line to line: the last one of a side, in cells that lie
  * past it, if they grow on as they do before. */
-float last_over_next(__global const float2 *nodes, __global const int *owner, const int side,
+float last_over_next(__global const float2 *nodes, __global const int *node_owner, const int side,
                 const int height, const int width) {
   int last = 0, before = 0; /* 1/32 px */
   for (int k = 0; k < LENGTH_OF(side) && LINES_OF(side) > 2; ++k) {
@@ -158,8 +159,9 @@ float last_over_next(__global const float2 *nodes, __global const int *owner, co
 
 /* Which pairs of squares a side has in sight, as far as some cells beyond it. Returns their number. */
 #define PAIRS_IN_SIGHT(side, sight)                                                 \
-  pairs_in_sight(nodes, owner, side, height, width, own, pairs[side], sight, rows, columns, own_shown)
-int pairs_in_sight(__global const float2 *nodes, __global const int *owner, const int side,
+  pairs_in_sight(nodes, node_owner, side, height, width, own, pairs[side], sight, rows, columns, \
+                 own_shown)
+int pairs_in_sight(__global const float2 *nodes, __global const int *node_owner, const int side,
                    const int height, const int width, __local const int *first, const int pairs,
                    const float sight, const uint rows, const uint columns, __local int *shown) {
   int seen = 0;
@@ -189,7 +191,7 @@ int doubled_median(__local const int *values, const int count) {
 
 /* Squares of a side, in pairs of neighbours; `first` has those of the pairs that are read. Returns
  * their number. */
-int list_pairs(__global const float2 *nodes, __global const int *owner, const int side,
+int list_pairs(__global const float2 *nodes, __global const int *node_owner, const int side,
                const int height, const int width, __local int *first) {
   int pairs = 0;
   bool before = false;
@@ -210,7 +212,7 @@ int list_pairs(__global const float2 *nodes, __global const int *owner, const in
 
 /* Whether most places of a line before the first one lie in the image; one nearer to its edge than
  * half a cell may be missed. */
-bool has_room(__global const float2 *nodes, __global const int *owner, const int side,
+bool has_room(__global const float2 *nodes, __global const int *node_owner, const int side,
               const int height, const int width, const uint rows, const uint columns) {
   int known = 0, inside = 0;
   for (int k = 0; k < LENGTH_OF(side); ++k) {
@@ -237,17 +239,18 @@ int common_reach(__local const int *reach, const int count) {
 __kernel void measure_border(__global const PIXEL *restrict image, const uint step, const uint rows,
                              const uint columns, const float passing,
                              __global const float2 *restrict nodes,
-                             __global const int *restrict owner, __global int *restrict border) {
+                             __global const int *restrict node_owner,
+                             __global int *restrict border) {
   const int height = border[ROWS_OF], width = border[COLUMNS_OF];
   __local int first[SIDES * PAIRS], pairs[SIDES], near[SIDES], shown[SIDES * PAIRS];
   __local int levels[SIDES * PAIRS * DEPTHS * 2], squares[SIDES * PAIRS];
   __local int room[SIDES], any_longer;
   if (get_local_id(0) == 0) any_longer = 0;
   FOR_ALL(side, SIDES) {
-    room[side] = height && width && has_room(nodes, owner, side, height, width, rows, columns);
+    room[side] = height && width && has_room(nodes, node_owner, side, height, width, rows, columns);
     pairs[side] = height < 2 || width < 2
                       ? 0
-                      : list_pairs(nodes, owner, side, height, width, first + side * PAIRS);
+                      : list_pairs(nodes, node_owner, side, height, width, first + side * PAIRS);
   }
   ALL_TOGETHER;
   FOR_ALL(side, SIDES) { /* the image may end before the cells beyond a whole square */
@@ -301,7 +304,7 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
                       : UNSEEN;
     const bool follows = read && (float)change < 2.0f * passing * whole;
     /* What reaches farther than a square is not the last one. */
-    const float reach = REACH(reached) * last_over_next(nodes, owner, side, height, width);
+    const float reach = REACH(reached) * last_over_next(nodes, node_owner, side, height, width);
     if (reached != UNSEEN && reach > 1 + STEP_OF_LEVELS) {
       reached = UNSEEN;
       any_longer = 1;

@@ -59,18 +59,20 @@ __kernel void pixels_of_plane(__global const ushort *restrict plane, const uint 
          (plane) + ROW(p, y), (plane) + NEAR_ROW(p, y + (d)), (plane) + NEAR_ROW(p, y + (a))}
 
 /* A response; 0 outside the image. One work-item per pixel. */
-#define DENSE(RESPONSE_OF, a, d)                                                    \
-  (__global const ushort *restrict plane, const uint rows, const uint columns,      \
-   const uint step, __global short *restrict response) {                            \
+#define DENSE                                                                       \
+  __global const ushort *restrict plane, const uint rows, const uint columns,       \
+      const uint step, __global short *restrict response
+#define STORE(RESPONSE_OF, a, d)                                                    \
+  {                                                                                 \
     const int x = (int)get_global_id(0), y = (int)get_global_id(1);                 \
     const size_t p = get_global_id(2);                                              \
     const bool inside = x >= PAD && x < PAD + (int)columns;                         \
     const Harmonics h = harmonics_of(RING_OF(plane, a, d), inside ? x : PAD, a, d); \
     response[ROW(p, y) + x] = (short)(inside ? RESPONSE_OF(h) : 0);                 \
   }
-__kernel void coarse_response DENSE(coarse_response_of, 5, 4)
+__kernel void coarse_response(DENSE) STORE(coarse_response_of, 5, 4)
 #if FINE
-__kernel void fine_response DENSE(fine_response_of, 3, 2)
+__kernel void fine_response(DENSE) STORE(fine_response_of, 3, 2)
 #endif
 
 /* True if a pixel is the largest of its window; of equal ones, the earlier pixel. */

@@ -28,7 +28,7 @@ typedef struct {
 #define TAKEN (-1) /* there: a corner of another board, which the host puts */
 __kernel void number_corners(__global const float *restrict corners, const uint capacity,
                              __global const int *restrict part, __global const int4 *restrict state,
-                             __global const int *restrict size, const int least_part,
+                             __global const int *restrict faces_of_part, const int least_part,
                              __global int4 *restrict numbers, __global int *restrict layout) {
   const int count = (int)COUNT(corners);
   __local int most, main, parts;
@@ -38,13 +38,13 @@ __kernel void number_corners(__global const float *restrict corners, const uint 
   }
   ALL_TOGETHER;
   FOR_ALL(h, 4 * count)
-    if (part[h] == h && size[h]) {
-      if (size[h] > most) atomic_max(&most, size[h]);
-      if (size[h] >= least_part) atomic_inc(&parts);
+    if (part[h] == h && faces_of_part[h]) {
+      if (faces_of_part[h] > most) atomic_max(&most, faces_of_part[h]);
+      if (faces_of_part[h] >= least_part) atomic_inc(&parts);
     }
   ALL_TOGETHER;
   FOR_ALL(h, 4 * count)
-    if (part[h] == h && size[h] && size[h] == most) atomic_min(&main, h);
+    if (part[h] == h && faces_of_part[h] && faces_of_part[h] == most) atomic_min(&main, h);
   ALL_TOGETHER;
   if (get_local_id(0) == 0) {
     layout[PARTS] = parts;

@@ -31,21 +31,21 @@ bool agree(const float4 one, const float4 other, const float tolerance) {
 }
 
 /* beyond[h]: the half-edge on the other side of a link if both faces agree, else NONE. part[h]: the
- * least half-edge of the part, NONE outside of faces. size[root]: its faces, 0 of a part with two
- * numbers for a corner. `cut` is that of the faces before. One work-group. */
+ * least half-edge of the part, NONE outside of faces. faces_of_part[root]: its faces, 0 of a part
+ * with two numbers for a corner. `cut` is that of the faces before. One work-group. */
 __kernel void number_parts(__global const float *restrict corners, const uint capacity,
                            __global const int *restrict twin, __global const int *restrict face,
                            __global const float4 *restrict steps,
                            __constant float *tolerances, const int most_cuts,
                            __global uchar *restrict cut, __global int *restrict beyond,
                            __global int *restrict part, __global int *restrict waiting,
-                           __global int4 *restrict state, __global int *restrict size) {
+                           __global int4 *restrict state, __global int *restrict faces_of_part) {
   const int count = (int)COUNT(corners), ends = 4 * count;
   __local int listed, contradictions;
   for (int round = 0;; ++round) {
     FOR_ALL(h, ends) {
       part[h] = face[h];
-      size[h] = 0;
+      faces_of_part[h] = 0;
       beyond[h] = NONE;
     }
     if (get_local_id(0) == 0) listed = contradictions = 0;
@@ -64,7 +64,7 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
       if (face[h] != h) continue;
       const int root = root_of(part, h);
       part[h] = root;
-      atomic_inc(size + root);
+      atomic_inc(faces_of_part + root);
       state[h] = (int4)(0, 0, 0, root == h ? 0 : WAITING);
       if (root == h) waiting[atomic_inc(&listed)] = h;
     }
@@ -101,7 +101,7 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
         if (part[a] == NONE || part[a] != part[b]) continue;
         if (state[a].x != state[b].x || state[a].y != state[b].y ||
             ((state[a].z - a) & 3) != ((state[b].z - b) & 3)) {
-          size[part[a]] = 0;
+          faces_of_part[part[a]] = 0;
           contradictions = 1;
         }
       }
@@ -110,7 +110,7 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
     ALL_TOGETHER;
     if (done) return;
     FOR_ALL(h, ends)
-      if (face[h] == h && !size[part[h]] && cut[h] < most_cuts) ++cut[h];
+      if (face[h] == h && !faces_of_part[part[h]] && cut[h] < most_cuts) ++cut[h];
     ALL_TOGETHER;
   }
 }

@@ -1,6 +1,5 @@
-"""The kernels of the lattice, in order: over what each runs, and its arguments by their names.
-
-An argument is a buffer of the plan or one of `values`. What the kernels do stands in kernels/.
+"""The kernels of the lattice, in order, and over what each runs; its arguments are buffers of the
+plan, or among `values`. What the kernels do stands in kernels/.
 """
 
 import enum
@@ -37,62 +36,27 @@ class Over(enum.Enum):
     GROUP = enum.auto()  # one work-group does all
 
 
-Kernel = tuple[str, Over, str]
-
-AT = "corners capacity"
-LEVELS = "levels level_step rows columns"
-BINS = "layout starts binned"
-NODES = "seen owner torn used"
-POSITIONS, MEASURES = "at result rough predictions", "cell sides cells"
+Kernel = tuple[str, Over]
 
 PARTS_OF_CORNERS: tuple[Kernel, ...] = (
-    ("smooth_levels", Over.PIXELS, "image step full_scale rows columns levels"),
-    ("direct_corners", Over.CORNERS, f"{AT} {LEVELS} circle radius lines contrast"),
-    ("fill_bins", Over.GROUP, f"{AT} rows columns {BINS}"),
-    (
-        "choose_links",
-        Over.CORNERS,
-        f"{AT} lines {BINS} rows columns neighbours rings least_cosine turn_price choice",
-    ),
-    ("keep_links", Over.HALF_EDGES, f"{AT} contrast {LEVELS} least_middle choice twin"),
-    ("close_faces", Over.HALF_EDGES, f"{AT} twin cuts face cut steps"),
-    (
-        "number_parts",
-        Over.GROUP,
-        f"{AT} twin face steps tolerances most_cuts cut beyond part waiting state faces_of_part",
-    ),
-    ("number_corners", Over.GROUP, f"{AT} part state faces_of_part least_part numbers layout"),
+    ("smooth_levels", Over.PIXELS),
+    ("direct_corners", Over.CORNERS),
+    ("fill_bins", Over.GROUP),
+    ("choose_links", Over.CORNERS),
+    ("keep_links", Over.HALF_EDGES),
+    ("close_faces", Over.HALF_EDGES),
+    ("number_parts", Over.GROUP),
+    ("number_corners", Over.GROUP),
 )
-VOTES_OF_PARTS: tuple[Kernel, ...] = (
-    (
-        "find_votes",
-        Over.HALF_EDGES,
-        f"{AT} lines contrast {LEVELS} twin part state faces_of_part least_part starts binned "
-        f"least_cosine reach room layout votes",
-    ),
-)
+VOTES_OF_PARTS: tuple[Kernel, ...] = (("find_votes", Over.HALF_EDGES),)
 BOARD_OF_NUMBERS: tuple[Kernel, ...] = (
-    ("lay_board", Over.GROUP, f"{AT} numbers places nats layout {NODES} claim tried marks"),
-    ("blend_nodes", Over.PLACES, f"nats layout seen torn {POSITIONS}"),
-    ("measure_nodes", Over.PLACES, f"{LEVELS} nats layout at {MEASURES}"),
-    ("score_nodes", Over.PLACES, f"{LEVELS} nats layout seen at predictions {MEASURES} score"),
-    (
-        "settle_nodes",
-        Over.GROUP,
-        f"{AT} {LEVELS} nats rounds starts binned layout {NODES} tried {POSITIONS} {MEASURES} "
-        "score candidate found listed asked claim marks lists places",
-    ),
-    (
-        "cut_board",
-        Over.GROUP,
-        "rows columns least_line radius passing layout result owner rough cells nodes node_owner "
-        "node_kind border",
-    ),
-    (
-        "measure_border",
-        Over.GROUP,
-        "image step rows columns passing nodes node_owner border",
-    ),
+    ("lay_board", Over.GROUP),
+    ("blend_nodes", Over.PLACES),
+    ("measure_nodes", Over.PLACES),
+    ("score_nodes", Over.PLACES),
+    ("settle_nodes", Over.GROUP),
+    ("cut_board", Over.GROUP),
+    ("measure_border", Over.GROUP),
 )
 
 
@@ -138,7 +102,7 @@ def values(plan: "LatticePlan") -> dict[str, Any]:
         "rounds": ROUNDS,
     }
     real = {
-        "radius": k.contrast_radius_px,
+        **dict.fromkeys(("radius", "edge"), k.contrast_radius_px),
         "least_cosine": k.least_cosine,
         "turn_price": k.turn_price,
         "least_middle": 3 * k.side_middle,  # three points

@@ -148,10 +148,7 @@ class LatticePlan:
             Over.GROUP: ((1,), (1,)) if cpu else ((ONE_GROUP,), (ONE_GROUP,)),
         }
         given = {**self.values, **self.buffers}
-        return [
-            bound(self.kernels, given, name, *items_and_group[over], names.split())
-            for name, over, names in table
-        ]
+        return [bound(self.kernels, given, name, *items_and_group[over]) for name, over in table]
 
     # What happens in a frame
 

@@ -28,15 +28,13 @@ def bound(
     name: str,
     items: tuple[int, ...],
     group: tuple[int, ...] | None,
-    arguments: Iterable[Any] | None = None,
 ) -> Launch:
-    """Bind a kernel to its arguments in their order, over work-items in groups.
+    """Bind a kernel to the parts, numbers and buffers, that have the names of its arguments.
 
-    arguments: numbers, buffers, and names of parts; None takes the parts, numbers and buffers, that
-    have the names of the kernel's arguments. group: None lets the device choose it.
+    An argument that a macro leaves out is no part. items, group: the work-items, and those of a
+    group; None lets the device choose it.
     """
-    arguments = kernels.arguments[name] if arguments is None else arguments
-    given = [parts[each] if isinstance(each, str) else each for each in arguments]
+    given = [parts[each] for each in kernels.arguments[name] if each in parts]
     return Launch(name, kernels.bind(name, *given), items, group, given)
 
 

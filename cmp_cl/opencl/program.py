@@ -88,16 +88,22 @@ def _with_headers(name: str, seen: set[str]) -> list[str]:
 
 
 def _arguments(text: str) -> dict[str, list[str]]:
-    """Return the names of the arguments of each kernel in a text, in order. Not all devices keep
-    them in a compiled program."""
-    found = re.findall(r"__kernel void (\w+)\(([^)]*)\)", text)
-    return {name: re.findall(r"(\w+)(?=,|$)", arguments) for name, arguments in found}
+    """Return the names of the arguments of each kernel in a text, in order, those under a condition
+    too. Not all devices keep them in a compiled program."""
+    text = text.replace("\\\n", " ")
+    macros = dict(re.findall(r"#define (\w+) +(.*)", text))
+    found = {}
+    for name, arguments in re.findall(r"__kernel void (\w+)\(([^)]*)\)", text):
+        whole = re.sub(r"\w+", lambda word: macros.get(word[0], word[0]), arguments)
+        found[name] = re.findall(r"(\w+)\s*(?=,|$)", whole)
+    return found
 
 
 class Kernels:
     """Compiled programs; no two of their kernels have the same name.
 
-    arguments: the names of the arguments of each kernel, in order.
+    arguments: the names of the arguments of each kernel, in order, with those that a macro leaves
+    out.
     """
 
     def __init__(

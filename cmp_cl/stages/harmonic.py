@@ -108,8 +108,7 @@ def _full_scale(plan: PlanBase) -> int:
 
 
 def _by_pixels(plan: PlanBase) -> list[Launch]:
-    frame_rows = plan.frames * plan.working[0]
-    stages = [plan.few("repeat_border", frame_rows, 1, **plan.size, image=plan.image)]
+    stages = [plan.few("repeat_border", plan.frames * plan.working[0], 1)]
     for octave in range(1, plan.octaves + 1):
         larger = plan.size_of(octave - 1)
         halving = plan.dense(
@@ -119,142 +118,61 @@ def _by_pixels(plan: PlanBase) -> list[Launch]:
             image=plan.image_of(octave - 1),
             full_rows=larger["rows"],
             full_step=larger["step"],
-            **plan.size_of(octave),
             half_image=plan.image_of(octave),
         )
         stages.append(halving)
     for octave in range(plan.octaves, -1, -1):
         stages += _list_maxima(plan, octave)
-    return [*stages, *_decide(plan)]
+    decided = _numbers(plan)
+    return [
+        *stages,
+        plan.stage(
+            "find_reference", (DECIDING * plan.kinds, plan.frames), (DECIDING, 1), **decided
+        ),
+        plan.stage("decide", (DECIDING * plan.frames,), (DECIDING,), **decided),
+    ]
 
 
 def _list_maxima(plan: PlanBase, octave: int) -> list[Launch]:
     """Return the launches from the image of an octave to the lists of its maxima."""
-    b, size = plan.arrays, plan.size_of(octave)
+    b, numbers = plan.arrays, _numbers(plan)
+    planes = {"fine_plane": b["fine"], "coarse_plane": b["coarse"]}
 
     def dense(name: str, **arguments: Any) -> Launch:
-        return plan.dense(name, None, octave, **arguments)
+        return plan.dense(name, None, octave, **numbers, **planes, **arguments)
 
-    stages = [
-        *noise.launches(plan, octave),
-        dense(
-            "smooth_image",
-            image=plan.image_of(octave),
-            **size,
-            full_scale=np.uint32(_full_scale(plan)),
-            smooth=b["fine"],
-        ),
-    ]
-    found = {**_counted(plan), "lists": b["lists"]}
-    limits = {**size, "capacity": np.uint32(plan.list_capacity)}
+    stages = [*noise.launches(plan, octave), dense("smooth_image", smooth=b["fine"])]
     if _rule(plan).fine and not octave:
-        stages += [
-            dense("fine_response", plane=b["fine"], **size, response=b["response"]),
-            dense(
-                "fine_maxima",
-                fine_plane=b["fine"],
-                response=b["response"],
-                area=b["area"],
-                **limits,
-                **found,
-            ),
-        ]
+        stages += [dense("fine_response", plane=b["fine"]), dense("fine_maxima")]
     stages += [
-        dense("smooth", plane=b["fine"], **size, smoother=b["response"]),
-        dense("smooth", plane=b["response"], **size, smoother=b["coarse"]),
+        dense("smooth", plane=b["fine"], smoother=b["response"]),
+        dense("smooth", plane=b["response"], smoother=b["coarse"]),
     ]
     if octave:
-        pixels = dense(
-            "pixels_of_plane",
-            plane=b["coarse"],
-            rows=size["rows"],
-            step=size["step"],
-            image=plan.image_of(octave),
-        )
-        stages.append(pixels)
+        stages.append(dense("pixels_of_plane", plane=b["coarse"]))
     return [
         *stages,
-        dense("coarse_response", plane=b["coarse"], **size, response=b["response"]),
-        dense(
-            "coarse_maxima",
-            fine_plane=b["fine"],
-            coarse_plane=b["coarse"],
-            response=b["response"],
-            area=b["area"],
-            **limits,
-            octave=np.uint32(octave),
-            frame_words=np.uint32(plan.step // 32),
-            **found,
-        ),
+        dense("coarse_response", plane=b["coarse"]),
+        dense("coarse_maxima", octave=np.uint32(octave)),
     ]
-
-
-def _decide(plan: PlanBase) -> list[Launch]:
-    """Return the launches from the lists of maxima to the corners in (y, x) order."""
-    b, capacity = plan.arrays, np.uint32(plan.list_capacity)
-    reference = plan.stage(
-        "find_reference",
-        (DECIDING * plan.kinds, plan.frames),
-        (DECIDING, 1),
-        noise=b["noise"],
-        bands=np.uint32(noise.bands(plan)),
-        rows=plan.size["rows"],
-        columns=plan.size["columns"],
-        full_scale=np.uint32(_full_scale(plan)),
-        coarse_noise=np.uint32(_rule(plan).coarse_noise),
-        capacity=capacity,
-        **_counted(plan),
-        lists=b["lists"],
-        levels=b["levels"],
-    )
-    decide = plan.stage(
-        "decide",
-        (DECIDING * plan.frames,),
-        (DECIDING,),
-        levels=b["levels"],
-        strong=b["strong"],
-        rows=plan.size["rows"],
-        step=plan.size["step"],
-        capacity=capacity,
-        **_shares(plan),
-        nms_radius=np.int32(plan.config.nms_radius),
-        **_positions(plan),
-        **_counted(plan),
-        lists=b["lists"],
-        **_decided(plan),
-    )
-    return [reference, decide]
 
 
 # In both forms
 
 
-def _counted(plan: PlanBase) -> dict[str, Any]:
-    """Return the counters of all frames, by argument."""
-    counters = plan.arrays["counters"]
-    return {"counters_of_frame": np.uint32(_counters(plan)), "counters": counters}
-
-
-def _shares(plan: PlanBase) -> dict[str, Any]:
-    """Return the shares of the reference, by argument."""
+def _numbers(plan: PlanBase) -> dict[str, Any]:
+    """Return the numbers that the kernels take, by argument."""
     rule = _rule(plan)
-    return {"coarse_share": np.int32(rule.coarse_share), "fine_share": np.int32(rule.fine_share)}
-
-
-def _positions(plan: PlanBase) -> dict[str, Any]:
-    """Return where the corners are, by argument."""
-    corners = plan.corner_list
     return {
-        "corner_capacity": corners["capacity"],
-        "count_offset": corners["count_offset"],
-        "length": corners["length"],
+        "full_scale": np.uint32(_full_scale(plan)),
+        "bands": np.uint32(noise.bands(plan)),
+        "frame_words": np.uint32(plan.step // 32),
+        "counters_of_frame": np.uint32(_counters(plan)),
+        "coarse_noise": np.uint32(rule.coarse_noise),
+        "coarse_share": np.int32(rule.coarse_share),
+        "fine_share": np.int32(rule.fine_share),
+        "nms_radius": np.int32(plan.config.nms_radius),
     }
-
-
-def _decided(plan: PlanBase) -> dict[str, Any]:
-    """Return what is written when a frame is decided, by argument."""
-    names = ("maxima", "row_counts", "row_columns", "corners", "counts")
-    return {name: plan.arrays[name] for name in names}
 
 
 # For CPUs
@@ -271,7 +189,6 @@ def _work_rows(plan: PlanBase) -> int:
 
 def _by_bands(plan: PlanBase) -> Launch:
     """Bind the launch from the frames in the image."""
-    b, size = plan.arrays, plan.size
     return plan.stage(
         "harmonic_band",
         (plan.bands, plan.frames),
@@ -280,22 +197,8 @@ def _by_bands(plan: PlanBase) -> Launch:
         frame_start=np.uint64(plan.step + plan.pad),
         frame_step=np.uint32(plan.step),
         frame_apart=np.int32(plan.working[0] * plan.step),
-        image=plan.image,
-        **({"octaves": np.uint32(plan.octaves), "halves": b["halves"]} if plan.octaves else {}),
-        area=b["area"],
-        **size,
-        capacity=np.uint32(plan.list_capacity),
-        full_scale=np.uint32(_full_scale(plan)),
+        **({"octaves": np.uint32(plan.octaves)} if plan.octaves else {}),
         inverse=np.float32(1 / _full_scale(plan)),
-        work=b["work"],
         work_size=np.uint32(_work_rows(plan) * plan.step),
-        coarse_noise=np.uint32(_rule(plan).coarse_noise),
-        **_shares(plan),
-        **_positions(plan),
-        **_counted(plan),
-        noise=b["noise"],
-        lists=b["lists"],
-        levels=b["levels"],
-        strong=b["strong"],
-        **_decided(plan),
+        **_numbers(plan),
     )

@@ -139,13 +139,30 @@ class PlanBase:
         return constant(self.queue.context, table)
 
     def stage(
-        self, name: str, items: tuple[int, ...], group: tuple[int, ...] | None, **arguments: Any
+        self,
+        name: str,
+        items: tuple[int, ...],
+        group: tuple[int, ...] | None,
+        octave: int = 0,
+        /,
+        **arguments: Any,
     ) -> Launch:
-        """Bind a kernel over work-items in groups; None lets the device choose the group.
+        """Bind a kernel over work-items in groups, see `bound`, to arguments by name.
 
-        arguments: by name, in the order of the kernel's.
+        Others are the arrays, the image of an octave and its size, and where the lists are: with
+        the capacity of each, and the corners of a frame, with theirs, in the list of all frames.
         """
-        return bound(self.kernels, {}, name, items, group, arguments.values())
+        parts = {
+            **self.arrays,
+            "image": self.image_of(octave),
+            **self.size_of(octave),
+            "capacity": np.uint32(self.list_capacity),
+            "corner_capacity": np.uint32(self.corner_capacity),
+            "count_offset": np.uint32(self.frames * self.lists),
+            "length": np.uint32(self.frames * self.corner_capacity),
+            **arguments,
+        }
+        return bound(self.kernels, parts, name, items, group)
 
     def few(self, name: str, items: int, planes: int, **arguments: Any) -> Launch:
         """Bind a kernel with few work-items, such as one per row.
@@ -163,7 +180,7 @@ class PlanBase:
         height."""
         size = self.size_of(octave)
         items = (int(size["step"]), height or int(size["rows"]), self.frames)
-        return self.stage(name, items, (GROUP if octave else self.width, 1, 1), **arguments)
+        return self.stage(name, items, (GROUP if octave else self.width, 1, 1), octave, **arguments)
 
     def of_groups(self, name: str, groups: int, items: int, **arguments: Any) -> Launch:
         """Bind a kernel of whole work-groups with so many work-items; on a CPU, with one each."""
@@ -172,6 +189,7 @@ class PlanBase:
 
     def of_corners(self, name: str, **arguments: Any) -> Launch:
         """Bind a kernel with one work-item per entry of the list of corners."""
+        arguments["capacity"] = np.uint32(self.corner_capacity)
         return self.stage(name, (self.corner_capacity, self.frames), (GROUP, 1), **arguments)
 
     @property
@@ -195,17 +213,3 @@ class PlanBase:
             for n in range(1, units + 1)
             if units % n == 0 and GROUP * n <= max(most, GROUP)
         )
-
-    @property
-    def size(self) -> dict[str, Any]:
-        """Return rows, columns and step of the image that the stages start from, by argument."""
-        return self.size_of(0)
-
-    @property
-    def corner_list(self) -> dict[str, Any]:
-        """Return the position of each frame's corners in the lists of all frames, by argument."""
-        return {
-            "capacity": np.uint32(self.corner_capacity),
-            "count_offset": np.uint32(self.frames * self.lists),
-            "length": np.uint32(self.frames * self.corner_capacity),
-        }

@@ -20,28 +20,16 @@ def scratch(plan: PlanBase) -> dict[str, int]:
 
 def launches(plan: PlanBase, octave: int = 0) -> list[Launch]:
     """Return the launches from the image of an octave to the sums of its bands."""
-    b, size = plan.arrays, plan.size_of(octave)
-    count = bands(plan, octave)
+    count, sums = bands(plan, octave), plan.arrays["noise_sums"]
     return [
-        plan.dense(
-            "noise",
-            count,
-            octave,
-            image=plan.image_of(octave),
-            rows=size["rows"],
-            step=size["step"],
-            zero=plan.types["CURVATURE"].type(0),
-            sums=b["noise_sums"],
-        ),
+        plan.dense("noise", count, octave, zero=plan.types["CURVATURE"].type(0), sums=sums),
         plan.stage(
             "sum_bands",
             (GROUP * count, plan.frames),
             (GROUP, 1),
-            sums=b["noise_sums"],
-            columns=size["columns"],
-            step=size["step"],
+            octave,
             octave=np.uint32(octave),
             bands=np.uint32(bands(plan)),
-            noise=b["noise"],
+            sums=sums,
         ),
     ]

@@ -77,23 +77,12 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 
 def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the list of corners to positions."""
-    arrays, size = plan.arrays, _full_size(plan)
-    if plan.config.refinement is not None:
-        given = {name: arrays[name] for name in ("corners", "counts", "result")}
-        refined, *grown = looks(plan, room=plan.corner_capacity, **given)
-        return [refined, *_typical(plan), *grown]
-    return [
-        plan.of_corners(
-            "centroids",
-            corners=arrays["corners"],
-            counts=arrays["counts"],
-            rows=size["rows"],
-            columns=size["columns"],
-            **plan.corner_list,
-            scale=np.float32(plan.scale or 1),
-            result=arrays["result"],
-        )
-    ]
+    if plan.config.refinement is None:
+        scale = np.float32(plan.scale or 1)
+        return [plan.of_corners("centroids", **_full_size(plan), scale=scale)]
+    given = {name: plan.arrays[name] for name in ("corners", "counts", "result")}
+    refined, *grown = looks(plan, room=plan.corner_capacity, **given)
+    return [refined, *_typical(plan), *grown]
 
 
 def looks(
@@ -122,53 +111,37 @@ def looks(
         disc = {"radius": np.float32(radius), "moments": plan.constant(moments(radius))}
     else:
         shift = refinement.max_shift
+    listed = {
+        "corners": corners,
+        "counts": counts,
+        "result": result,
+        "capacity": np.uint32(room),
+        "length": np.uint32(plan.frames * room),
+    }
     shares = min(SHARES * plan.device.handle.max_compute_units, room // LANES)
     launch = plan.stage(
         f"{_name(refinement)}_eight" if eight else _name(refinement),
         (shares if eight else room, plan.frames),
         (1 if eight else GROUP, 1),
         image=plan.arrays["image"],
-        corners=corners,
-        counts=counts,
         **_full_size(plan),
-        capacity=np.uint32(room),
-        count_offset=np.uint32(plan.frames * plan.lists),
-        length=np.uint32(plan.frames * room),
+        **listed,
         max_shift=np.float32(shift / factor),
         scale=np.float32(factor),
         **rings,
         **disc,
-        result=result,
     )
     if not isinstance(refinement, EdgeStep):
         return [launch]
-    grow = plan.stage(
-        "grow_variance",
-        (room, plan.frames),
-        (GROUP, 1),
-        **_residuals(plan, counts, result, room),
-    )
-    return [launch, grow]
+    return [launch, plan.stage("grow_variance", (room, plan.frames), (GROUP, 1), **listed)]
 
 
 def _typical(plan: PlanBase) -> list[Launch]:
     """Return the launch that finds the medians of the residuals, if there are any."""
     if not isinstance(plan.config.refinement, EdgeStep):
         return []
-    arrays = _residuals(plan, plan.arrays["counts"], plan.arrays["result"], plan.corner_capacity)
-    groups = plan.frames * (plan.compiled_octaves + 1) * MEDIANS
-    return [plan.of_groups("typical_residual", groups, MEDIAN_GROUP, **arrays)]
-
-
-def _residuals(plan: PlanBase, counts: cl.Buffer, result: cl.Buffer, room: int) -> dict[str, Any]:
-    """Return the arguments of the kernels of kernels/residual.cl, by name."""
-    return {
-        "result": result,
-        "counts": counts,
-        "capacity": np.uint32(room),
-        "count_offset": np.uint32(plan.frames * plan.lists),
-        "typical": plan.arrays["typical"],
-    }
+    groups, capacity = plan.frames * (plan.compiled_octaves + 1) * MEDIANS, plan.corner_capacity
+    return [plan.of_groups("typical_residual", groups, MEDIAN_GROUP, capacity=np.uint32(capacity))]
 
 
 def _full_size(plan: PlanBase) -> dict[str, Any]:

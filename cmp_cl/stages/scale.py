@@ -38,8 +38,6 @@ def launches(plan: PlanBase) -> list[Launch]:
         weight_x=plan.constant(np.pad(weight_x.T, ((0, 0), beside))),
         full_rows=np.uint32(plan.shape[0]),
         full_step=np.uint32(plan.full_step),
-        rows=plan.size["rows"],
-        step=plan.size["step"],
         scaled=plan.image,
     )
     return [resample]

@@ -28,18 +28,14 @@ def macros(plan: PlanBase, rule: BinaryRings) -> dict[str, str]:
 
 def launches(plan: PlanBase, rule: BinaryRings) -> list[Launch]:
     """Return the launches from the image to the binary image, and to empty lists."""
-    b, threshold, frame_rows = plan.arrays, rule.threshold, plan.frames * plan.working[0]
-    rows = {"rows": plan.size["rows"], "step": plan.size["step"]}
-    image, sums, binary = {"image": plan.image}, {"sums": b["sums"]}, {"binary": b["binary"]}
+    threshold, frame_rows = rule.threshold, plan.frames * plan.working[0]
     column, level = plan.types["SUM_OF_COLUMN"].type, plan.types["LEVEL"].type
     # A mean of bytes is never above 255.
     offset = threshold.offset if plan.dtype == np.uint16 else min(threshold.offset, 255)
     levels = {"count": level(threshold.window**2), "offset": level(offset), "zero": np.uint32(0)}
-    gated = () if rule.contrast is None else ("passed",)
-    emptied = {name: b[name] for name in ("counts", "row_counts", *gated, "maxima")}
     return [
-        plan.few("repeat_border", frame_rows, 1, **plan.size, **image),
-        plan.dense("column_sums", **image, **rows, zero=column(0), **sums),
-        plan.dense("binarize", **image, **sums, **rows, **levels, **binary),
-        plan.few("repeat_border_binary", frame_rows, 1, **plan.size, **binary, **emptied),
+        plan.few("repeat_border", frame_rows, 1),
+        plan.dense("column_sums", zero=column(0)),
+        plan.dense("binarize", **levels),
+        plan.few("repeat_border_binary", frame_rows, 1),
     ]

@@ -8,7 +8,7 @@ from cmp_cl.config import SectorContrast
 from cmp_cl.opencl.launches import GROUP, Launch
 from cmp_cl.stages import noise
 from cmp_cl.stages.layout import PlanBase
-from cmp_cl.stages.paper.criteria import listed, of_candidates
+from cmp_cl.stages.paper.criteria import of_candidates
 
 BINS = 256  # bins of the histograms of contrasts
 CONTRASTS = ("inner_contrast", "contrast", "mean_difference")
@@ -35,71 +35,31 @@ def scratch(plan: PlanBase) -> dict[str, int]:
 
 def launches(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
     """Return the launches from the maxima to a bit for every maximum that passes."""
-    b = plan.arrays
-    contrasts = {name: b[name] for name in CONTRASTS}
-    given = listed(plan)
-    limits = {name: given.pop(name) for name in ("rows", "step", "capacity")}
     return [
         *noise.launches(plan),
-        plan.stage("clear_bins", (BINS, plan.frames), (GROUP, 1), bins=b["bins"]),
-        of_candidates(
-            plan,
-            "sector_contrast",
-            image=plan.image,
-            binary=b["binary"],
-            **given,
-            **limits,
-            maxima=b["maxima"],
-            **contrasts,
-            bins=b["bins"],
-        ),
+        plan.stage("clear_bins", (BINS, plan.frames), (GROUP, 1)),
+        of_candidates(plan, "sector_contrast"),
         *_percentile(plan, gate),
-        of_candidates(
-            plan,
-            "pass_gate",
-            **given,
-            contrast=b["contrast"],
-            mean_difference=b["mean_difference"],
-            bounds=b["bounds"],
-            **limits,
-            passed=b["passed"],
-            row_counts=b["row_counts"],
-        ),
+        of_candidates(plan, "pass_gate"),
     ]
 
 
 def _percentile(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
     """Return the launches from the histogram of the inner contrasts to the bounds."""
-    b, deep = plan.arrays, plan.dtype == np.uint16
+    deep = plan.dtype == np.uint16
     levels = np.arange(2**16 if deep else 2**8)
     floor = math.ceil(gate.minimum * plan.config.grey_levels(plan.dtype) / 255)
     limit = np.maximum(np.ceil(np.float64(gate.relative) * levels), floor).astype(np.int32)
     given = {
-        "noise_sums": b["noise"],
+        "noise_sums": plan.arrays["noise"],
         "limit": plan.constant(limit),
-        "rows": plan.size["rows"],
-        "columns": plan.size["columns"],
         "bands": np.uint32(noise.bands(plan)),
-    }
-    left = {
         "noise_factor": np.uint32(math.floor(NOISE_FACTOR * gate.noise + 0.5)),
-        "bins": b["bins"],
-        "found": b["found"],
-        "bounds": b["bounds"],
     }
 
     def percentile(shift: int) -> Launch:
-        return plan.few("percentile", plan.frames, 1, **given, shift=np.uint32(shift), **left)
+        return plan.few("percentile", plan.frames, 1, **given, shift=np.uint32(shift))
 
     if not deep:
         return [percentile(0)]
-    lower = of_candidates(
-        plan,
-        "histogram",
-        inner_contrast=b["inner_contrast"],
-        counts=b["counts"],
-        found=b["found"],
-        capacity=np.uint32(plan.list_capacity),
-        bins=b["bins"],
-    )
-    return [percentile(8), lower, percentile(0)]
+    return [percentile(8), of_candidates(plan, "histogram"), percentile(0)]

@@ -2,22 +2,13 @@
 
 from cmp_cl.opencl.launches import Launch
 from cmp_cl.stages.layout import PlanBase
-from cmp_cl.stages.paper.criteria import listed, of_candidates
+from cmp_cl.stages.paper.criteria import of_candidates
 
 
 def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the lists of candidates to a bit for every maximum."""
-    b, given = plan.arrays, listed(plan)
-    response = {"response": b["response"]}
-    key = {"key": b["key"]} if keeps_keys(plan) else {}
-    found = {"row_counts": b["row_counts"], "maxima": b["maxima"]}
-    scattered = {"list_of_responses": b["responses"], **response}
-    score = [of_candidates(plan, "score", **given, **response, **key)] if key else []
-    return [
-        of_candidates(plan, "scatter", **given, **scattered),
-        *score,
-        of_candidates(plan, "maximum", **given, **response, **key, **found),
-    ]
+    names = ("scatter", *(["score"] if keeps_keys(plan) else []), "maximum")
+    return [of_candidates(plan, name) for name in names]
 
 
 def keeps_keys(plan: PlanBase) -> bool:

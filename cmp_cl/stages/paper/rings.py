@@ -6,6 +6,8 @@ response.
 
 from typing import cast
 
+import numpy as np
+
 from cmp_cl.config import BinaryRings, RapidCriteria
 from cmp_cl.opencl.launches import Launch
 from cmp_cl.stages.layout import PlanBase
@@ -91,28 +93,9 @@ def _rule(plan: PlanBase) -> BinaryRings:
 
 def _corners(plan: PlanBase, kept: str) -> list[Launch]:
     """Return the launches from the bits of the maxima to the corners in (y, x) order."""
-    b, rows, step = plan.arrays, plan.size["rows"], plan.size["step"]
-    corners = {"corners": b["corners"]}
+    capacity, maxima = np.uint32(plan.corner_capacity), plan.arrays[kept]
+    rows, frames = plan.working[0], plan.frames
     return [
-        plan.few(
-            "list_maxima",
-            plan.working[0],
-            plan.frames,
-            maxima=b[kept],
-            row_counts=b["row_counts"],
-            rows=rows,
-            step=step,
-            **plan.corner_list,
-            **corners,
-            counts=b["counts"],
-        ),
-        plan.of_corners(
-            "centroid",
-            response=b["response"],
-            counts=b["counts"],
-            rows=rows,
-            step=step,
-            **plan.corner_list,
-            **corners,
-        ),
+        plan.few("list_maxima", rows, frames, capacity=capacity, maxima=maxima),
+        plan.of_corners("centroid"),
     ]
