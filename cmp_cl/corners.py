@@ -15,6 +15,7 @@ EDGES = 0.01  # share of the blocks that such edges cross
 ASKED = 300  # corners, at most, whose neighbour is looked for
 FEW_LEVELS = 1 / 80  # of full scale, under which a print has no corners
 FEW_BITS = 2**14  # a grey level that an image of 16 bits reaches, unless it is very dark
+MOSAIC = 0.75  # least share of the brightest mean that the darkest of the four pixels of 2 x 2 has
 ALTERNATE = -0.6  # mean cosine of twice the turn to the neighbour; noise has -.24 to -.6
 
 
@@ -89,13 +90,19 @@ class Corners:
         """Return in one line why these seem not to be the corners of a pattern, and what to try.
 
         The line is empty if nothing speaks against them. It says that grey levels do not fit the
-        full scale, that there is no corner although there are strong edges, or that neighbouring
-        corners do not alternate as those of a checkerboard do: most are then noise or texture.
+        full scale, that the image is the raw mosaic of a colour camera, that there is no corner
+        although there are strong edges, or that neighbouring corners do not alternate as those of a
+        checkerboard do: most are then noise or texture.
 
         image: (H, W), which they are of. full_scale: its largest grey level, if that was given.
         """
         if levels := _misfit(int(image.min()), int(image.max()), image.dtype, full_scale):
             return levels
+        if _is_mosaic(image):
+            return (
+                "every other row and column is darker, as in the raw image of a colour camera: "
+                "convert it first, for example by cv2.cvtColor(image, cv2.COLOR_BayerRG2GRAY)"
+            )
         if not len(self) and _has_edges(image):
             return (
                 "no corner, although there are strong edges: enlarge an image whose cells are "
@@ -146,6 +153,15 @@ def _misfit(darkest: int, brightest: int, dtype: DTypeLike, full_scale: int | No
     *levels, last = [f"{2**bits - 1} for {bits} bits" for bits in cameras[:-1]]
     scales = f"{', '.join(levels)} or {last}" if levels else last
     return f"the brightest of the 16-bit pixels is {brightest}; give a full scale of {scales}"
+
+
+def _is_mosaic(image: GreyImage) -> bool:
+    """Return whether the four pixels of 2 x 2 differ over the whole image."""
+    if min(image.shape) < 2:
+        return False
+    rows, columns = (length // 2 * 2 for length in image.shape)
+    means = image[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).mean(axis=(0, 2))
+    return bool(means.min() < MOSAIC * means.max())
 
 
 def _has_edges(image: GreyImage) -> bool:

@@ -37,6 +37,15 @@ def test_strong_edges_without_a_corner_are_spoken_of():
     assert "enlarge" in advice(stripes.astype(np.uint16) * 257)
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_the_raw_image_of_a_colour_camera_is_told(dtype):
+    image = board(*SHAPE, 20, samples=3)[0].astype(dtype) * (np.iinfo(dtype).max // 255)
+    assert not advice(image)
+    image[::2, ::2] = image[::2, ::2] * 0.6
+    image[1::2, 1::2] = image[1::2, 1::2] * 0.5
+    assert "COLOR_BayerRG2GRAY" in advice(image)
+
+
 def test_16_bits_of_few_levels_are_told_what_helps(tmp_path, capsys):
     image, _ = board(*SHAPE, 20, samples=3)
     faint = 14200 + image.astype(np.uint16) // 4
@@ -59,6 +68,7 @@ QUIET = {
         board(400, 500, 20, samples=3)[0], SHEARED, (200, 290)
     ),
     "3 x 3 px": lambda: np.full((3, 3), 90, np.uint8),
+    "1 row": lambda: np.full((1, 9), 90, np.uint8),
     "a ramp": lambda: np.tile(np.linspace(20, 200, 320).astype(np.uint8), (240, 1)),
     "fine noise": lambda: grain(0),
 }
