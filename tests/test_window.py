@@ -90,8 +90,8 @@ def test_a_window_behind_the_right_camera_is_refused():
         ({"normal": (0.0, 0.0, 0.0)}, "normal must point ahead of the left camera"),
         ({"normal": (0.0, 0.1, -1.0)}, "normal must point ahead of the left camera"),
         ({"distance": 0.0}, "lies behind the left camera"),
-        ({"layers": ((-1.0, 1.49),)}, "layer 1 of the window has thickness -1"),
-        ({"index": 0.9}, "the medium behind the window has index 0.9"),
+        ({"layers": ((-1.0, 1.49),)}, "a medium of the window has thickness -1"),
+        ({"index": 0.9}, "a medium of the window has .* index 0.9"),
     ],
 )
 def test_an_impossible_window_is_refused_in_one_line(changes, words):

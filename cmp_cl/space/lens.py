@@ -131,9 +131,9 @@ def checked_distortion(name: str, value: ArrayLike) -> Array:
 
 def check_matrix(name: str, matrix: Array) -> None:
     """Raise CalibrationError if a matrix (3, 3) of that name is not that of a camera."""
-    if min(matrix[0, 0], matrix[1, 1]) <= 0:
-        raise CalibrationError(f"{name} must have positive focal lengths, not {matrix.tolist()}")
-    if matrix[0, 1] or matrix[1, 0] or (matrix[2] != (0, 0, 1)).any():
+    others = matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]]
+    if min(matrix[0, 0], matrix[1, 1]) <= 0 or (others != (0, 0, 0, 0, 1)).any():
         raise CalibrationError(
-            f"{name} must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], not {matrix.tolist()}"
+            f"{name} must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with focal lengths above 0, not "
+            f"{matrix.tolist()}"
         )

@@ -99,11 +99,7 @@ def _open_storage(path: str | PathLike[str]) -> cv2.FileStorage:
     except OSError as error:
         why = error.strerror
         raise CalibrationError(f"cannot read the calibration {str(path)!r}: {why}") from error
-    except UnicodeDecodeError as error:
-        raise CalibrationError(
-            f"cannot read the calibration {str(path)!r}: it is not text in UTF-8"
-        ) from error
-    except (cv2.error, SystemError) as error:
+    except (UnicodeDecodeError, cv2.error, SystemError) as error:
         raise CalibrationError(f"{path}: neither YAML, XML nor JSON as OpenCV writes it") from error
 
 

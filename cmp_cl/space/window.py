@@ -62,16 +62,11 @@ class Window:
             tuple(checked_array("the window's layers", layer, (2,)).tolist()) for layer in given
         ]
         index = float(checked_array("the window's index", self.index, ()))
-        media = {f"layer {k} of the window": layer for k, layer in enumerate(layers, 1)}
-        for name, (thickness, refraction) in {
-            **media, "the medium behind the window": (0.0, index)
-        }.items():  # fmt: skip
-            if thickness < 0:
-                raise CalibrationError(f"{name} has thickness {thickness:g}; it must be at least 0")
-            if not 1 <= refraction <= _LARGEST_INDEX:
+        for thickness, refraction in [*layers, (0.0, index)]:
+            if thickness < 0 or not 1 <= refraction <= _LARGEST_INDEX:
                 raise CalibrationError(
-                    f"{name} has index {refraction:g}; it must be from 1, that of air, to "
-                    f"{_LARGEST_INDEX:g}"
+                    f"a medium of the window has thickness {thickness:g} and index {refraction:g}; "
+                    f"they must be from 0, and from 1, that of air, to {_LARGEST_INDEX:g}"
                 )
         normal /= np.linalg.norm(normal)
         normal.flags.writeable = False
