@@ -153,17 +153,17 @@ def write_matrices(path, **matrices):
 
 
 @pytest.mark.parametrize("suffix", ["yml", "xml", "json"])
-def test_the_two_files_of_opencvs_stereo_calib_are_read(tmp_path, suffix):
-    rig = toed_in_rig()
-    intrinsics, extrinsics = tmp_path / f"intrinsics.{suffix}", tmp_path / f"extrinsics.{suffix}"
-    write_matrices(intrinsics, M1=rig.K1, D1=rig.D1[None], M2=rig.K2, D2=rig.D2[None])
-    write_matrices(extrinsics, R=rig.R, T=rig.T[:, None], R1=np.eye(3), P1=np.eye(3, 4))
+def test_the_keys_of_opencvs_stereo_calib_are_read(tmp_path, suffix):
+    rig, path = toed_in_rig(), tmp_path / f"rig.{suffix}"
+    cameras = {"M1": rig.K1, "D1": rig.D1[None], "M2": rig.K2, "D2": rig.D2[None]}
+    write_matrices(path, **cameras, R=rig.R, T=rig.T[:, None], R1=np.eye(3), P1=np.eye(3, 4))
     with pytest.warns(UserWarning, match="no unit"):
-        again = StereoRig.load(intrinsics, extrinsics)
+        again = StereoRig.load(path)
     np.testing.assert_array_equal(again.K2, rig.K2)
     np.testing.assert_array_equal(again.T, rig.T)
+    write_matrices(path, **cameras)
     with pytest.raises(CalibrationError, match="no R; no T"):
-        StereoRig.load(intrinsics)
+        StereoRig.load(path)
 
 
 GOOD = {"K1": K, "D1": [], "K2": K, "D2": [], "R": np.eye(3), "T": [-1, 0, 0]}

@@ -215,7 +215,7 @@ def _report(found: Calibration, names: Mapping[str, list[str]]) -> None:
         if camera.T.any():
             angle = np.degrees(np.arccos(np.clip((np.trace(camera.R) - 1) / 2, -1, 1)))
             pose = (
-                f"; {np.linalg.norm(camera.T):.3f} {camera.unit} and {angle:.2f} degrees from "
+                f"; {np.linalg.norm(camera.T):.3f} mm and {angle:.2f} degrees from "
                 f"{next(iter(found.cameras))}"
             )
         print(

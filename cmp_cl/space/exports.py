@@ -29,9 +29,6 @@ _ROS_MODELS = {
     Lens.FISHEYE: "equidistant",
 }
 _KALIBR_MODELS = {Lens.PINHOLE: "radtan", Lens.FISHEYE: "equidistant"}
-_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
-
-
 # corners
 
 
@@ -99,7 +96,7 @@ def save_cameras(
     cameras get a file each, NAME-CAMERA.camera_info.yaml.
 
     Raises ConfigError on another name, CalibrationError if Kalibr has no such lens (rational, or k3
-    other than 0) or the unit is not m, cm, mm or um, and OSError.
+    other than 0), and OSError.
     """
     ending, target = check_cameras(path), Path(path)
     if ending in (".yaml", ".yml"):
@@ -148,7 +145,7 @@ def _of_opencv(cameras: Cameras, covariance: Array | None, window: Window | None
         entries |= {"R": last.R, "T": last.T[:, None]}
     if covariance is not None:
         entries["covariance"] = covariance
-    return entries | window_entries(window) | {"unit": last.unit}
+    return entries | window_entries(window) | {"unit": "mm"}
 
 
 def _of_ros(name: str, camera: Camera) -> dict[str, Any]:
@@ -179,12 +176,8 @@ def _of_kalibr(cameras: Cameras) -> dict[str, Any]:
                 f"{camera.lens.value} with {len(camera.distortion)} coefficients; calibrate it as "
                 "a pinhole or fisheye"
             )
-        if camera.unit not in _METRES:
-            raise CalibrationError(
-                f"the unit must be one of {', '.join(_METRES)}, not {camera.unit}"
-            )
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = camera.R, camera.T * _METRES[camera.unit]
+        pose[:3, :3], pose[:3, 3] = camera.R, camera.T / 1000
         entries[f"cam{number}"] = {
             "camera_model": "pinhole",
             "intrinsics": camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]],

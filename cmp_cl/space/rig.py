@@ -108,21 +108,20 @@ class StereoRig:
         object.__setattr__(self, name, value)
 
     @classmethod
-    def load(cls, *paths: str | PathLike[str]) -> Self:
-        """Read a rig from one or more files of OpenCV's FileStorage (YAML, XML or JSON).
+    def load(cls, path: str | PathLike[str]) -> Self:
+        """Read a rig from a file of OpenCV's FileStorage (YAML, XML or JSON).
 
-        The keys are K1 D1 K2 D2 R T; M1, M2, cameraMatrix1, distCoeffs1, ... are accepted too.
-        OpenCV's stereo_calib writes two files, intrinsics.yml and extrinsics.yml.
-        The key `unit` names the unit of T; without it, that is mm, with a warning.
+        The keys are K1 D1 K2 D2 R T; M1, M2, cameraMatrix1, distCoeffs1, ... are accepted too. The
+        key `unit` names the unit of T; without it, that is mm, with a warning.
 
-        Raises CalibrationError if a file cannot be read, or a parameter is missing, malformed or
+        Raises CalibrationError if the file cannot be read, or a parameter is missing, malformed or
         given twice.
         """
-        found = read_rig(paths)
+        found = read_rig(path)
         try:
             return cls(**found)
         except CalibrationError as error:
-            raise CalibrationError(f"{', '.join(map(str, paths))}: {error}") from error
+            raise CalibrationError(f"{path}: {error}") from error
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the rig as YAML that OpenCV reads. The file is replaced whole or not at all.

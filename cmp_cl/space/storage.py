@@ -3,7 +3,7 @@
 import itertools
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -34,43 +34,40 @@ _KEYS = [
 ]
 
 
-def read_rig(paths: Sequence[str | PathLike[str]]) -> dict[str, Any]:
-    """Return what files of one rig hold, by the names of `StereoRig`'s arguments.
+def read_rig(path: str | PathLike[str]) -> dict[str, Any]:
+    """Return what the file of a rig holds, by the names of `StereoRig`'s arguments.
 
-    Without a unit it warns. Raises CalibrationError if a file cannot be read, or a camera is
+    Without a unit it warns. Raises CalibrationError if the file cannot be read, or a camera is
     missing, contradicts itself or is a fisheye.
     """
     found: dict[str, Any] = {}
-    for path in paths:
-        storage = _open_storage(path)
-        for name, aliases in _MATRICES.items():
-            for alias in aliases:
-                value = _read_matrix(storage, alias, path)
-                if value is None:
-                    continue
-                if name in found and not np.array_equal(found[name], value):
-                    raise CalibrationError(f"{path}: {alias} contradicts an earlier {name}")
-                found[name] = value
-        if "fisheye" in (storage.getNode(name).string() for name in ("lens1", "lens2")):
-            raise CalibrationError(
-                f"{path}: a camera is a fisheye, and a rig of two views takes none; calibrate it "
-                "with --lens rational"
-            )
-        window, unit = _read_window(storage, path), storage.getNode("unit")
-        if window is not None:
-            found["window"] = window
-        if unit.isString():
-            found["unit"] = unit.string()
-        elif not unit.empty():
-            raise CalibrationError(f"{path}: unit must be a word such as mm")
-    files = ", ".join(map(str, paths))
+    storage = _open_storage(path)
+    for name, aliases in _MATRICES.items():
+        for alias in aliases:
+            value = _read_matrix(storage, alias, path)
+            if value is None:
+                continue
+            if name in found and not np.array_equal(found[name], value):
+                raise CalibrationError(f"{path}: {alias} contradicts {name}")
+            found[name] = value
+    if "fisheye" in (storage.getNode(name).string() for name in ("lens1", "lens2")):
+        raise CalibrationError(
+            f"{path}: a camera is a fisheye, and a rig of two views takes none; calibrate it "
+            "with --lens rational"
+        )
     missing = [" or ".join(_NEEDED[name]) for name in _NEEDED if name not in found]
     if missing:
-        what = f"{files}: no {'; no '.join(missing)}"
-        raise CalibrationError(f"{what}; a rig has two cameras" if "K1" in found else what)
-    if "unit" not in found:
+        raise CalibrationError(f"{path}: no {'; no '.join(missing)}; a rig has two cameras")
+    window, unit = _read_window(storage, path), storage.getNode("unit")
+    if window is not None:
+        found["window"] = window
+    if unit.isString():
+        found["unit"] = unit.string()
+    elif not unit.empty():
+        raise CalibrationError(f"{path}: unit must be a word such as mm")
+    else:
         warnings.warn(
-            f"{files}: no unit, so T is taken to be in mm; add a line unit: mm", stacklevel=3
+            f"{path}: no unit, so T is taken to be in mm; add a line unit: mm", stacklevel=3
         )
     return found
 

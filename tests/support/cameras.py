@@ -23,5 +23,4 @@ def camera(lens: Lens, rotation=(0.0, 0.0, 0.0), translation=(0.0, 0.0, 0.0)) ->
         distortion=DISTORTIONS[lens],
         R=cv2.Rodrigues(np.array(rotation))[0],
         T=np.array(translation),
-        unit="mm",
     )

@@ -44,7 +44,7 @@ class Camera:
     """A calibrated camera, and its pose relative to the first one.
 
     lens: the model. size: (width, height), px. matrix: (3, 3), px. distortion: as many coefficients
-    as the lens has, 5, 8 or 4. R: (3, 3), T: (3,): X = R X_first + T, T in `unit`.
+    as the lens has, 5, 8 or 4. R: (3, 3), T: (3,): X = R X_first + T, mm.
 
     Raises CalibrationError for another number of coefficients.
     """
@@ -55,7 +55,6 @@ class Camera:
     distortion: Array
     R: Array
     T: Array
-    unit: str
 
     def __post_init__(self) -> None:
         if np.size(self.distortion) != self.lens.coefficients:
@@ -122,7 +121,6 @@ class Calibration:
             two.distortion,
             two.R,
             two.T,
-            unit=two.unit,
             covariance=self.covariance,
         )
 
@@ -133,12 +131,11 @@ def calibrate(
     spacing: float,
     sizes: Mapping[str, tuple[int, int]],
     lens: Lens = Lens.PINHOLE,
-    unit: str = "mm",
 ) -> Calibration:
     """Calibrate cameras on views of one board.
 
     views: by camera, the grid at every moment, None if the camera does not see the board.
-    spacing: side of a square, in `unit`. sizes: by camera, (width, height) of its images, px.
+    spacing: side of a square, mm. sizes: by camera, (width, height) of its images, px.
     lens: the lens model of all cameras.
 
     A view may show part of the board, and may be numbered from any corner of it. Views that show
@@ -154,7 +151,6 @@ def calibrate(
     views, sizes = _checked(views, sizes)
     check_positive("spacing", spacing, CalibrationError)
     check_kind("lens", lens, Lens, CalibrationError)
-    check_kind("unit", unit, str, CalibrationError)
     seen, alike = _different(views)
     names = list(views)
     alone = {name: _alone(name, seen, sizes[name], lens) for name in names}
@@ -191,7 +187,6 @@ def calibrate(
                 distortion=distortion_of(camera),
                 R=rotation_of(camera),
                 T=camera[-3:],
-                unit=unit,
             )
             for name, camera in zip(names, cameras, strict=True)
         },
