@@ -147,7 +147,12 @@ class DisplacementField:
         ParaView. The raw field is written beside a filtered one; the names of its arrays begin with
         raw_. Raises ConfigError on another suffix, OSError if the file cannot be written.
         """
-        suffix, arrays = suffix_of(path, ConfigError), arrays_of(self)
+        suffix = suffix_of(path, ConfigError)
+        arrays: dict[str, NDArray[Any]] = {}
+        for begin, each in (("", self), ("raw_", self.raw)):
+            named = {f"{begin}{name}": getattr(each, name, None) for name in _IN_FILES}
+            arrays |= {name: values for name, values in named.items() if values is not None}
+        arrays |= {"status": self.status, "source": self.source}
         if suffix == ".npz":
             with whole_file(path) as file:
                 np.savez(file, **arrays, unit=np.array(self.unit))  # type: ignore[arg-type]
@@ -200,14 +205,3 @@ class DisplacementField:
         without a strain."""
         named = {name: getattr(self, name) for name in _STRAIN}
         return {name: values for name, values in named.items() if values is not None}
-
-
-def arrays_of(field: DisplacementField) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a field by name; those of the raw one begin with raw_."""
-    arrays: dict[str, NDArray[Any]] = {}
-    for begin, each in (("", field), ("raw_", field.raw)):
-        for name in _IN_FILES:
-            values = getattr(each, name, None)
-            if values is not None:
-                arrays[begin + name] = values
-    return arrays | {"status": field.status, "source": field.source}

@@ -168,13 +168,11 @@ def _timed_frames(container: Any, stream: Any) -> Iterator[tuple[GreyImage | Non
             continue
         for frame in frames:
             time_ms = math.nan if frame.time is None else float(frame.time) * 1e3
-            yield None if frame.is_corrupt else _upright(frame), time_ms
-
-
-def _upright(frame: Any) -> GreyImage:
-    """Return the grey levels of a frame of PyAV, rotated as its display matrix says."""
-    quarters = round(frame.rotation / 90)
-    return cast(GreyImage, np.ascontiguousarray(np.rot90(_luma(frame), quarters)))
+            image: GreyImage | None = None
+            if not frame.is_corrupt:  # upright, as its display matrix says
+                turned = np.rot90(_luma(frame), round(frame.rotation / 90))
+                image = cast(GreyImage, np.ascontiguousarray(turned))
+            yield image, time_ms
 
 
 def _luma(frame: Any) -> GreyImage:

@@ -65,7 +65,8 @@ def write_hdf5(series: Stored, path: Path, _target: Path) -> None:
     import h5py
 
     needed = sum(each.nbytes + _ROOM_OF_FRAME * len(each) for each in series.arrays.values())
-    _check_room(path.parent, needed + _ROOM)
+    if shutil.disk_usage(path.parent).free < needed + _ROOM:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     units = series.about["units"]
     try:
         with h5py.File(path, "w", libver="latest") as file:
@@ -85,14 +86,6 @@ def write_hdf5(series: Stored, path: Path, _target: Path) -> None:
     except (RuntimeError, OSError) as error:
         said = re.search(r"errno = (\d+), error message = '([^']*)'", str(error))
         raise OSError(*((int(said[1]), said[2]) if said else (str(error),))) from error
-
-
-def _check_room(folder: Path, size: int) -> None:
-    """Raise OSError if the disk of a folder has less room than `size` bytes."""
-    if hasattr(os, "statvfs"):
-        disk = os.statvfs(folder)
-        if disk.f_bavail * disk.f_frsize < size:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def write_csv(series: Stored, path: Path, target: Path) -> None:

@@ -35,10 +35,10 @@ SERIES_SUFFIXES = tuple(_FORMATS)
 
 # What this library writes of a recording, by the unit.
 _LENGTHS = [f"{raw}{name}" for raw in ("", "raw_") for name in ("rest", "displacement", "sigma")]
-_OTHERS = {
-    "px": ["xy", "left", "right", "xy_rest", "left_rest", "right_rest"],
-    "rad": ["direction", "direction_sigma"],
-    "ms": ["time_ms"],
+_LENGTHS += ["bias_sigma"]
+_UNITS = {
+    **dict.fromkeys(("xy", "left", "right", "xy_rest", "left_rest", "right_rest"), "px"),
+    **{"direction": "rad", "direction_sigma": "rad", "time_ms": "ms"},
 }
 
 
@@ -125,8 +125,10 @@ class SeriesWriter(Closing):
         self._open = True
         self.earlier: list[Path] = []
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        about = {"units": _units(constants.get("unit")), "cmp_cl": __version__, "written": now}
-        about |= dict(settings or {})
+        units = dict(_UNITS)
+        if "unit" in constants:
+            units |= dict.fromkeys(_LENGTHS, str(constants["unit"]))
+        about = {"units": units, "cmp_cl": __version__, "written": now, **(settings or {})}
         self._target = Path("-")
         self._of_nodes = False
         if isinstance(path, str) and path == "-":
@@ -196,12 +198,6 @@ class SeriesWriter(Closing):
             frames = "1 frame" if self._count == 1 else f"{self._count} frames"
             why = f"{error.strerror or error}; what was added, {frames}, is in {self._sink.path}"
             raise OSError(error.errno, why, str(self._target)) from error
-
-
-def _units(length: ArrayLike | None) -> dict[str, str]:
-    """Return the units of the arrays of a recording by name; length: that of lengths, if known."""
-    names = _OTHERS if length is None else {str(length): [*_LENGTHS, "bias_sigma"], **_OTHERS}
-    return {name: unit for unit, named in names.items() for name in named}
 
 
 def _known_suffix(path: str | PathLike[str]) -> str:

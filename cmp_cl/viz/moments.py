@@ -110,7 +110,10 @@ class Moment:
         if quantity is Quantity.SIGMA:
             return [Map("standard deviation", self.sigma, self.unit)]
         if quantity is Quantity.STRAIN:
-            larger, smaller = self._principal_strains()
+            rest = np.where(np.isnan(self.shift), np.nan, self.rest)
+            strain = green_lagrange(rest, rest + self.shift)
+            principal = principal_of(strain, np.zeros((*strain.shape, 3)))[0]
+            larger, smaller = np.moveaxis(principal, 2, 0)
             return [
                 Map("larger principal strain", 100 * larger, "%", signed=True),
                 Map("smaller principal strain", 100 * smaller, "%", signed=True),
@@ -118,12 +121,6 @@ class Moment:
         if not self.in_space:
             raise FieldError("one view shows no height: record two views, with --stereo")
         return [Map("height", self.shift @ self.plane()[1][2], self.unit, signed=True)]
-
-    def _principal_strains(self) -> tuple[Array, Array]:
-        rest = np.where(np.isnan(self.shift), np.nan, self.rest)
-        strain = green_lagrange(rest, rest + self.shift)
-        larger, smaller = np.moveaxis(principal_of(strain, np.zeros((*strain.shape, 3)))[0], 2, 0)
-        return larger, smaller
 
 
 class Summary:

@@ -398,7 +398,7 @@ def test_a_pipe_gets_json_lines_alone_and_the_report_goes_to_stderr(one_view):
     command = [sys.executable, "-m", "cmp_cl", "run", str(one_view), "--grid", "12x12"]
     done = subprocess.run([*command, "--out", "-"], capture_output=True, text=True, check=True)
     lines = [json.loads(line) for line in done.stdout.splitlines()]
-    assert lines[0]["units"]["xy"] == "px"
+    assert lines[0]["units"]["xy"] == lines[0]["units"]["displacement"] == "px"
     assert lines[0]["device"]
     assert [line["frame"] for line in lines[1:]] == list(range(len(lines) - 1))
     assert "wrote -" in done.stderr

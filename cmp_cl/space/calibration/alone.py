@@ -36,11 +36,11 @@ class Alone:
     error: float
 
 
-def calibrate_alone(lens: Lens, looks: Sequence[Look], size: tuple[int, int]) -> Alone:
+def calibrate_alone(name: str, lens: Lens, looks: Sequence[Look], size: tuple[int, int]) -> Alone:
     """Calibrate one camera.
 
-    looks: of that camera. size: (width, height), px. Raises CalibrationError if OpenCV finds no
-    camera, or the views do not determine the focal length.
+    name: for messages. looks: of that camera. size: (width, height), px. Raises CalibrationError if
+    OpenCV finds no camera, or the views do not determine the focal length.
     """
     nodes = [np.ascontiguousarray(look.nodes[:, None], np.float32) for look in looks]
     points = [np.ascontiguousarray(look.xy[:, None], np.float32) for look in looks]
@@ -56,7 +56,8 @@ def calibrate_alone(lens: Lens, looks: Sequence[Look], size: tuple[int, int]) ->
                 )  # fmt: skip
     except cv2.error as failure:
         raise CalibrationError(
-            "the views do not determine the camera: show the board tilted, in different directions"
+            f"{name}: the views do not determine the camera: show the board tilted, in different "
+            "directions"
         ) from failure
     coefficients = distortion.ravel()[: lens.coefficients]
     camera = camera_of(np.asarray(matrix, "f8"), coefficients.astype("f8"), np.eye(3), np.zeros(3))
@@ -68,7 +69,7 @@ def calibrate_alone(lens: Lens, looks: Sequence[Look], size: tuple[int, int]) ->
     sigma = math.inf if spread is None else math.sqrt(float(np.diag(spread)[:2].max()))
     if not sigma < _MAX_FOCAL_SIGMA * camera[0]:
         raise CalibrationError(
-            f"the views leave the focal length uncertain by {sigma / camera[0]:.0%}: "
+            f"{name}: the views leave the focal length uncertain by {sigma / camera[0]:.0%}: "
             "show the board tilted, in different directions"
         )
     moments = [look.moment for look in looks]

@@ -153,7 +153,15 @@ def calibrate(
     check_kind("lens", lens, Lens, CalibrationError)
     seen, alike = _different(views)
     names = list(views)
-    alone = {name: _alone(name, seen, sizes[name], lens) for name in names}
+    alone = {
+        name: calibrate_alone(
+            name,
+            lens,
+            [_look(grid, 0, moment) for (own, moment), grid in seen.items() if own == name],
+            sizes[name],
+        )
+        for name in names
+    }
     places = place(alone, seen)
     seen = places.grids
     moments = {moment: number for number, moment in enumerate(sorted(places.boards))}
@@ -230,24 +238,18 @@ def _checked(
     return every, known
 
 
-def _large(grid: Grid) -> bool:
-    """Return whether a grid has enough nodes, in at least two rows and two columns."""
-    rows, columns = np.nonzero(grid.valid)
-    return bool(len(rows) >= MIN_NODES and np.ptp(rows) > 0 and np.ptp(columns) > 0)
-
-
 def _different(views: Mapping[str, Sequence[Grid | None]]) -> tuple[Seen, list[list[int]]]:
     """Return the grids that bring something new, and the groups of at least two moments whose views
     are alike in each camera, of which the first is taken.
 
     Raises CalibrationError if a camera has too few of them.
     """
-    large = {
-        (name, moment): grid
-        for name, each in views.items()
-        for moment, grid in enumerate(each)
-        if grid is not None and _large(grid)
-    }
+    large: Seen = {}
+    for name, each in views.items():
+        for moment, grid in enumerate(each):
+            rows, columns = ((), ()) if grid is None else np.nonzero(grid.valid)
+            if grid is not None and len(rows) >= MIN_NODES and np.ptp(rows) and np.ptp(columns):
+                large[name, moment] = grid
     groups: list[list[int]] = []
     for moment in sorted({moment for _, moment in large}):
         for group in groups:
@@ -290,15 +292,6 @@ def _look(grid: Grid, camera: int, moment: int) -> Look:
     row, column = np.nonzero(grid.valid)
     nodes = np.column_stack([column, row, np.zeros(len(row))]).astype(np.float64)
     return Look(camera, moment, nodes, grid.xy[grid.valid].astype(np.float64))
-
-
-def _alone(name: str, seen: Seen, size: tuple[int, int], lens: Lens) -> Alone:
-    """Calibrate one camera alone; errors name it."""
-    looks = [_look(grid, 0, key[1]) for key, grid in seen.items() if key[0] == name]
-    try:
-        return calibrate_alone(lens, looks, size)
-    except CalibrationError as error:
-        raise CalibrationError(f"{name}: {error}") from error
 
 
 def _check_fit(
