@@ -78,16 +78,10 @@ class Checkerboard:
         figure = Figure(figsize=(width / _MM_PER_INCH + rounding, height / _MM_PER_INCH + rounding))
         axes = figure.add_axes((0, 0, 1, 1), xlim=(0, width), ylim=(height, 0))
         axes.set_axis_off()
-        black = Path.make_compound_path_from_polys(self._black())
+        cells = np.argwhere(np.indices((self.shape[0] + 1, self.shape[1] + 1)).sum(0) % 2 == 0)
+        around = cells[:, None, ::-1] + [(0, 0), (1, 0), (1, 1), (0, 1)]
+        black = Path.make_compound_path_from_polys(around * self.cell)
         axes.add_patch(PathPatch(black, facecolor="black", linewidth=0, snap=False))
         how = {"metadata": {"Date": None}} if suffix == ".svg" else {"dpi": dpi}
         with whole_file(path) as file:
             figure.savefig(file, format=suffix[1:], **how)
-
-    def _black(self) -> NDArray[np.float64]:
-        """Return the corners of each black cell, (N, 4, 2), (x, y), mm."""
-        rows, columns = self.shape
-        row, column = np.nonzero(np.add.outer(np.arange(rows + 1), np.arange(columns + 1)) % 2 == 0)
-        around = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
-        cells = np.stack([column, row], axis=1)[:, None] + around
-        return np.asarray(cells * self.cell, np.float64)

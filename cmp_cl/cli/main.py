@@ -34,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     _open_streams()
     try:
         with handled(interrupt), warnings.catch_warnings():
-            warnings.showwarning = _warn  # type: ignore[assignment]
+            warnings.showwarning = lambda message, *_: tell(str(message))
             arguments = _parser().parse_args(argv)
             run: Callable[[argparse.Namespace], int] = arguments.run
             status = run(arguments)
@@ -90,10 +90,6 @@ def _parser() -> argparse.ArgumentParser:
         command.add_arguments(inner)
         inner.set_defaults(run=command.run)
     return parser
-
-
-def _warn(message: Warning | str, *_: object) -> None:
-    tell(str(message))
 
 
 def _fail(message: str, *, status: int = 2) -> int:

@@ -16,7 +16,6 @@ from typing import Any, cast
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, ImageError, check_kind
 from cmp_cl.image import GreyImage
@@ -143,7 +142,12 @@ def _captured(capture: Any) -> Generator[Frame, None, None]:
             read, picture = capture.read()
             now = time.monotonic() * 1e3
             if read:
-                yield Frame(index, grey_of(picture), now)
+                if picture.ndim == 3 and picture.shape[2] == 3:
+                    picture = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+                if picture.size != math.prod(picture.shape[:2]):
+                    shape = picture.shape
+                    raise ImageError(f"OpenCV delivers frames of {shape}, neither grey nor BGR")
+                yield Frame(index, np.ascontiguousarray(picture.reshape(picture.shape[:2])), now)
             gap = 0 if read else gap + 1
             index += 1
     finally:
@@ -156,15 +160,6 @@ def _from_first(frames: Iterable[Frame]) -> Iterator[Frame]:
     for frame in frames:
         start = frame.time_ms if math.isnan(start) else start
         yield dataclasses.replace(frame, time_ms=frame.time_ms - start)
-
-
-def grey_of(frame: NDArray[Any]) -> GreyImage:
-    """Return a frame that OpenCV captured, in BGR or raw, as (H, W); raises ImageError."""
-    if frame.ndim == 3 and frame.shape[2] == 3:
-        return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.uint8)
-    if frame.size != math.prod(frame.shape[:2]):
-        raise ImageError(f"OpenCV delivers frames of shape {frame.shape}, neither grey nor BGR")
-    return np.ascontiguousarray(frame.reshape(frame.shape[:2]))
 
 
 def paired(
@@ -244,14 +239,10 @@ class Pairs:
         for one, two in paired(left, right, tolerance_ms=self._within, endless=self.live):
             if one is None or two is None:
                 self.alone[one is None] += 1
-            else:
-                yield Frame(next(number), _side_by_side(one.image, two.image), one.time_ms)
-
-
-def _side_by_side(left: GreyImage | None, right: GreyImage | None) -> GreyImage | None:
-    if left is None or right is None:
-        return None
-    if (left.shape, left.dtype) != (right.shape, right.dtype):
-        sizes = [f"{each.shape[1]} x {each.shape[0]} px of {each.dtype}" for each in (left, right)]
-        raise ImageError(f"the left frame is {sizes[0]}, the right one {sizes[1]}")
-    return cast(GreyImage, np.hstack([left, right]))
+                continue
+            whole: GreyImage | None = None
+            if one.image is not None and two.image is not None:
+                if (one.image.shape, one.image.dtype) != (two.image.shape, two.image.dtype):
+                    raise ImageError("the left and the right frame differ in size or type")
+                whole = cast(GreyImage, np.hstack([one.image, two.image]))
+            yield Frame(next(number), whole, one.time_ms)

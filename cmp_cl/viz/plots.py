@@ -5,7 +5,6 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cmp_cl.errors import extra
 from cmp_cl.files import whole_file
@@ -118,7 +117,10 @@ def _draw_map(axes: "Axes", moment: Moment, shown: Map, top: float) -> None:
     title = shown.title if np.isfinite(cells).any() else f"{shown.title}: no cell has a value"
     if shown.title == "displacement":
         factor = 2 * float((high - low).max()) / _ARROWS / top  # the longest has two distances
-        some = _spread(~np.isnan(shown.values) & ~np.isnan(nodes[..., 0]), _ARROWS)
+        step = -(-max(shown.values.shape) // _ARROWS)
+        some = np.zeros(shown.values.shape, np.bool_)
+        some[step // 2 :: step, step // 2 :: step] = True
+        some &= ~np.isnan(shown.values) & ~np.isnan(nodes[..., 0])
         shift = (moment.shift @ directions[: nodes.shape[2], : moment.shift.shape[2]].T)[some]
         axes.quiver(
             *nodes[some].T, *shift.T,
@@ -191,14 +193,6 @@ def _draw_curves(axes: "Axes", summary: Summary, unit: str) -> None:
     axes.set(xlabel=label, ylabel=f"displacement / {unit}", title="displacement over time")
     axes.grid(alpha=0.3)
     axes.legend()
-
-
-def _spread(valid: NDArray[np.bool_], most: int) -> NDArray[np.bool_]:
-    """Return (R, C), True at valid nodes of which at most about `most` lie along a side."""
-    step = -(-max(valid.shape) // most)
-    some = np.zeros_like(valid)
-    some[step // 2 :: step, step // 2 :: step] = True
-    return some & valid
 
 
 def _top_of(maps: Sequence[Map]) -> float:

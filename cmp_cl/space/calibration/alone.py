@@ -1,9 +1,8 @@
 """Calibrates one camera by OpenCV."""
 
-import contextlib
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import cv2
@@ -44,21 +43,24 @@ def calibrate_alone(name: str, lens: Lens, looks: Sequence[Look], size: tuple[in
     """
     nodes = [np.ascontiguousarray(look.nodes[:, None], np.float32) for look in looks]
     points = [np.ascontiguousarray(look.xy[:, None], np.float32) for look in looks]
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)  # with several, the last bits of OpenCV's sums differ from run to run
     try:
-        with _one_thread():
-            if lens is Lens.FISHEYE:
-                error, matrix, distortion, turns, shifts = _fisheye(nodes, points, size)
-            else:
-                error, matrix, distortion, turns, shifts = cv2.calibrateCamera(
-                    nodes, points, size, np.eye(3), np.zeros(lens.coefficients),
-                    flags=cv2.CALIB_RATIONAL_MODEL if lens is Lens.RATIONAL else cv2.CALIB_FIX_K3,
-                    criteria=_STOP,
-                )  # fmt: skip
+        if lens is Lens.FISHEYE:
+            error, matrix, distortion, turns, shifts = _fisheye(nodes, points, size)
+        else:
+            error, matrix, distortion, turns, shifts = cv2.calibrateCamera(
+                nodes, points, size, np.eye(3), np.zeros(lens.coefficients),
+                flags=cv2.CALIB_RATIONAL_MODEL if lens is Lens.RATIONAL else cv2.CALIB_FIX_K3,
+                criteria=_STOP,
+            )  # fmt: skip
     except cv2.error as failure:
         raise CalibrationError(
             f"{name}: the views do not determine the camera: show the board tilted, in different "
             "directions"
         ) from failure
+    finally:
+        cv2.setNumThreads(threads)
     coefficients = distortion.ravel()[: lens.coefficients]
     camera = camera_of(np.asarray(matrix, "f8"), coefficients.astype("f8"), np.eye(3), np.zeros(3))
     poses = [np.r_[turn.ravel(), shift.ravel()] for turn, shift in zip(turns, shifts, strict=True)]
@@ -106,14 +108,3 @@ def _fisheye(nodes: Sequence[Any], points: Sequence[Any], size: tuple[int, int])
         assert failure is not None
         raise failure
     return best
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """Run OpenCV on one thread: with several, the last bits of its sums differ from run to run."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)
