@@ -338,21 +338,21 @@ void noise_of_eight(const int row, const int c, const float *length, const float
   }
 }
 
-/* The noise, and the first round of the search for outliers. The work-items of a row share its
- * nodes, eight at a time. */
+/* The noise, and the first round of the search for outliers. The work-items share the rows, and
+ * those of a row its nodes, eight at a time. */
 __kernel void noise(__global const float *near, __global const float *sums,
                     __global const float *size, __global const float *pilot_own_down,
                     __global const float *pilot_own_along, __global const float *rows_noise,
                     __global const float *bound_rest, __global const float *own,
                     const int bends, __global int *counts, __global uchar *votes,
                     __global float *variance, __global float *chosen, __global float *common) {
-  const int row = get_global_id(0);
-  if (row >= ROWS) return;
   float length[ESTIMATES], least_of_all;
   lengths_and_floor(sums, length, &least_of_all);
-  for (int c = LANES * get_global_id(1); c < LINE; c += LANES * get_global_size(1))
-    noise_of_eight(row, c, length, least_of_all, near, size, pilot_own_down, pilot_own_along,
-                   rows_noise, bound_rest, own, bends, 0, counts, votes, variance, chosen, common);
+  for (int row = get_global_id(0); row < ROWS; row += get_global_size(0))
+    for (int c = LANES * get_global_id(1); c < LINE; c += LANES * get_global_size(1))
+      noise_of_eight(row, c, length, least_of_all, near, size, pilot_own_down, pilot_own_along,
+                     rows_noise, bound_rest, own, bends, 0, counts, votes, variance, chosen,
+                     common);
 }
 
 /* The other rounds, each of them if the one before has rejected nodes, which is rare. One

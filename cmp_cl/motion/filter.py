@@ -30,6 +30,7 @@ from cmp_cl.opencl.program import Kernels, Programs, programs_of
 
 ROUNDS = 3  # rounds of the search for outliers
 _ESTIMATES, _MASKS = 5, 4  # of the noise, as in kernels/filter.cl
+_SHARES = 4  # of the rows for each unit of a CPU; each share costs sums over the lattice
 _ROUGH = 6  # sums over a row, in kernels/strain.cl
 _PAIRS_OF_AXES = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of a symmetric matrix
 _ENTRIES = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # the place of each entry among them
@@ -238,6 +239,7 @@ class LatticeFilter:
     ) -> None:
         self._shape, self._axes, self._slopes = shape, axes, slopes
         self._is_cpu = device.kind is DeviceKind.CPU
+        self._shares = _SHARES * device.handle.max_compute_units
         self._down, self._along = (axis_tables(n) for n in shape)
         self.inputs = Memory(queue, self._inputs())
         self._work = Memory(queue, self._work_layout())
@@ -348,28 +350,27 @@ class LatticeFilter:
     # What is launched
 
     def _listed(self) -> list[Launch]:
-        eights = multiple(self._shape[1], LANES) // LANES  # of a row
+        rows, eights = self._shape[0], multiple(self._shape[1], LANES) // LANES
         down, along = len(self._down.sides), len(self._along.sides)
         group = 1 if self._is_cpu else GROUP
         listed = [
             self._of_nodes("fill"),
-            self._of_rows("pilot", _ESTIMATES),
-            self._of_rows("noise", 1 if self._is_cpu else eights),
+            self._of("pilot", rows, _ESTIMATES),
+            self._of("noise", *((self._shares, 1) if self._is_cpu else (rows, eights))),
             bound(self._kernels, self.parts, "settle", (group,), (group,)),
-            self._of_rows("smooth", down, 1 if self._is_cpu else along),
-            self._of_rows("blend", eights),
+            self._of("smooth", rows, down, 1 if self._is_cpu else along),
+            self._of("blend", rows, eights),
             self._of_nodes("finish"),
         ]
         if self._slopes:
-            listed += [self._of_rows("roughness"), self._of_rows("slopes")]
+            listed += [self._of("roughness", rows), self._of("slopes", rows)]
         return listed
 
     def _of_nodes(self, name: str) -> Launch:
         return of_nodes(self._kernels, self._shape, self.parts, name)
 
-    def _of_rows(self, name: str, *others: int) -> Launch:
-        """Bind a kernel with one work-item per row, times `others`."""
-        items = (self._shape[0], *others)
+    def _of(self, name: str, *items: int) -> Launch:
+        """Bind a kernel with so many work-items, of rows or shares of them and of others."""
         group = (1,) * len(items) if self._is_cpu else None
         return bound(self._kernels, self.parts, name, items, group)
 
