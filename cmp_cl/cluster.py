@@ -10,7 +10,6 @@ Dask keeps the parts that are done until they are asked for, and gives the parts
 dies to another one.
 """
 
-import functools
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -19,7 +18,7 @@ from typing import Any
 
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
-from cmp_cl.detector import Detector
+from cmp_cl.detector import kept_detector
 from cmp_cl.errors import ConfigError, extra
 from cmp_cl.image import GreyImage, check_image
 
@@ -74,11 +73,5 @@ def _work(
     """Return the corners of a part; on a worker."""
     first = check_image(read(numbers[0]))
     with _ONE_PART:
-        detector = _detector(first.shape, first.dtype, config)
+        detector = kept_detector(first.shape, first.dtype, config)
         return list(detector.stream(chain([first], map(read, numbers[1:]))))
-
-
-@functools.lru_cache(maxsize=1)
-def _detector(shape: tuple[int, int], dtype: Any, config: DetectorConfig) -> Detector:
-    """Return the detector that a worker process keeps, as long as frames are alike."""
-    return Detector(shape=shape, dtype=dtype, config=config)

@@ -1,5 +1,6 @@
 """Detector: from frames to corners, on one OpenCL device."""
 
+import functools
 import threading
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
@@ -318,6 +319,14 @@ class Detector(Closing):
     def _check_alive(self) -> None:
         if self._closed:
             raise DeviceError("this detector is closed; make a new one")
+
+
+@functools.lru_cache(maxsize=1)
+def kept_detector(
+    shape: tuple[int, int], dtype: Any, config: DetectorConfig, device: Device | None = None
+) -> Detector:
+    """Return the detector that a process keeps as long as images are alike."""
+    return Detector(shape=shape, dtype=dtype, config=config, device=device)
 
 
 def detect(

@@ -2,12 +2,10 @@
 
 import argparse
 import contextlib
-import functools
 import statistics
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +21,7 @@ from cmp_cl.cli.arguments import (
 from cmp_cl.cli.messages import NoBar, counted, one_line, progress, shown, tell
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners, Method, Refusal
-from cmp_cl.detector import Detector
+from cmp_cl.detector import kept_detector
 from cmp_cl.errors import ConfigError, GridError, ImageError
 from cmp_cl.files import csv_bytes, whole_file
 from cmp_cl.grid import Grid, NodeStatus, build_grid
@@ -140,7 +138,7 @@ def _searched(
                 continue
             name = shown(path) if not frame.index else f"{shown(path)}, frame {frame.index}"
             start = time.perf_counter()
-            corners = _detector(image.shape, image.dtype, config, device)(image)
+            corners = kept_detector(image.shape, image.dtype, config, device)(image)
             grid, doubts = None, list[str]()
             if shape is not None:
                 grid, doubts = _numbered(corners, image, shape, device)
@@ -188,14 +186,6 @@ def _numbered(
     except GridError as error:
         return None, [f"not numbered: {one_line(error)}"]
     return grid, grid.doubts
-
-
-@functools.lru_cache(maxsize=1)
-def _detector(
-    shape: tuple[int, int], dtype: np.dtype[Any], config: DetectorConfig, device: Device
-) -> Detector:
-    """Return the detector, which is kept as long as images are alike."""
-    return Detector(shape=shape, dtype=dtype, config=config, device=device)
 
 
 def _corner_rows(corners: Corners) -> list[Sequence[object]]:

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError
-
 Arrays = Mapping[str, NDArray[Any]]
 
 _AXES = "x", "y", "z"
@@ -25,13 +23,8 @@ def node_columns(arrays: Arrays, units: Mapping[str, str]) -> Iterator[tuple[str
     arrays: by name. units: their units by name. (R, C) is one column; (R, C, 2) and (R, C, 3)
     have the suffixes _x, _y, _z, strains _11, _22, _12, others numbers. Numbers and vectors of the
     whole frame come last.
-
-    Raises FieldError if no array is of nodes.
     """
-    shapes = [value.shape[:2] for value in arrays.values() if value.ndim in (2, 3)]
-    if not shapes:
-        raise FieldError("a table needs an array (R, C) or (R, C, K) of nodes")
-    shape = shapes[0]
+    shape = next(value.shape[:2] for value in arrays.values() if value.ndim in (2, 3))
     rows, columns = np.indices(shape)
     yield "row", rows.ravel()
     yield "column", columns.ravel()

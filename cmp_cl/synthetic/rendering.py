@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, check_kind
 from cmp_cl.image import GreyImage
+from cmp_cl.points import sides
 from cmp_cl.space import StereoRig
 from cmp_cl.synthetic.camera import (
     DISTANCE,
@@ -111,8 +112,7 @@ def _render_view(scene: Scene, pose: Pose, camera: PinholeCamera, *, view: int) 
         return camera.project(pose.place(surface(scene, points)))
 
     truth = forward(nodes_at_rest(scene))
-    sides = [np.linalg.norm(np.diff(truth, axis=axis), axis=-1).ravel() for axis in (0, 1)]
-    cell = float(np.median(np.concatenate(sides)))
+    cell = float(np.median(sides(truth)))
     return Rendered(
         image=_image(scene, _inverse(scene, forward), cell, view),
         truth=truth,
