@@ -2,15 +2,17 @@
 
 import contextlib
 import threading
+import time
 
 import numpy as np
 import pytest
 from gels import NODES, RIG, SPLIT, pressed
 from videos import write_video
 
-from cmp_cl import ConfigError, GridError, ImageError
+from cmp_cl import ConfigError, FieldError, GridError, ImageError
 from cmp_cl.measure import Sensor, TwoViews, pytac3d
 from cmp_cl.media import read_frames
+from cmp_cl.series import SeriesWriter, read_series
 
 SCRIPT = """
 got = []
@@ -61,6 +63,37 @@ def test_a_script_for_pytac3d_runs_with_only_its_import_changed(video, tmp_path)
         np.testing.assert_allclose(moved, expected, atol=1e-4)
 
 
+def test_what_was_recorded_is_replayed_at_its_times(video, tmp_path):
+    path = tmp_path / "press.npz"
+    sensor = Sensor(video, RIG, shape=NODES, maxQSize=9)
+    with sensor:
+        sensor.record(path)
+        live = all_frames(sensor)
+    recorded = read_series(path)["index"]
+    start = time.monotonic()
+    with Sensor.replay(path, serial="again", maxQSize=9) as replayed:
+        again = all_frames(replayed)
+        assert time.monotonic() - start > (again[-1]["sendTimestamp"] or 0) * 0.9
+    assert [frame["index"] for frame in again] == list(recorded)
+    by_index = {frame["index"]: frame for frame in live}
+    for frame in again:
+        assert frame["SN"] == "again"
+        for key in ("3D_Positions", "3D_Displacements", "3D_Normals", "sendTimestamp"):
+            np.testing.assert_allclose(frame[key], by_index[frame["index"]][key], atol=1e-6)
+
+
+def test_a_replay_is_closed_in_a_pause(tmp_path):
+    path = tmp_path / "press.npz"
+    with SeriesWriter(path, rest=np.ones((3, 3, 3)), unit="mm") as series:
+        for number in range(2):
+            time_ms = 1e99 * number
+            series.append(index=number, time_ms=time_ms, displacement=np.zeros((3, 3, 3)))
+    with Sensor.replay(path) as replayed:
+        replayed.waitForFrame(timeout=60)
+        start = time.monotonic()
+    assert time.monotonic() - start < 5
+
+
 def test_a_new_rest_is_taken_while_running(video):
     got, made = [], threading.Event()
 
@@ -75,6 +108,24 @@ def test_a_new_rest_is_taken_while_running(video):
         all_frames(sensor)
     np.testing.assert_allclose(got[1], 0, atol=1e-4)
     np.testing.assert_allclose(got[2], fields(video, rest=1)[2], atol=1e-4)
+
+
+def test_a_series_that_begins_after_calibrate_has_the_new_rest(video, tmp_path, monkeypatch):
+    path, measured = tmp_path / "press.npz", TwoViews.__call__
+    frames = [frame.image for frame in read_frames(video)]
+
+    def asked_meanwhile(measure, frame):
+        if np.array_equal(frame, frames[0]):
+            sensor.calibrate()
+            sensor.record(path)
+        return measured(measure, frame)
+
+    monkeypatch.setattr(TwoViews, "__call__", asked_meanwhile)
+    with Sensor(video, RIG, shape=NODES) as sensor:
+        all_frames(sensor)
+    series = read_series(path)
+    assert list(series["index"]) == [1, 2]
+    np.testing.assert_allclose(series["displacement"][0], 0, atol=1e-4)
 
 
 def test_of_frames_that_nobody_takes_the_newest_stay(video):
@@ -105,3 +156,24 @@ def test_errors_reach_the_caller(video, tmp_path):
         Sensor(video, RIG, maxQSize=0)
     with pytest.raises(FileNotFoundError):
         Sensor(str(tmp_path / "none.mp4"), RIG)
+    with Sensor(video, RIG, shape=NODES) as sensor:
+        sensor.record(tmp_path / "one.npz")
+        with pytest.raises(ConfigError, match="being recorded"):
+            sensor.record(tmp_path / "two.npz")
+        with pytest.raises(ConfigError, match="stop recording first"):
+            sensor.calibrate()
+        sensor.record(None)
+        for path, error in (("one.txt", ConfigError), ("none/one.npz", FileNotFoundError)):
+            with pytest.raises(error):  # here, and no error that ends the loop
+                sensor.record(tmp_path / path)
+        assert all_frames(sensor)
+    plane = tmp_path / "plane.npz"
+    np.savez(
+        plane,
+        index=[0],
+        time_ms=[0.0],
+        rest=np.zeros((3, 3, 2)),
+        displacement=np.zeros((1, 3, 3, 2)),
+    )
+    with pytest.raises(FieldError, match="in space, of two views"):
+        Sensor.replay(plane)

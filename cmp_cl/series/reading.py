@@ -16,7 +16,7 @@ from cmp_cl.series.part import Stored
 
 _LARGEST = np.float64(1e100)  # of a number; the square of a larger one has no float
 _LONGEST = 40  # characters of a unit
-# The axes of the arrays that are drawn: F frames, R rows, C columns, K = 2 or 3.
+# The axes of the arrays that are drawn and replayed: F frames, R rows, C columns, K = 2 or 3.
 _AXES: dict[str, tuple[str, ...]] = {
     "index": ("F",),
     "time_ms": ("F",),

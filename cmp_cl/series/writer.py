@@ -42,6 +42,15 @@ _UNITS = {
 }
 
 
+def check_series(path: str | PathLike[str]) -> Path:
+    """Return the file that a series of that name becomes; raises what `SeriesWriter` does for a
+    path."""
+    _known_suffix(path)
+    target = check_target(path)
+    _known_suffix(target)  # a link may name a file of another format
+    return target
+
+
 def complete(part: str | PathLike[str], target: str | PathLike[str]) -> None:
     """Make the file of a series from its part, in the format of the suffix, and remove the part.
 
@@ -134,9 +143,7 @@ class SeriesWriter(Closing):
         if isinstance(path, str) and path == "-":
             self._sink: Part | _Lines = _Lines(about, self._constants)
             return
-        _known_suffix(path)
-        self._target = check_target(path)
-        _known_suffix(self._target)  # a link may name a file of another format
+        self._target = check_series(path)
         self._of_nodes = self._target.suffix.lower() in _OF_NODES
         part, self.earlier = new_folder(self._target.with_name(f"{self._target.name}.part"))
         self._sink = Part(part, about, self._constants)
