@@ -89,6 +89,7 @@ def test_a_press_behind_a_window_is_measured_with_the_rig_that_calibrate_writes(
         (["--window", "5:1.49"], ["--window needs --rest IMAGE, --grid 40x40 and --pitch"]),
         (["--window", "5", *THROUGH], ["'5' is not LENGTH:INDEX of each layer"]),
         ([*THROUGH], ["--rest needs --window"]),
+        (["--window", "20:1.4", *THROUGH, "--step", "1"], ["need 1 image each"]),
         (["--window", "20:1.4", *THROUGH, "--pitch", "1.6"], ["not 1.6; check the pitch"]),
     ],
 )
