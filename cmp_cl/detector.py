@@ -2,6 +2,7 @@
 
 import functools
 import threading
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
@@ -251,6 +252,34 @@ class Detector(Closing):
             corners, lattice = self._numbered(image)
             found = list(boards(lattice, corners.xy))
         return corners, grid_of(found, corners, asked, strict=False)
+
+    def grids(
+        self,
+        frames: Iterable[GreyImage],
+        *,
+        shape: tuple[int, int] | None = None,
+        like: Grid | None = None,
+    ) -> Iterator[tuple[Corners, Grid]]:
+        """Find and number the corners of each frame, in order.
+
+        frames: (H, W) each. shape, like: as in `grid`.
+
+        The kernels of the next frame run while this one is numbered, so a frame must not change
+        before the frame after the next one is requested. To follow a pattern from frame to frame,
+        see `cmp_cl.measure`. Raises the errors of `stream` and of `build_grid`.
+        """
+        from cmp_cl.grid.build import build_grid
+
+        images: deque[GreyImage] = deque()
+
+        def kept() -> Iterator[GreyImage]:
+            for frame in _iterated("frames", frames):
+                images.append(self._checked(frame))
+                yield images[-1]
+
+        for corners in self.stream(kept()):
+            image = images.popleft()
+            yield corners, build_grid(corners, image, shape, like, device=self.device)
 
     def _numbered(self, image: GreyImage) -> tuple[Corners, LatticePlan]:
         """Return the corners of an image, and the plan in which their numbers were started."""

@@ -193,7 +193,8 @@ def test_the_command_writes_a_picture_or_says_why_not(tmp_path, capsys):
     for wrong, why in (
         (["--what", "height"], "--stereo"),
         (["--frame", "99"], "no frame 99: those from 3 to 7"),
-        (["--out", series], "must end in .png"),
+        (["--out", str(tmp_path / "a.mp4"), "--frame", "3"], "leave out --frame"),
+        (["--out", series], "must end in .png or .mp4"),
     ):
         (tmp_path / "press.png").write_bytes(b"old")
         assert main(["plot", series, "--out", out, *wrong]) == 2
@@ -208,6 +209,15 @@ def test_the_command_writes_a_picture_or_says_why_not(tmp_path, capsys):
     with SeriesWriter(tmp_path / "live.npz", rest=lattice()) as live:
         live.append(index=0, time_ms=np.nan, displacement=0.5 * lattice())
         assert main(["plot", str(tmp_path / "live.npz.part"), "--out", out]) == 0
+
+
+@needs_matplotlib
+def test_an_animation_has_every_frame_on_one_scale(tmp_path):
+    series, out = record(tmp_path / "press.npz", views=2), tmp_path / "press.mp4"
+    assert main(["plot", str(series), "--out", str(out), "--what", "height"]) == 0
+    green = np.array([each.image.sum(dtype=int) for each in read_frames(out)])
+    assert len(green) == 5
+    assert np.diff(green).max() < -50_000  # from white at 0 to dark red
 
 
 # videos and the live view

@@ -26,6 +26,7 @@ from cmp_cl.media.videos import LONGEST_GAP, Frame, VideoInfo, read_frames, vide
 _WAITING = 64  # the most frames of a camera that wait to be measured
 _LONGEST_WAIT = 10.0  # s, the longest wait for a frame of a camera
 _PAIR_WITHIN = 20.0  # ms, between frames that are paired if their interval is unknown
+_DEVICES = Path("/dev")  # where Linux has its cameras
 
 
 def is_live(name: str) -> bool:
@@ -109,10 +110,9 @@ class Source:
     def _capture(self) -> Any:
         capture = cv2.VideoCapture(self._opened_as)
         if not capture.isOpened():
-            raise ImageError(
-                f"OpenCV cannot open the camera {self.name}: check its number or address, its "
-                "permissions, and that no other program has it open"
-            )
+            what = "stream" if "://" in self.name else "camera"
+            there = "check the address" if what == "stream" else _cameras_here()
+            raise ImageError(f"there is no {what} {self.name} that OpenCV can open; {there}")
         for what, (key, value) in self._settings.items():
             if not capture.set(key, value):
                 capture.release()
@@ -246,3 +246,11 @@ class Pairs:
                     raise ImageError("the left and the right frame differ in size or type")
                 whole = cast(GreyImage, np.hstack([one.image, two.image]))
             yield Frame(next(number), whole, one.time_ms)
+
+
+def _cameras_here() -> str:
+    """Return which cameras there are, as far as the folder of devices tells."""
+    devices = sorted(str(path) for path in _DEVICES.glob("video*"))
+    if not devices:
+        return "none is seen in /dev: connect one, or check its driver and its permissions"
+    return f"{', '.join(devices)} can be given, if no other program has it open"
