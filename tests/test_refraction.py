@@ -115,7 +115,7 @@ def test_an_index_that_is_given_errs_by_what_it_is_said_to():
         assert low < np.median(np.abs(off) / stated) < high
     with pytest.raises(CalibrationError, match="index_sigma must be a number from 0"):
         fitted(RIG, views(rest, rng), index_sigma=-0.1)
-    with pytest.raises(CalibrationError, match="do not fix the window's distance"):
+    with pytest.raises(CalibrationError, match=r"known to 0.5 does not fix the window's distance"):
         fitted(RIG, views(rest, rng), index_sigma=0.5)
 
 
