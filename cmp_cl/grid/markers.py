@@ -12,6 +12,8 @@ from cmp_cl.errors import GridError, check_kind, check_range
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.opencl.launches import GROUP, bound, constant, enqueue, multiple
+from cmp_cl.opencl.memory import Memory
 from cmp_cl.opencl.program import programs_of
 
 SEARCHED = 0.3  # share of the edge's length: the edge is searched so far from the curve
@@ -108,28 +110,23 @@ def _check_count(dense: Grid, count: int) -> None:
 def _shifts(image: GreyImage, at: Profiles, device: Device, contrast: float) -> NDArray[np.float32]:
     """Return (M,) px along the normals, NaN where no edge is found, from kernels/markers.cl."""
     programs = programs_of(device.handle)
-    context = programs.context
+    queue = cl.CommandQueue(programs.context)
     pixel = "uchar" if image.dtype == np.uint8 else "ushort"
-    kernels = programs.kernels(["markers"], {"PIXEL": pixel, "PAD": 0, "OUTER_RADIUS": 5})
-    read = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-    inputs = [
-        cl.Buffer(context, read, hostbuf=np.ascontiguousarray(values))
-        for values in (image, at.pixel, at.line, at.reach)
-    ]
-    shift = np.empty(len(at.place), np.float32)
-    output = cl.Buffer(context, cl.mem_flags.WRITE_ONLY, shift.nbytes)
-    rows, columns = image.shape
-    kernel = kernels.bind(
-        "refine_markers",
-        *inputs,
-        np.uint32(columns),
-        np.int32(rows),
-        np.int32(columns),
-        np.int32(len(shift)),
-        np.float32(contrast),
-        output,
-    )
-    with cl.CommandQueue(context) as queue:
-        cl.enqueue_nd_range_kernel(queue, kernel, (-(-len(shift) // 64) * 64,), (64,))
-        cl.enqueue_copy(queue, shift, output)
-    return shift
+    kernels = programs.kernels(["markers"], {"PIXEL": pixel})
+    (rows, columns), count = image.shape, len(at.place)
+    found = Memory(queue, {"shift": ((count,), np.float32)})
+    inputs = {"image": image, "pixel": at.pixel, "line": at.line, "reach": at.reach}
+    parts = {
+        **{name: constant(queue.context, values) for name, values in inputs.items()},
+        "step": np.uint32(columns),
+        "rows": np.int32(rows),
+        "columns": np.int32(columns),
+        "count": np.int32(count),
+        "contrast": np.float32(contrast),
+        **found.parts,
+    }
+    items = (multiple(count, GROUP),)
+    enqueue(queue, [bound(kernels, parts, "refine_markers", items, (GROUP,))])
+    found.download()
+    queue.finish()
+    return found.arrays["shift"].copy()
