@@ -143,14 +143,6 @@ void average_along(float *line, const int reach, __global const float *weights,
 #define EACH_ROW_WITHIN(reach) \
   for (int r = max(row - (reach), 0); r <= min(row + (reach), ROWS - 1); ++r)
 
-/* Eight nodes of a row of a plane of NODES; the last one again for those beyond it. */
-float8 eight_nodes(__global const float *plane, const int row, const int column) {
-  float found[LANES];
-  for (int lane = 0; lane < LANES; ++lane)
-    found[lane] = plane[row * COLUMNS + min(column + lane, COLUMNS - 1)];
-  return LOAD_EIGHT(found);
-}
-
 /* The sum of eight. */
 float sum_of(const float8 v) {
   const float4 half_sum = v.lo + v.hi;
@@ -288,7 +280,7 @@ void noise_of_eight(const int row, const int c, const float *length, const float
                     __global const float *near, __global const float *size,
                     __global const float *own_down, __global const float *own_along,
                     __global const float *rows_noise, __global const float *bound_rest,
-                    __global const float *variance_now, const int bends, const int round,
+                    __global const float *own, const int bends, const int round,
                     __global int *counts, __global uchar *votes, __global float *variance,
                     __global float *chosen, __global float *common) {
   const float8 none_near = NONE_NEAR, unknown = NAN, smallest = LEAST_VARIANCE;
@@ -308,7 +300,7 @@ void noise_of_eight(const int row, const int c, const float *length, const float
     if (e == 0) first = least = estimate + least_of_all;
     else least = estimate < least || least != least ? estimate : least;
   }
-  const float8 bound = EIGHT_AT(bound_rest + at) + eight_nodes(variance_now, row, c);
+  const float8 bound = EIGHT_AT(bound_rest + at) + EIGHT_AT(own + at);
   const float8 lower = LEAST_OF_FIVE * least, lowest = lower < first ? lower : first;
   const float8 unbounded = bends ? lowest : first;
   const float8 bounded = bound < unbounded ? bound : unbounded;

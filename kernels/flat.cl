@@ -6,7 +6,7 @@
  * status: of NodeStatus; sigma: px, not positive if unknown. homography: (9), from px to the plane.
  * rest: positions (2 planes), rest_*: their status, source, variance per axis and motion by bent
  * edges (2 planes). moved: 2 planes, 0 where not valid. points: the sum of the variances of both
- * moments. own: the variance now. One work-item a node. */
+ * moments. own: the variance now, in lines. One work-item a node. */
 __kernel void in_plane(__global const float2 *nodes, __global const uchar *seen_status,
                        __global const float *seen_sigma, __global const REAL *homography,
                        __global const float *bend_down, __global const float *bend_along,
@@ -33,7 +33,7 @@ __kernel void in_plane(__global const float2 *nodes, __global const uchar *seen_
                       slope[3] * slope[3]) / 2;
   const float variance =
       good && seen_sigma[i] > 0 ? (float)((REAL)seen_sigma[i] * (REAL)seen_sigma[i] * grown) : NAN;
-  own[i] = variance;
+  own[IN_LINE(i)] = variance;
   points[i] = variance + rest_points[i];
   moved[i] = good ? (float)(u - rest[i]) : 0.0f;
   moved[NODES + i] = good ? (float)(v - rest[NODES + i]) : 0.0f;

@@ -183,7 +183,8 @@ void meet(__global const REAL *camera, const REALS *one, const REALS *two, REALS
  * nodes: of both views, complete, px of the view; status: of NodeStatus; sigma: px, not positive if
  * unknown. rest: positions (3 planes), rest_*: their status, source, covariance (6 planes) and
  * motion by bent edges (3 planes). moved: 3 planes, 0 where not valid. points: the sum of the
- * covariances of both moments. own: the variance now per axis. One work-item for WIDTH nodes. */
+ * covariances of both moments. own: the variance now per axis, in lines.
+ * One work-item for WIDTH nodes. */
 __kernel void space(__global const float2 *nodes, __global const uchar *seen_status,
                     __global const float *seen_sigma, __global const REAL *left,
                     __global const REAL *right, const REAL least_sine, const float largest_error,
@@ -308,7 +309,7 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
     const int good = judge(i, now, worst, rest_status, rest_source, status, source, valid, measured,
                            votes, counts);
     const REAL trace = v[0].each[lane] + v[3].each[lane] + v[5].each[lane];
-    own[i] = good && known ? (float)(trace / 3) : NAN;
+    own[IN_LINE(i)] = good && known ? (float)(trace / 3) : NAN;
     for (int k = 0; k < 3; ++k) {
       const int at = k * NODES + i;
       moved[at] = good ? (float)(better[k].each[lane] - rest[at]) : 0.0f;

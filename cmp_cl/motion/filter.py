@@ -219,9 +219,9 @@ class LatticeFilter:
     `filter_change`. slopes: whether the covariances of slopes are computed.
     inputs: what the launches start from. moved: K planes (R, C), 0 where there is no value.
     points: their covariance by the images, 6 planes or 1. bent: K planes, subtracted at the end.
-    own: (R, C), bound_rest: (R, C and more columns that are not used), of which the sum is the
-    largest variance of the noise. valid, measured,
-    votes: (R, C), the nodes with a value, and those that have a vote, twice.
+    own, bound_rest: (R, C and more columns that are not used), of which the sum is the largest
+    variance of the noise. valid, measured, votes: (R, C), the nodes with a value, and those that
+    have a vote, twice.
     results: holds the arrays of `layout`; in counts, the number of nodes without a vote, then 0.
     """
 
@@ -264,15 +264,16 @@ class LatticeFilter:
         return len(self._down.sides) * len(self._along.sides)
 
     def _inputs(self) -> Layout:
-        axes, (rows, columns) = self._axes, self._shape
-        planes = {"moved": axes, "points": covariances(axes), "bent": axes, "own": 1}
+        axes = self._axes
+        planes = {"moved": axes, "points": covariances(axes), "bent": axes}
         layout: Layout = {
             name: ((count, *self._shape), np.float32) for name, count in planes.items()
         }
         masks = ("valid", "measured", "votes")
         return {
             **layout,
-            "bound_rest": ((rows, multiple(columns, LANES)), np.float32),
+            "own": (in_lines_of(self._shape), np.float32),
+            "bound_rest": (in_lines_of(self._shape), np.float32),
             **{name: (self._shape, np.uint8) for name in masks},
         }
 
@@ -295,7 +296,7 @@ class LatticeFilter:
         }
         return {
             **{name: ((count, *shape), np.float32) for name, count in planes.items()},
-            "variance": ((shape[0], multiple(shape[1], LANES)), np.float32),
+            "variance": (in_lines_of(shape), np.float32),
             "counts": ((1 + ROUNDS,), np.int32),
         }
 
@@ -323,7 +324,7 @@ class LatticeFilter:
         }
 
     def _work_layout(self) -> Layout:
-        axes, pairs, (rows, columns) = self._axes, self._pairs, self._shape
+        axes, pairs, rows = self._axes, self._pairs, self._shape[0]
         products = axes * (axes + 1) // 2
         in_line = {
             "data": axes,
@@ -340,7 +341,7 @@ class LatticeFilter:
             "values": axes,
             "mixed_variance": 1,
         }
-        wide = rows, multiple(columns, LANES)
+        wide = in_lines_of(self._shape)
         return {
             **{name: ((count, *wide), np.float32) for name, count in in_line.items()},
             "sums": ((rows, _ESTIMATES * products + 1), np.float32),
@@ -373,6 +374,12 @@ class LatticeFilter:
         """Bind a kernel with so many work-items, of rows or shares of them and of others."""
         group = (1,) * len(items) if self._is_cpu else None
         return bound(self._kernels, self.parts, name, items, group)
+
+
+def in_lines_of(shape: tuple[int, int]) -> tuple[int, int]:
+    """Return the shape of a plane of which kernels read whole rows, with columns that are not
+    used."""
+    return shape[0], multiple(shape[1], LANES)
 
 
 def defines_of(shape: tuple[int, int], axes: int, device: Device) -> dict[str, str | int]:

@@ -21,6 +21,7 @@ from cmp_cl.motion.filter import (
     covariances,
     defines_of,
     flat,
+    in_lines_of,
     matrices,
     nodes,
     of_nodes,
@@ -119,7 +120,7 @@ class FieldPlan:
         layout = {
             **Tracker.layout(self._geometry.views, self.shape),
             **LatticeFilter.layout(self.shape, self._geometry.axes, slopes=self._strained),
-            "own": ((1, *self.shape), np.float32),
+            "own": (in_lines_of(self.shape), np.float32),
             "status": (self.shape, np.uint8),
             "source": (self.shape, np.uint8),
         }
@@ -153,7 +154,7 @@ class FieldPlan:
     def field(self, results: dict[str, NDArray[Any]]) -> DisplacementField:
         """Return the field that the results of `read` describe."""
         status, source = results["status"], results["source"]
-        moved = nodes(results["raw_displacement"])
+        moved, own = nodes(results["raw_displacement"]), results["own"][:, : self.shape[1]]
         field = field_of(
             self._at_rest,
             status=status,
@@ -162,7 +163,7 @@ class FieldPlan:
             displacement=nodes(results["displacement"]),
             covariance=matrices(results["covariance"]),
             raw_covariance=matrices(results["raw_covariance"]),
-            strain_of=functools.partial(self._at_rest.strain_of, moved, results["own"][0]),
+            strain_of=functools.partial(self._at_rest.strain_of, moved, own),
         )
         if not self._strained:
             return field
