@@ -75,7 +75,10 @@ def _not_an_image(image: Any) -> Exception:
     elif image.ndim != 2:
         hint = "image.reshape(height, width) or one frame of it converts"
     elif image.dtype not in _PIXELS:
-        hint = "numpy.clip(image * (255 / white), 0, 255).astype(numpy.uint8) converts"
+        hint = (
+            "numpy.nan_to_num(image * (255 / white)).clip(0, 255).astype(numpy.uint8) converts, "
+            "white being its largest level"
+        )
     elif not image.size:
         hint = "there must be at least one pixel"
     else:
