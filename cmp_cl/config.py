@@ -16,7 +16,7 @@ from typing import Annotated, Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 
-from cmp_cl.errors import ConfigError, check_pair, check_range
+from cmp_cl.errors import ConfigError, check_range
 from cmp_cl.files import check_path, read_toml, write_text
 from cmp_cl.image import check_dtype
 
@@ -52,10 +52,11 @@ class Settings:
             if limits is not None and (value is not None or types.NoneType not in kinds):
                 low, high, odd = limits
                 kind = int if int in kinds else float
-                if tuple in kinds:
-                    check_pair(name, value, low, high, kind=kind)
-                else:
-                    check_range(name, value, low, high, kind=kind, odd=odd)
+                pair = tuple in kinds
+                if pair and not (isinstance(value, tuple) and len(value) == 2):
+                    raise ConfigError(f"{name} must be a tuple of two numbers, not {value!r}")
+                for each in value if pair else (value,):
+                    check_range(name, each, low, high, kind=kind, odd=odd)
             elif limits is None and not isinstance(value, kinds):
                 raise ConfigError(f"{name} must be {_named(kinds)}, not {value!r}")
 

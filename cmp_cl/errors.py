@@ -97,16 +97,6 @@ def check_range(
         )
 
 
-def check_pair(name: str, value: Any, low: float, high: float, *, kind: type = float) -> None:
-    """Raise ConfigError if an argument of that name is not a tuple of two such numbers."""
-    if not isinstance(value, tuple) or len(value) != 2:
-        raise ConfigError(
-            f"{name} must be a tuple of two numbers in [{low:g}, {high:g}], not {value!r}"
-        )
-    for entry in value:
-        check_range(name, entry, low, high, kind=kind)
-
-
 def check_shape(shape: Any, error: type[CmpClError]) -> None:
     """Raise the error if a shape is not two whole numbers from 1."""
     sides = shape if isinstance(shape, tuple | list) else ()
