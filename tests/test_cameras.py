@@ -61,18 +61,6 @@ def test_several_videos_have_no_clock_in_common(tmp_path):
     assert [frame.time_ms for frame in alone.frames()] == [0, alone.period_ms]
 
 
-def test_frames_of_two_recordings_are_side_by_side_and_those_left_over_are_counted(tmp_path):
-    for name, level, count in (("a", 50, 2), ("b", 200, 3)):
-        write_video(tmp_path / f"{name}.avi", [np.full((48, 64), level, np.uint8)] * count)
-    for names, alone in (("ab", [0, 1]), ("ba", [1, 0])):
-        pairs = Pairs(*(Source(str(tmp_path / f"{name}.avi")) for name in names))
-        frames = list(pairs.frames())
-        assert [frame.time_ms for frame in frames] == [0, 40]
-        sides = np.hsplit(frames[0].image, 2)
-        assert [side.mean() for side in sides] == [{"a": 50, "b": 200}[name] for name in names]
-        assert pairs.alone == alone
-
-
 def test_frames_of_a_pair_are_at_most_half_an_interval_apart(tmp_path, monkeypatch):
     image, times = np.zeros((48, 64), np.uint8), {"a": [0, 40, 80], "b": [5, 61, 85]}
     for name in times:

@@ -74,15 +74,6 @@ def test_the_bytes_of_another_format_reach_no_decoder_of_opencv(tmp_path, suffix
         media.read_image(tmp_path / "a.png")
 
 
-def test_every_page_of_a_stack_is_a_frame(tmp_path):
-    pages = [NOISE, NOISE[::-1].copy(), NOISE[:, ::-1].copy()]
-    assert cv2.imwritemulti(str(tmp_path / "stack.tif"), pages)
-    frames = list(media.read_frames(tmp_path / "stack.tif"))
-    assert [frame.index for frame in frames] == [0, 1, 2]
-    for frame, page in zip(frames, pages, strict=True):
-        np.testing.assert_array_equal(frame.image, page)
-
-
 def black_png(side, rows=None):
     """Return a black PNG of 16 bits with alpha, (side, side); rows: how many it has of them."""
     row = bytes(1 + side * 8)

@@ -32,13 +32,6 @@ def test_a_rig_file_with_a_wrong_entry_is_refused_in_one_line(tmp_path, old, new
     assert "\n" not in str(refusal.value)
 
 
-def test_a_rig_file_without_a_unit_is_read_in_mm_with_a_warning(tmp_path):
-    path = tmp_path / "rig.yaml"
-    path.write_text(rig_text(tmp_path).replace("unit: mm\n", ""))
-    with pytest.warns(UserWarning, match=r"rig\.yaml: no unit, so T is taken to be in mm"):
-        assert StereoRig.load(path).unit == "mm"
-
-
 @pytest.mark.parametrize("opening", ["[", "{a:", "a: ", "- "])
 def test_a_file_of_lists_within_lists_is_refused(tmp_path, opening):
     (tmp_path / "rig.yaml").write_text("%YAML:1.0\n---\nK1: " + opening * 100_000)

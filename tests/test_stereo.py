@@ -54,6 +54,9 @@ def test_the_covariance_is_that_of_the_errors(sigma_left, sigma_right):
     assert chi2.mean() == pytest.approx(3, rel=0.08)  # 4 standard errors of 1600 nodes
     rmse = math.sqrt(np.square(miss).sum(axis=1).mean())
     assert rmse == pytest.approx(math.sqrt(np.trace(covariance.mean(axis=0))), rel=0.05)
+    if sigma_left == sigma_right:  # one of four numbers of a node is left over
+        left_over = math.sqrt(2 * np.square(points.error).mean())
+        assert left_over == pytest.approx(sigma_left, rel=0.1)
     largest = np.linalg.eigvalsh(covariance)[:, 2]
     np.testing.assert_allclose(points.sigma.ravel(), np.sqrt(largest))
 
@@ -71,27 +74,6 @@ def test_a_node_that_one_side_lacks_is_missing():
         assert np.isnan(points.error[node])
     nothing = grid_of(np.full_like(left, np.nan))
     assert not rig.triangulate(nothing, grid_of(right)).valid.any()
-
-
-@pytest.mark.parametrize("depth", [20, 200])
-def test_points_of_noisy_views_have_the_least_reprojection_error(depth):
-    """A change of a point in any direction raises it; at 200 the parallax is small."""
-    rig, draw = parallel_rig(), np.random.default_rng(depth)
-    truth = np.append(draw.uniform(-5, 5, (50, 2)), np.full((50, 1), depth), axis=1)
-    seen = [each + draw.normal(0, 0.3, (50, 2)) for each in rig.project(truth)]
-    points = rig.triangulate(*(grid_of(each[None]) for each in seen))
-    found = points.xyz[0]
-
-    def error(xyz):
-        offs = [view - each for view, each in zip(rig.project(xyz), seen, strict=True)]
-        return np.square(offs).sum(axis=(0, 2))
-
-    known = np.isfinite(found[:, 0])
-    assert known.mean() > 0.9
-    rms = np.sqrt(error(found) / 2)
-    np.testing.assert_allclose(points.error[0, known], rms[known], rtol=1e-3)
-    for step in np.vstack([np.eye(3), -np.eye(3)]) * 1e-2:
-        assert (error(found + step * found[:, 2:]) > error(found))[known].all()
 
 
 def one_node(rig, left, right):
@@ -136,15 +118,6 @@ def test_grids_of_different_rows_or_columns_are_refused():
         toed_in_rig().triangulate(wide, beside)
 
 
-def test_a_rig_survives_its_file(tmp_path):
-    rig = dataclasses.replace(toed_in_rig(unit="um"), covariance=np.diag(1 / np.arange(1.0, 23)))
-    rig.save(tmp_path / "a rig.yaml")
-    again = StereoRig.load(tmp_path / "a rig.yaml")
-    for name in ("K1", "D1", "K2", "D2", "R", "T", "covariance"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(rig, name))
-    assert again.unit == "um"
-
-
 def write_matrices(path, **matrices):
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     for name, matrix in matrices.items():
@@ -161,6 +134,7 @@ def test_the_keys_of_opencvs_stereo_calib_are_read(tmp_path, suffix):
         again = StereoRig.load(path)
     np.testing.assert_array_equal(again.K2, rig.K2)
     np.testing.assert_array_equal(again.T, rig.T)
+    assert again.unit == "mm"
     write_matrices(path, **cameras)
     with pytest.raises(CalibrationError, match="no R; no T"):
         StereoRig.load(path)

@@ -103,10 +103,11 @@ def test_an_impossible_window_is_refused_in_one_line(changes, words):
 @pytest.mark.parametrize("layers", [(), ((5.0, 1.49),), ((5.0, 1.49), (0.1, 1.33))])
 def test_a_window_survives_the_file_of_its_rig(tmp_path, layers):
     window = dataclasses.replace(GEL, layers=layers)
-    rig = rig_behind(window, covariance=np.diag(1 / np.arange(1.0, 27)))
+    rig = rig_behind(window, covariance=np.diag(1 / np.arange(1.0, 27)), unit="um")
     rig.save(tmp_path / "rig.yaml")
     again = StereoRig.load(tmp_path / "rig.yaml")
-    np.testing.assert_array_equal(again.covariance, rig.covariance)
+    for name in ("K1", "D1", "K2", "D2", "R", "T", "unit", "covariance"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(rig, name))
     np.testing.assert_array_equal(again.window.normal, window.normal)
     for name in ("distance", "layers", "index"):
         assert getattr(again.window, name) == getattr(window, name)
