@@ -54,9 +54,9 @@ K = LatticeConstants()
 # Constants that leave one idea out.
 ABLATION: dict[str, dict[str, Any]] = {
     "all": {},
-    "faces need not agree": {"agree": 100.0, "cuts": 0, "torn_cuts": (0,) * 5},
-    "contradicted parts are not cut": {"cuts": 0, "torn_cuts": (0,) * 5},
-    "faces of torn corners agree as others": {"torn_cuts": (0,) * 5},
+    "faces need not agree": {"agree": 100.0, "cuts": 0, "torn_corners": 4},
+    "contradicted parts are not cut": {"cuts": 0, "torn_corners": 4},
+    "faces of torn corners agree as others": {"torn_corners": 4},
     "no joins across tears": {"join_votes": 1e9},
     "joins whatever the surface": {"join_bend": 0.0},
     "torn corners count as whole ones": {"rough_weight_per_px2": 1e9},

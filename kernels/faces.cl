@@ -4,9 +4,9 @@
 
 /* face[h]: the least half-edge of the closed face that h belongs to, NONE without one. steps[h]:
  * twice the mean steps of the face along h, and to its right. cut[h]: how often the tolerance of
- * the face is lowered, by the number of its torn corners. One work-item per half-edge. */
+ * the face is lowered, once for each torn corner beyond torn_corners. One work-item per half-edge. */
 __kernel void close_faces(__global const float *restrict corners, const uint capacity,
-                          __global const int *restrict twin, __constant int *cuts,
+                          __global const int *restrict twin, const int torn_corners,
                           __global int *restrict face, __global uchar *restrict cut,
                           __global float4 *restrict steps) {
   const int h = get_global_id(0);
@@ -21,7 +21,7 @@ __kernel void close_faces(__global const float *restrict corners, const uint cap
     torn += IS_TORN(way[k] >> 2);
   }
   if (way[4] != h) return;
-  cut[h] = cuts[torn];
+  cut[h] = LARGER(torn - torn_corners, 0);
   __global const float2 *at = POSITIONS(corners);
   const float2 p0 = at[h >> 2], p1 = at[way[1] >> 2], p2 = at[way[2] >> 2], p3 = at[way[3] >> 2];
   face[h] = least;

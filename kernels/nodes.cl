@@ -10,18 +10,17 @@
  * blended with the one that the neighbours predict; what nodes are judged by. rough: torn, or far
  * from that prediction. result: blended if rough; a wrong neighbour may still mislead it. */
 #define PLACE (-2)
-#define MARGIN 15 /* places beside the first board: one a round, and three that are looked at */
-#define NEAR 3    /* the farthest that a node looks */
+#define MARGIN 14 /* places beside the first board: one a round, and two that are looked at */
+#define NEAR 2    /* the farthest that a node looks */
 
 /* Constants of the score, in the order of cmp_cl/lattice/kernels.py. */
 typedef struct {
   float depth;
   float rough_weight;
-  float side_nats, cells_nats, prior, firm_penalty, loose_penalty;
+  float side_nats, cells_nats, prior, penalty, torn_penalty;
   float stay, enter;
   float reach, near, edge;
 } Nats;
-#define FIRM (2 * MIDDLE_WEIGHT) /* the least of a prediction between neighbours */
 
 /* Number the corners of the part with the most faces: column, row, rotation, and 1; 0 in the fourth
  * place of others. One work-group. */
@@ -171,7 +170,7 @@ Prediction predicted(__global const float2 *at, const int place, const int width
 }
 
 /* Steps of the lattice at a place, to the next column and to the next row, and the mean of their
- * lengths, the cell. Where a place has no step of its own it is the mean of those within 5 x 5
+ * lengths, the cell. Where a place has no step of its own it is the mean of those within 3 x 3
  * places. */
 typedef struct {
   float2 u, v;
@@ -192,15 +191,11 @@ bool step_of(__global const float2 *at, const int place, const int width, const 
   int count = add_steps(at, place, ahead, step);
   if (count == 2) *step *= 0.5f;
   if (count) return true;
-  for (int r = -2; r <= 2; ++r)
-    for (int c = -2; c <= 2; ++c) count += add_steps(at, place + r * width + c, ahead, step);
+  for (int r = -1; r <= 1; ++r)
+    for (int c = -1; c <= 1; ++c) count += add_steps(at, place + r * width + c, ahead, step);
   const float root = inverse_root((float)LARGER(count, 1));
   *step *= root * root;
   return count > 0;
-}
-bool has_steps(__global const float2 *at, const int place, const int width) {
-  return (IS_HERE(at[place + 1]) || IS_HERE(at[place - 1])) &&
-         (IS_HERE(at[place + width]) || IS_HERE(at[place - width]));
 }
 bool is_beside_nodes(__global const float2 *at, const int place, const int width) {
   return IS_HERE(at[place + 1]) || IS_HERE(at[place - 1]) || IS_HERE(at[place + width]) ||
@@ -321,18 +316,17 @@ float usual_share(__global const int2 *cells, const int place, const int width) 
 
 float clipped(const float v) { return v < -1.0f ? -1.0f : v > 1.0f ? 1.0f : v; }
 
-/* The score of a node in nats, without its sides: cells, and distance from the prediction. */
+/* The score of a node in nats: its sides, its cells, and its distance from the prediction, which
+ * counts more if it is torn. */
 float score_of(LEVELS_OF_IMAGE, const float sides, const int quality, const float share,
-               const float2 seen, const float2 at, const Prediction prediction, const float cell,
-               __constant Nats *nats) {
+               const float2 seen, const float2 at, const bool is_torn, const Prediction prediction,
+               const float cell, __constant Nats *nats) {
   const float cells = clipped((float)quality * share);
   const float2 d = seen - prediction.at;
   const float root = inverse_root(LARGER(cell * cell, 1e-6f));
   const float misfit = prediction.weight > 0 ? (d.x * d.x + d.y * d.y) * (root * root) : 0.0f;
-  const bool firm = prediction.weight >= FIRM;
-  const float penalty = misfit * (firm ? nats->firm_penalty : nats->loose_penalty);
   const float score = ((nats->side_nats * sides + nats->cells_nats * cells) +
-                       nats->prior) - penalty;
+                       nats->prior) - misfit * (is_torn ? nats->torn_penalty : nats->penalty);
   const bool inside =
       at.x >= 0 && at.y >= 0 && at.x <= (float)((int)columns - 1) && at.y <= (float)((int)rows - 1);
   return inside ? score : -INFINITY;
@@ -343,7 +337,7 @@ float score_of(LEVELS_OF_IMAGE, const float sides, const int quality, const floa
 #define ADD_SIDE(neighbour, sum)                                                    \
   if (IS_HERE(at[neighbour])) whole += clipped(((float)(sum) * share) * OF_POINTS);
 void score_node(LEVELS_OF_IMAGE, __constant Nats *nats, const int width, const int place,
-                __global const float2 *seen, __global const float2 *at,
+                __global const float2 *seen, __global const float2 *at, __global const uchar *torn,
                 __global const float4 *predictions, __global const float *cell,
                 __global const int2 *sides, __global const int2 *cells, __global float *score) {
   float own = NO_SCORE;
@@ -356,21 +350,21 @@ void score_node(LEVELS_OF_IMAGE, __constant Nats *nats, const int width, const i
     ADD_SIDE(place - width, sides[place - width].y)
     const float4 p = predictions[place];
     const Prediction prediction = {p.xy, p.z};
-    own = score_of(LEVELS, whole, cells[place].x, share, seen[place], at[place], prediction,
-                   cell[place], nats);
+    own = score_of(LEVELS, whole, cells[place].x, share, seen[place], at[place], torn[place],
+                   prediction, cell[place], nats);
   }
   score[place] = own;
 }
 
 __kernel void score_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
                           __global const int *restrict layout, __global const float2 *restrict seen,
-                          __global const float2 *restrict at,
+                          __global const float2 *restrict at, __global const uchar *restrict torn,
                           __global const float4 *restrict predictions,
                           __global const float *restrict cell, __global const int2 *restrict sides,
                           __global const int2 *restrict cells, __global float *restrict score) {
   FOR_PLACES(1) {
     PLACE_OF_WORK_ITEM
-    score_node(LEVELS, nats, width, place, seen, at, predictions, cell, sides, cells, score);
+    score_node(LEVELS, nats, width, place, seen, at, torn, predictions, cell, sides, cells, score);
   }
 }
 
@@ -414,7 +408,8 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
   if (!is_free && (p.x < edge || p.y < edge || p.x > right - edge || p.y > bottom - edge))
     return found;
   float2 here = found.at = is_free ? POSITIONS(corners)[found.nearest] : p;
-  if (is_free && IS_TORN(found.nearest))
+  const bool is_torn = !is_free || IS_TORN(found.nearest);
+  if (is_free && is_torn)
     here = blended(here, prediction, steps.cell, nats->rough_weight);
   const Cells seen = cells_at(LEVELS, here, steps, parity, nats->depth);
   const float share = usual_share(cells, place, width);
@@ -423,8 +418,8 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
   ADD_NEW_SIDE(place + width, here, at[place + width], -parity)
   ADD_NEW_SIDE(place - 1, at[place - 1], here, -parity)
   ADD_NEW_SIDE(place - width, at[place - width], here, parity)
-  const float score = score_of(LEVELS, whole, seen.quality, share, found.at, here, prediction,
-                               steps.cell, nats);
+  const float score = score_of(LEVELS, whole, seen.quality, share, found.at, here, is_torn,
+                               prediction, steps.cell, nats);
   if (!(score < nats->enter)) found.owner = is_free ? found.nearest : PLACE;
   return found;
 }
@@ -461,19 +456,6 @@ void list_around(LISTS_OF_PLACES, const int from, const int reach, const int kin
     const bool is_node = IS_HERE(seen[other]);
     if (is_node || other == place) list_place(OF_PLACES, kind, other);
     if (looks && !is_node) list_place(OF_PLACES, LOOKED, other);
-  }
-  ALL_TOGETHER;
-}
-/* The same of nodes that look along rows and columns, and aside to places one step nearer. Missing
- * places, and nodes without a step of their own, look at all within NEAR. */
-void list_along(LISTS_OF_PLACES, const int from, const int reach, const int kind, const int width,
-                __global const float2 *seen) {
-  FOR_LISTED(from) SQUARE(NEAR) {
-    const int other = place + r * width + c;
-    const bool near = r && c ? abs(r) + abs(c) < reach : abs(r + c) <= reach;
-    if (!IS_HERE(seen[other])) list_place(OF_PLACES, LOOKED, other);
-    if (IS_HERE(seen[other]) ? near || !has_steps(seen, other, width) : other == place)
-      list_place(OF_PLACES, kind, other);
   }
   ALL_TOGETHER;
 }
@@ -565,21 +547,22 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
       if (own >= 0) claim[own] = INT_MAX;
     }
     if (!counts[CHANGED]) return;
-    list_along(OF_PLACES, CHANGED, 3, BLENDED, width, seen);
+    list_around(OF_PLACES, CHANGED, NEAR, BLENDED, true, width, seen);
     FOR_LISTED(BLENDED)
       if (blend(nats, width, place, seen, torn, at, result, rough, predictions))
         list_place(OF_PLACES, MOVED, place);
     ALL_TOGETHER;
-    list_along(OF_PLACES, MOVED, 1, MEASURED, width, seen);
+    list_around(OF_PLACES, MOVED, NEAR, MEASURED, true, width, seen);
     FOR_LISTED(MEASURED)
       measure(LEVELS, nats, width, place, PARITY_OF(place / width, place % width), at, cell, sides,
               cells);
     if (looks && round++ == rounds) return;
     FOR_LISTED(BLENDED) list_place(OF_PLACES, SCORED, place);
     ALL_TOGETHER;
-    list_around(OF_PLACES, MEASURED, 2, SCORED, true, width, seen);
+    list_around(OF_PLACES, MEASURED, NEAR, SCORED, true, width, seen);
     FOR_LISTED(SCORED)
-      score_node(LEVELS, nats, width, place, seen, at, predictions, cell, sides, cells, score);
+      score_node(LEVELS, nats, width, place, seen, at, torn, predictions, cell, sides, cells,
+                 score);
     ALL_TOGETHER;
     list_around(OF_PLACES, SCORED, 1, JUDGED, false, width, seen);
     for (int kind = CHANGED; kind <= SCORED; ++kind) empty_list(OF_PLACES, kind);

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 FILES = ("bins", "links", "faces", "parts", "votes", "nodes", "borders")
 DIRECTIONS = 1024  # unit vectors in a full turn
 PARTS, VOTES, LAYOUT = 7, 9, 10  # in the layout, see kernels/lattice.clh; numbers in all
-ROUNDS = 12  # times that nodes are looked for, three less than the margin in kernels/nodes.cl
+ROUNDS = 12  # times that nodes are looked for, two less than the margin in kernels/nodes.cl
 LISTS = 8  # of places, see `settle_nodes`
 ROUGH, FIRM = 1, 2  # kinds of a node
 SIDES, FOUND = 3, 15  # what is found of a board: its size, from here its sides; numbers in all
@@ -96,6 +96,7 @@ def values(plan: "LatticePlan") -> dict[str, Any]:
     whole = {
         "rings": k.link_rings,
         "neighbours": k.link_neighbours,
+        "torn_corners": k.torn_corners,
         "most_cuts": k.cuts,
         "least_part": k.least_part,
         "places": plan.places,
@@ -120,7 +121,6 @@ def values(plan: "LatticePlan") -> dict[str, Any]:
     }
     tables = {
         "circle": circle(),
-        "cuts": np.array(k.torn_cuts, np.int32),
         "tolerances": k.face_tolerances(),
         "nats": nats(plan),
     }
@@ -142,12 +142,11 @@ def circle() -> NDArray[np.float32]:
 def nats(plan: "LatticePlan") -> NDArray[np.float32]:
     """Return the constants of the score, in the order of kernels/nodes.cl."""
     k = plan.constants
-    firm = 0.5 / k.firm_sd_cells**2
     return np.array(
         [
             *(k.cell_depth, k.rough_weight_per_px2),
             *(k.side_nats, k.cells_nats, k.prior_nats),
-            *(firm, firm / 4),  # an extrapolation is half as good
+            *(0.5 / k.sd_cells**2, 2 / k.sd_cells**2),  # that of a torn corner is half as large
             *(k.stay_nats, 2 * k.stay_nats),
             *(k.reach_cells, k.near_cells, k.contrast_radius_px),
         ],

@@ -505,7 +505,7 @@ def test_a_pressed_gel_has_its_numbers_at_rest(severity):
     grid = grid_of(view, like=at_rest)
     moved = view._replace(corners=view.corners - offset)
     assert_right_or_told(grid, moved, "truth")
-    assert scored(grid, moved, known="truth").share > 0.97
+    assert scored(grid, moved, known="truth").share > 0.96
 
 
 def _truth_at_rest(grid: Grid, view: View) -> np.ndarray:

@@ -40,7 +40,7 @@ def alone(numbers):
 def board_of(numbers, xy, torn):
     """Return the board of these numbers, with a margin."""
     corner = np.flatnonzero(numbers[:, 3] == 1)
-    margin = ROUNDS + 3
+    margin = ROUNDS + 2
     column, row, turn, _ = numbers[corner].T.astype(np.int64)
     column, row = column - column.min() + margin, row - row.min() + margin
     shape = row.max() + margin + 1, column.max() + margin + 1

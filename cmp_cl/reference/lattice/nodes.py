@@ -34,7 +34,7 @@ FOUR = ((0, 1), (1, 0), (0, -1), (-1, 0))  # (row, column) of the neighbours
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Steps:
     """Steps of the lattice at every node: (ux, uy) to the next column, (vx, vy) to the next row,
-    cell: their mean length, px; known: False where no step is known within 5 x 5 nodes."""
+    cell: their mean length, px; known: False where no step is known within 3 x 3 nodes."""
 
     ux: Real
     uy: Real
@@ -89,21 +89,21 @@ def predicted(x: Real, y: Real, k: LatticeConstants) -> tuple[Real, Real, Real]:
 
 
 def steps_of(x: Real, y: Real) -> Steps:
-    """Return the mean of the steps before and after each node, or of those within 5 x 5 nodes."""
+    """Return the mean of the steps before and after each node, or of those within 3 x 3 nodes."""
     found, known = [], np.ones(x.shape, np.bool_)
     for r, c in ((0, 1), (1, 0)):
         after, before = (shifted(x, r, c, np.nan) - x), (x - shifted(x, -r, -c, np.nan))
         count = (~np.isnan(after)).astype(np.int64) + ~np.isnan(before)
         many = np.zeros(x.shape, np.int64)
-        for i in range(-2, 3):
-            for j in range(-2, 3):
+        for i in range(-1, 2):
+            for j in range(-1, 2):
                 many = many + shifted(count, i, j, 0)
         for at in (x, y):
             after, before = (shifted(at, r, c, np.nan) - at), (at - shifted(at, -r, -c, np.nan))
             total = np.nan_to_num(after) + np.nan_to_num(before)
             around = np.zeros(x.shape, np.float32)
-            for i in range(-2, 3):
-                for j in range(-2, 3):
+            for i in range(-1, 2):
+                for j in range(-1, 2):
                     around = around + shifted(total, i, j, 0)
             own = np.where(count == 2, F(0.5) * total, total)
             wide = around * inverse(np.maximum(many, 1).astype(np.float32))
@@ -201,7 +201,7 @@ def evidence(
     cell = steps_of(board.x, board.y).cell
     own_x, own_y = blended((board.x, board.y), board.torn, first, cell, k)
     steps = steps_of(own_x, own_y)
-    seen_x, seen_y, prediction, x, y = board.x, board.y, first, own_x, own_y
+    seen_x, seen_y, torn, prediction, x, y = board.x, board.y, board.torn, first, own_x, own_y
     filled = np.nan_to_num(own_x), np.nan_to_num(own_y)
     quality, contrast = cells_at(plane, *filled, steps, parity, k)
     if new is not None:
@@ -224,8 +224,7 @@ def evidence(
     with np.errstate(over="ignore", invalid="ignore"):
         misfit = (dx * dx + dy * dy) * inverse(np.maximum(steps.cell * steps.cell, F(1e-6)))
     misfit = np.where(weight > 0, misfit, F(0))
-    firm, loose = F(0.5 / k.firm_sd_cells**2), F(0.125 / k.firm_sd_cells**2)
-    penalty = misfit * np.where(weight >= F(2 * k.prediction_weights[1]), firm, loose)
+    penalty = misfit * np.where(torn, F(2 / k.sd_cells**2), F(0.5 / k.sd_cells**2))
     score = ((F(k.side_nats) * sides + F(k.cells_nats) * cells) + F(k.prior_nats)) - penalty
     height, width = plane.shape
     inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)

@@ -298,7 +298,8 @@ def parts_of(corners: Directed, torn: Mask, twin: Whole, constants: LatticeConst
     closed = path[0] >= 0
     face = np.where(closed, path.min(axis=0), -1)
     gap, size = _difference(corners, twin, path)
-    cut = np.array(constants.torn_cuts)[np.where(closed, torn[path >> 2].sum(axis=0), 0)]
+    torn_corners = np.where(closed, torn[path >> 2].sum(axis=0), 0)
+    cut = np.maximum(torn_corners - constants.torn_corners, 0)
     tolerance = constants.face_tolerances()
     for repeat in range(constants.cuts + 1):
         agree = (gap >= 0) & (gap < tolerance[np.maximum(cut, cut[twin])] * size)
