@@ -8,13 +8,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from gels import GEL, RIG, VIEW
+from gels import GEL, RIG, VIEW, board_frame
 from messages import fails_in_one_line
 from stereo_data import photographs
 
 from cmp_cl import Method, StereoRig, select_device
 from cmp_cl.cli import demo
-from cmp_cl.synthetic import Scene, render_stereo
+from cmp_cl.synthetic import render_stereo
 from cmp_cl.viz import METHOD_COLOURS
 
 PROJECT = Path(__file__).parents[2]
@@ -67,30 +67,15 @@ def test_the_first_commands_of_the_readme_find_a_board_and_measure_what_they_ren
 def boards():
     """Return frames that show a tilted board of 12 x 12 corners, 2 mm apart, to both cameras."""
     tilts = (0.4, 0.1), (-0.3, 0.3), (0.1, -0.45), (-0.4, -0.2)
-    frames = []
-    for number, tilt in enumerate(tilts):
-        scene = Scene(
-            markers=12,
-            side=26.0,
-            shape=VIEW,
-            severity=0.0,
-            corrosion=0.0,
-            noise=1.0,
-            tilt=tilt,
-            rotation=0.1 * number,
-            seed=number,
-        )
-        left, right, _ = render_stereo(scene, RIG)
-        frames.append((left.image, right.image))
-    return frames
+    return [board_frame(number, tilt, RIG) for number, tilt in enumerate(tilts)]
 
 
 BOARD = "--board", "12x12", "--square", "2", "--out", "rig.yaml"
 
 
 def test_calibrate_finds_the_cameras_again(run, boards):
-    for number, views in enumerate(boards):
-        cv2.imwrite(f"{number}.png", np.hstack(views))
+    for number, frame in enumerate(boards):
+        cv2.imwrite(f"{number}.png", frame)
     cv2.imwrite("4.png", np.full((VIEW[0], 2 * VIEW[1]), 90, np.uint8))
     status, out, err = run("calibrate", "--stereo", *(f"{n}.png" for n in range(5)), *BOARD)
     assert status == 0
@@ -123,7 +108,7 @@ def test_a_wrong_argument_of_calibrate_is_one_line_and_no_file(
 ):
     cv2.imwrite("plain.png", np.full(VIEW, 90, np.uint8))
     for number in range(2):
-        cv2.imwrite(f"{number}.png", np.hstack(boards[number]))
+        cv2.imwrite(f"{number}.png", boards[number])
     fails_in_one_line(run("calibrate", *BOARD, *arguments), *words)
     assert not list(tmp_path.glob("rig.*"))
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from gels import board_frame
 from messages import fails_in_one_line
 
 from cmp_cl import StereoRig, Window
@@ -27,17 +28,8 @@ def frame(scene, rig):
 @pytest.fixture(scope="module")
 def frames():
     """Return frames of a board in air, and of a press at rest and pressed behind a window."""
-    still = {"shape": VIEW, "corrosion": 0.0, "noise": 1.0}
-    found = {
-        f"{n}.png": frame(
-            Scene(
-                markers=12, side=26.0, severity=0.0, tilt=tilt, rotation=0.1 * n, seed=n, **still
-            ),
-            AIR,
-        )
-        for n, tilt in enumerate(TILTS)
-    }
-    press = Scene(markers=20, side=16.8, severity=0.5, seed=3, **still)
+    found = {f"{n}.png": (board_frame(n, tilt, AIR, VIEW), None) for n, tilt in enumerate(TILTS)}
+    press = Scene(markers=20, side=16.8, severity=0.5, seed=3, shape=VIEW, corrosion=0.0, noise=1.0)
     found["rest.png"] = frame(press.at_rest(), BEHIND)
     found["press.png"] = frame(press, BEHIND)
     return found

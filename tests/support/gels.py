@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl import BinocularSplit
+from cmp_cl import BinocularSplit, StereoRig
 from cmp_cl.synthetic import (
     Indenter,
     Mode,
@@ -41,3 +41,21 @@ class Shot(NamedTuple):
 def pressed(severity: float) -> Shot:
     """Return the gel pressed so strongly; 0 is at rest."""
     return Shot(*render_stereo(dataclasses.replace(GEL, severity=severity), RIG))
+
+
+def board_frame(
+    number: int, tilt: tuple[float, float], rig: StereoRig, view: tuple[int, int] = VIEW
+) -> NDArray[np.uint8]:
+    """Return a frame that shows a tilted board of 12 x 12 corners, 2 mm apart, to both cameras."""
+    scene = Scene(
+        markers=12,
+        side=26.0,
+        shape=view,
+        severity=0.0,
+        corrosion=0.0,
+        noise=1.0,
+        tilt=tilt,
+        rotation=0.1 * number,
+        seed=number,
+    )
+    return binocular_frame(*render_stereo(scene, rig)[:2])
