@@ -1,5 +1,6 @@
 """Memory that the host and a device share."""
 
+import dataclasses
 import gc
 
 import images
@@ -9,7 +10,9 @@ import pytest
 from comparison import assert_same_bytes
 
 from cmp_cl import Detector
+from cmp_cl.measure import OneView
 from cmp_cl.opencl import memory
+from cmp_cl.synthetic import random_scene, render
 
 BOARD = images.eight_bits()["board"]
 TEXTURE = images.texture(BOARD.shape)
@@ -33,6 +36,22 @@ def test_a_detector_gives_the_same_corners_with_and_without_shared_memory(
             results.append([detector(BOARD), *detector.batch([TEXTURE, BOARD])])
     for here, copied in zip(*results, strict=True):
         assert_same_bytes(here, copied)
+
+
+def test_fields_are_the_same_with_and_without_shared_memory(handle, device, monkeypatch):
+    scene = random_scene(3, markers=12, severity=0.0)
+    rest, now = (render(dataclasses.replace(scene, severity=level)).image for level in (0.0, 0.1))
+    results = []
+    for shares in (True, False):
+        monkeypatch.setattr(memory, "shares_memory", lambda _, shares=shares: shares)
+        with OneView(rest, shape=(12, 12), strain=True, device=device) as measure:
+            measure.skip()
+            found = [measure(frame) for frame in (now, now)]  # the first is numbered anew
+        assert [each.tracked for each in found] == [False, True]
+        results.append([each.arrays for each in found])
+    for here, copied in zip(*results, strict=True):
+        for name, values in here.items():
+            np.testing.assert_array_equal(values, copied[name], err_msg=name)
 
 
 def beside(one, other):
