@@ -90,7 +90,7 @@ class Detector(Closing):
         context = self._programs.context
         flags: Any = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self._queue = queue or cl.CommandQueue(context, properties=flags)
-        # Of streams, so that transfers run beside the kernels.
+        # Of streams, so that uploads run beside the kernels.
         self._transfers = cl.CommandQueue(context)
         self._lock = threading.RLock()
         self._plans = Plans(

@@ -125,9 +125,11 @@ class Plan(PlanBase):
 
     @property
     def _layouts(self) -> list[dict[str, int]]:
-        """Return the bytes of the temporary arrays, layout by layout. The
-        arrays of a layout lie one after the other in the buffer "scratch", which every layout uses
-        from its start."""
+        """Return the bytes of the temporary arrays, layout by layout.
+
+        The arrays of a layout lie one after the other in the buffer "scratch", which every layout
+        uses from its start.
+        """
         return list(self.detection.scratch(self))
 
     def _allocate(self) -> None:
@@ -178,17 +180,14 @@ class Plan(PlanBase):
         return parts
 
     def _upload_area(self) -> None:
-        rows, columns = self.working
         allowed = np.ones(self.working, np.bool_)
         if self._mask is not None:
-            y = np.minimum(
-                ((np.arange(rows) + 0.5) / (self.scale or 1)).astype(int), self.shape[0] - 1
-            )
-            x = np.minimum(
-                ((np.arange(columns) + 0.5) / (self.scale or 1)).astype(int), self.shape[1] - 1
-            )
-            allowed = self._mask[np.ix_(y, x)]
-        after = self.step - self.pad - columns
+            nearest = [
+                np.minimum(((np.arange(size) + 0.5) / (self.scale or 1)).astype(int), whole - 1)
+                for size, whole in zip(self.working, self.shape, strict=True)
+            ]
+            allowed = self._mask[np.ix_(*nearest)]
+        after = self.step - self.pad - self.working[1]
         padded = np.pad(allowed, ((0, 0), (self.pad, after)))
         area = self.memory["area"]
         area.arrays["area"][0] = np.packbits(padded, bitorder="little")
@@ -301,8 +300,8 @@ class Plan(PlanBase):
         most, listed = max(head[0] for head in heads), max(max(head[1:]) for head in heads)
         if listed > self.list_capacity or most > self.corner_capacity:
             raise Overflow(listed, most)
-        short, self._likely = most > self._likely, most
-        if short:
+        if most > self._likely:
+            self._likely = most
             self._download()
             self._wait()
         self._likely = min(most * 9 // 8, self.corner_capacity)  # the next frame has about as many
