@@ -109,17 +109,16 @@ def _files(arguments: argparse.Namespace) -> dict[str, list[Path]]:
 
     A file that shows two views is named for both.
     """
-    forms = [arguments.images, arguments.left or arguments.right, arguments.camera]
-    if sum(map(bool, forms)) != 1:
+    forms = [arguments.images, arguments.left, arguments.camera]
+    others = arguments.stereo and not arguments.images
+    if sum(map(bool, forms)) != 1 or bool(arguments.left) != bool(arguments.right) or others:
         raise ConfigError(
-            "give IMAGE... for one camera, --left IMAGE... --right IMAGE... for two, or --camera "
-            "NAME=IMAGE... for each of several"
+            "give IMAGE... for one camera, with --stereo if each shows two views, --left IMAGE... "
+            "--right IMAGE... for two, or --camera NAME=IMAGE... for each of several"
         )
     if arguments.images:
         files = media.find_inputs(arguments.images)
         return {"left": files, "right": files} if arguments.stereo else {"camera": files}
-    if arguments.stereo:
-        raise ConfigError("--stereo is for IMAGE..., each of which shows two views")
     names = {"left": arguments.left, "right": arguments.right}
     if arguments.camera:
         names = {}
@@ -132,8 +131,6 @@ def _files(arguments: argparse.Namespace) -> dict[str, list[Path]]:
             if name in names:
                 raise ConfigError(f"--camera {name} is given twice; give all its views at once")
             names[name] = [path, *others]
-    elif not (arguments.left and arguments.right):
-        raise ConfigError("--left and --right need each other; for one camera give IMAGE... alone")
     found = {name: media.find_inputs(paths) for name, paths in names.items()}
     if len({len(paths) for paths in found.values()}) > 1:
         counts = " and ".join(f"{len(paths)} of {name}" for name, paths in found.items())

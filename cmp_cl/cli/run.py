@@ -185,11 +185,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _check(arguments: argparse.Namespace) -> None:
     """Raise ConfigError if the options do not fit together, or need what is not installed."""
-    two = arguments.left is not None or arguments.right is not None
-    if two == (arguments.source is not None):
-        raise ConfigError("give SOURCE, or --left and --right")
-    if two and (arguments.left is None or arguments.right is None or arguments.stereo is None):
-        raise ConfigError("--left and --right need each other, and --stereo")
+    two = arguments.left is not None and arguments.right is not None
+    one = arguments.source is not None and arguments.left is None and arguments.right is None
+    if not one and not (two and arguments.source is None and arguments.stereo is not None):
+        raise ConfigError("give SOURCE, or --left and --right with --stereo")
     check_split(arguments, both=arguments.stereo is not None and not two)
     if arguments.rest_frame < 0:
         raise ConfigError(f"--rest-frame must be 0 or more, not {arguments.rest_frame}")

@@ -91,11 +91,11 @@ def test_calibrate_finds_the_cameras_again(run, boards):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], ["--left IMAGE... --right IMAGE..."]),
+        ([], ["--left IMAGE... --right IMAGE... for two"]),
         (["--stereo", "0.png", "1.png"], ["3 different views", "not 2"]),
         (["--stereo", "0.png", "--board", "9x6"], ["looks like", "--board counts the inner"]),
         (["plain.png"], ["no view of camera shows a board of 12 x 12", "--stereo"]),
-        (["--stereo", "--left", "0.png", "--right", "1.png"], ["--stereo is for IMAGE"]),
+        (["--stereo", "--left", "0.png", "--right", "1.png"], ["with --stereo if each shows"]),
         (["none.png"], ["none.png"]),
         (
             ["--stereo", "0.png", "--split", "0,0,9,9:0,0,9,8"],
