@@ -174,7 +174,7 @@ def _decided(board: Board, asked: Asked) -> Decision:
         return like_rest(board, rest, before, K)
     if asked.shape is not None:
         return in_shape(board, asked.shape, K)
-    return Decision(Numbering(0.0, 0, 0, 0), None, math.inf)
+    return Decision(Numbering(0.0, 0.0, 0, 0, 0), None, math.inf)
 
 
 @functools.lru_cache(maxsize=8)

@@ -17,7 +17,6 @@ from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.printing import Prints, agreement, prints_of
 
 VOTERS = 100  # nodes that show the motion from a reference
-TIE = 1e-6  # nats, for each that a motion beyond the most would weigh
 
 
 class Reference(NamedTuple):
@@ -30,9 +29,11 @@ class Reference(NamedTuple):
 
 
 class Numbering(NamedTuple):
-    """Turn the board, then its node (0, 0) has the number (row, column); nats: of its score."""
+    """Turn the board, then its node (0, 0) has the number (row, column); nats: of its score; away:
+    how far that is from what is expected, by which the best of equals is chosen."""
 
     nats: float
+    away: float
     quarters: int
     row: int
     column: int
@@ -65,7 +66,7 @@ def like_rest(
     if previous.sure:
         return decided
     fresh = alone(since_rest, k.rest_sd_cells)
-    same = fresh.best[1:] == decided.best[1:]
+    same = fresh.best[2:] == decided.best[2:]
     return decided._replace(margin=min(fresh.margin, decided.margin) if same else 0.0)
 
 
@@ -138,10 +139,10 @@ def _like(
         turn = angle**2 / (2 * k.turn_sd_degrees**2)
         at = motion.unmoved(quarters, now.owner.shape)
         here = turned, prints.turned(quarters), rest, at
-        row, column, score = _scores(*here, turn, alike, sd_cells, k)
-        best = np.argsort(-score, axis=None)[:6]
+        row, column, score, moved = _scores(*here, turn, alike, sd_cells, k)
+        best = np.lexsort((moved.ravel(), -score.ravel()))[:2]
         found += [
-            Numbering(float(score[n, m]), quarters, int(row[n]), int(column[m]))
+            Numbering(float(score[n, m]), float(moved[n, m]), quarters, int(row[n]), int(column[m]))
             for n, m in zip(*np.unravel_index(best, score.shape), strict=True)
             if np.isfinite(score[n, m])
         ]
@@ -150,7 +151,7 @@ def _like(
 
 def decided_by(found: list[Numbering]) -> Decision:
     """Return the best of some numberings."""
-    best, *others = sorted(found, key=lambda each: -each.nats)
+    best, *others = sorted(found, key=lambda each: (-each.nats, each.away))
     margin = best.nats - others[0].nats if others else math.inf
     return Decision(best, others[0] if others else None, margin)
 
@@ -164,9 +165,9 @@ def _scores(
     alike: float,
     sd_cells: float,
     k: LatticeConstants,
-) -> tuple[Whole, Whole, Float]:
+) -> tuple[Whole, Whole, Float, Float]:
     """Return numbers of the first row, (P,), and of the first column, (Q,), of a board that is
-    turned already, and their nats, (P, Q).
+    turned already, their nats, and what their motion alone would be against them, (P, Q).
 
     at: (2,), the number of its first node if nothing had moved. turn: nats against its rotation.
     alike: the share of nodes that moved alike since rest.
@@ -178,14 +179,13 @@ def _scores(
     away = np.square(row - at[0])[:, None] + np.square(column - at[1])
     first = row - origin[0], column - origin[1]
     score = agreement(rest.prints, prints, *first, alike, k)
-    moved = away / (2 * sd_cells**2) + turn
-    # What was turned by hand was moved too. Of equal ones the least motion is the best.
-    score -= np.minimum(moved, k.motion_nats) + TIE * moved
+    moved: Float = away / (2 * sd_cells**2) + turn
+    score -= np.minimum(moved, k.motion_nats)  # what was turned by hand was moved too
     score += _of_ends(first[0], now, rest.board, 0, k)[:, None]
     score += _of_ends(first[1], now, rest.board, 1, k)
     odd = np.add.outer(*first) % 2 == 1
     score[odd == (now.sign == rest.board.sign)] = -np.inf
-    return row, column, score
+    return row, column, score, moved
 
 
 def _of_ends(first: Whole, now: Board, rest: Board, axis: int, k: LatticeConstants) -> Float:
@@ -196,18 +196,12 @@ def _of_ends(first: Whole, now: Board, rest: Board, axis: int, k: LatticeConstan
     """
     sides = slice(2 * axis, 2 * axis + 2)
     here, there = (np.array(each.outer_lines)[sides] for each in (now, rest))
-    one, other = now.border, rest.border
-    nats_now, nats_rest = k.end_nats * one.ends, k.end_nats * other.ends
-    unlike = np.abs(one.reach - other.reach) > k.border_step_cells
-    same = np.where(unlike, -k.end_nats / 2, 0.0)
-    same = np.where(one.ends & other.follows, -nats_now, same)
-    same = np.where(other.ends & one.follows, -nats_rest, same)
-    beyond = (there[0] - (first + here[0]), first + here[1] - there[1])  # lines, outwards
-    total = np.zeros(len(first))
-    if (one.ends & other.ends)[sides].all():
-        total += math.log(there[1] - there[0] + 1) * ((beyond[0] == 0) & (beyond[1] == 0))
-    for n, lines in zip((2 * axis, 2 * axis + 1), beyond, strict=True):
-        total += np.where(lines == 0, same[n], np.where(lines > 0, -nats_rest[n], -nats_now[n]))
+    ends_now, ends_rest = now.border.ends[sides], rest.border.ends[sides]
+    beyond = np.stack([there[0] - (first + here[0]), first + here[1] - there[1]])  # lines, outwards
+    against = np.where(beyond > 0, ends_rest[:, None], ends_now[:, None] & (beyond < 0))
+    total: Float = -k.end_nats * against.sum(axis=0)
+    if (ends_now & ends_rest).all():
+        total += math.log(there[1] - there[0] + 1) * (beyond == 0).all(axis=0)
     return total
 
 
@@ -216,8 +210,8 @@ def in_shape(now: Board, shape: tuple[int, int], k: LatticeConstants) -> Decisio
 
     Rows and columns are exchanged if the shape fits better so; the columns then stay nearest to the
     image's x axis. A line that the size lacks, a border inside it, and places in view without
-    corners are against a placement; a fifth as much an end in view that shows no border, so that
-    four of them are not taken for a line that lacks. Scores are 0 where all fits.
+    corners are against a placement, and a little an end in view that shows no border. Scores are 0
+    where all fits.
     """
     turns = [0]
     if shape[0] != shape[1]:
@@ -229,9 +223,10 @@ def in_shape(now: Board, shape: tuple[int, int], k: LatticeConstants) -> Decisio
         rows = _places(top, bottom, shape[0], turned.border, 0, k)
         columns = _places(left, right, shape[1], turned.border, 2, k)
         found += [
-            Numbering(a + b, quarters, row, column) for row, a in rows for column, b in columns
+            Numbering(a + b, abs(row) + abs(column), quarters, row, column)
+            for row, a in rows
+            for column, b in columns
         ]
-    found.sort(key=lambda each: (-each.nats, abs(each.row) + abs(each.column), each.quarters != 0))
     return decided_by(found)
 
 
@@ -254,7 +249,7 @@ def _places(
             elif beyond == 0 and border.follows[n]:
                 total -= k.end_nats
             elif beyond == 0 and border.bare[n]:
-                total -= k.end_nats / 5
+                total -= k.bare_nats
         places.append((start - begin, total))
     return places
 

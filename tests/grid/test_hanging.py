@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from cmp_cl.grid.choice import _hanging
+from cmp_cl.grid.choice import Asked, Found, chosen_of
 from cmp_cl.lattice.arrays import Board
+from cmp_cl.lattice.numbers import Decision, Numbering
 
 
 @pytest.mark.parametrize(("second", "counted"), [(0, 0), (2, 0), (3, 9), (5, 15)])
@@ -16,4 +17,6 @@ def test_regions_are_of_cells_with_firm_nodes_that_share_sides(first, second, co
     firm[first : first + 3, 10 : 10 + second] = True
     nodes = np.zeros(firm.shape, np.float32)
     board = Board(x=nodes, y=nodes, owner=nodes.astype(int), torn=~firm, firm=firm, sign=1)
-    assert _hanging(board) == _hanging(board.turned(1)) == counted
+    for each in (board, board.turned(1)):
+        found = Found(each, Decision(Numbering(0, 0, 0, 0, 0), None, np.inf), 0)
+        assert chosen_of([found], Asked(), firm.size) == (found, counted)
