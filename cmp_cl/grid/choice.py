@@ -210,7 +210,7 @@ def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | Non
         sure, least = chosen.fills(asked.shape), K.few * count
     else:
         chosen, others = _alone(found)
-        sure, least = chosen.is_whole, max(K.few * count, min(count / 2, K.least_board))
+        sure, least = chosen.is_whole, K.few * count
     if not sure and chosen.size < least:
         raise GridError(
             f"the largest board has {chosen.size} of {count} corners, expected at least "

@@ -16,7 +16,7 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
     first.
 
     xy: (N, 2), the corners of the plan, px. A corner is a node of one board at most. If no part has
-    `least_part` faces, the largest one is enough.
+    `least_board` faces, the largest one is enough.
     """
     k = plan.constants
     alone = plan.alone()

@@ -45,8 +45,7 @@ class LatticeConstants:
         rim of them hangs on the wrong side of a tear. With 1, and with 4, one of 100 torn gels has
         wrong numbers, with 2 none; if it falls twice, their 206 847 corners have 1408 right nodes
         fewer.
-    least_part: faces, of a part; smaller ones are loose corners.
-    least_board: nodes, of a board.
+    least_board: nodes, of a board, and faces, of a part; smaller ones are loose corners.
     least_line: share, of its places in view that an outer line must hold, and a whole board; and of
         the corners beside a board that must lie on its lattice. With .7 a line of noise beside one
         of 75 boards was taken for theirs; .8 loses nothing on 50 005 corners of gels, and .9
@@ -127,7 +126,6 @@ class LatticeConstants:
     agree_cut: float = 1.3
     cuts: int = 10
     torn_corners: int = 2
-    least_part: int = 8
     least_board: int = 9
     least_line: float = 0.8
     # Joins

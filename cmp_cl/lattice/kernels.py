@@ -98,7 +98,7 @@ def values(plan: "LatticePlan") -> dict[str, Any]:
         "neighbours": k.link_neighbours,
         "torn_corners": k.torn_corners,
         "most_cuts": k.cuts,
-        "least_part": k.least_part,
+        "least_part": k.least_board,
         "places": plan.places,
         "rounds": ROUNDS,
     }
