@@ -318,25 +318,22 @@ float clipped(const float v) { return v < -1.0f ? -1.0f : v > 1.0f ? 1.0f : v; }
 
 /* The score of a node in nats: its sides, its cells, and its distance from the prediction, which
  * counts more if it is torn. */
-float score_of(LEVELS_OF_IMAGE, const float sides, const int quality, const float share,
-               const float2 seen, const float2 at, const bool is_torn, const Prediction prediction,
-               const float cell, __constant Nats *nats) {
+float score_of(const float sides, const int quality, const float share, const float2 seen,
+               const bool is_torn, const Prediction prediction, const float cell,
+               __constant Nats *nats) {
   const float cells = clipped((float)quality * share);
   const float2 d = seen - prediction.at;
   const float root = inverse_root(LARGER(cell * cell, 1e-6f));
   const float misfit = prediction.weight > 0 ? (d.x * d.x + d.y * d.y) * (root * root) : 0.0f;
-  const float score = ((nats->side_nats * sides + nats->cells_nats * cells) +
-                       nats->prior) - misfit * (is_torn ? nats->torn_penalty : nats->penalty);
-  const bool inside =
-      at.x >= 0 && at.y >= 0 && at.x <= (float)((int)columns - 1) && at.y <= (float)((int)rows - 1);
-  return inside ? score : -INFINITY;
+  return ((nats->side_nats * sides + nats->cells_nats * cells) + nats->prior) -
+         misfit * (is_torn ? nats->torn_penalty : nats->penalty);
 }
 
 /* The score of a node; no node has a score of 99. */
 #define NO_SCORE 99.0f
 #define ADD_SIDE(neighbour, sum)                                                    \
   if (IS_HERE(at[neighbour])) whole += clipped(((float)(sum) * share) * OF_POINTS);
-void score_node(LEVELS_OF_IMAGE, __constant Nats *nats, const int width, const int place,
+void score_node(__constant Nats *nats, const int width, const int place,
                 __global const float2 *seen, __global const float2 *at, __global const uchar *torn,
                 __global const float4 *predictions, __global const float *cell,
                 __global const int2 *sides, __global const int2 *cells, __global float *score) {
@@ -350,21 +347,21 @@ void score_node(LEVELS_OF_IMAGE, __constant Nats *nats, const int width, const i
     ADD_SIDE(place - width, sides[place - width].y)
     const float4 p = predictions[place];
     const Prediction prediction = {p.xy, p.z};
-    own = score_of(LEVELS, whole, cells[place].x, share, seen[place], at[place], torn[place],
-                   prediction, cell[place], nats);
+    own = score_of(whole, cells[place].x, share, seen[place], torn[place], prediction,
+                   cell[place], nats);
   }
   score[place] = own;
 }
 
-__kernel void score_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
-                          __global const int *restrict layout, __global const float2 *restrict seen,
-                          __global const float2 *restrict at, __global const uchar *restrict torn,
+__kernel void score_nodes(__constant Nats *nats, __global const int *restrict layout,
+                          __global const float2 *restrict seen, __global const float2 *restrict at,
+                          __global const uchar *restrict torn,
                           __global const float4 *restrict predictions,
                           __global const float *restrict cell, __global const int2 *restrict sides,
                           __global const int2 *restrict cells, __global float *restrict score) {
   FOR_PLACES(1) {
     PLACE_OF_WORK_ITEM
-    score_node(LEVELS, nats, width, place, seen, at, torn, predictions, cell, sides, cells, score);
+    score_node(nats, width, place, seen, at, torn, predictions, cell, sides, cells, score);
   }
 }
 
@@ -397,16 +394,15 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
   if (!is_beside_nodes(at, place, width)) return found;
   const Prediction prediction = predicted(at, place, width);
   const float2 p = prediction.at;
-  const float right = (float)((int)columns - 1), bottom = (float)((int)rows - 1);
-  if (!(prediction.weight > 0) || !(p.x > 0 && p.y > 0 && p.x < right && p.y < bottom)) return found;
+  const float edge = nats->edge;
+  const float right = (float)((int)columns - 1) - edge, bottom = (float)((int)rows - 1) - edge;
+  if (!(prediction.weight > 0) || !(p.x > edge && p.y > edge && p.x < right && p.y < bottom))
+    return found;
   const Steps steps = steps_of(at, place, width);
   if (!steps.known) return found;
-  const float edge = nats->edge;
   found.nearest = nearest_corner(corners, capacity, layout, starts, binned, rows, columns, p,
                                  nats->reach * steps.cell);
   const bool is_free = found.nearest != NONE && !used[found.nearest];
-  if (!is_free && (p.x < edge || p.y < edge || p.x > right - edge || p.y > bottom - edge))
-    return found;
   float2 here = found.at = is_free ? POSITIONS(corners)[found.nearest] : p;
   const bool is_torn = !is_free || IS_TORN(found.nearest);
   if (is_free && is_torn)
@@ -418,8 +414,8 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
   ADD_NEW_SIDE(place + width, here, at[place + width], -parity)
   ADD_NEW_SIDE(place - 1, at[place - 1], here, -parity)
   ADD_NEW_SIDE(place - width, at[place - width], here, parity)
-  const float score = score_of(LEVELS, whole, seen.quality, share, found.at, here, is_torn,
-                               prediction, steps.cell, nats);
+  const float score = score_of(whole, seen.quality, share, found.at, is_torn, prediction,
+                               steps.cell, nats);
   if (!(score < nats->enter)) found.owner = is_free ? found.nearest : PLACE;
   return found;
 }
@@ -561,8 +557,7 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
     ALL_TOGETHER;
     list_around(OF_PLACES, MEASURED, NEAR, SCORED, true, width, seen);
     FOR_LISTED(SCORED)
-      score_node(LEVELS, nats, width, place, seen, at, torn, predictions, cell, sides, cells,
-                 score);
+      score_node(nats, width, place, seen, at, torn, predictions, cell, sides, cells, score);
     ALL_TOGETHER;
     list_around(OF_PLACES, SCORED, 1, JUDGED, false, width, seen);
     for (int kind = CHANGED; kind <= SCORED; ++kind) empty_list(OF_PLACES, kind);

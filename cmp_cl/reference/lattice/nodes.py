@@ -226,9 +226,6 @@ def evidence(
     misfit = np.where(weight > 0, misfit, F(0))
     penalty = misfit * np.where(torn, F(2 / k.sd_cells**2), F(0.5 / k.sd_cells**2))
     score = ((F(k.side_nats) * sides + F(k.cells_nats) * cells) + F(k.prior_nats)) - penalty
-    height, width = plane.shape
-    inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
-    score = np.where(inside, score, F(-np.inf))
     return Evidence(
         score=np.where(np.isnan(x), F(np.nan), score),
         x=x,
@@ -295,7 +292,8 @@ def settled(
     other boards. `board` has positions as seen, and says which are torn; the result has the blended
     positions, and which are rough.
     """
-    height, width = plane.shape
+    edge = F(k.contrast_radius_px)
+    bottom, right = (F(size - 1) - edge for size in plane.shape)
     tried = np.zeros(board.x.shape, np.bool_)
     for _ in range(ROUNDS):
         board = dropped(plane, board, k)
@@ -307,7 +305,7 @@ def settled(
         beside = np.zeros(there.shape, np.bool_)
         for step in FOUR:
             beside |= shifted(there, *step, False)
-        inside = (px > 0) & (py > 0) & (px < width - 1) & (py < height - 1)
+        inside = (px > edge) & (py > edge) & (px < right) & (py < bottom)
         want = ~there & ~tried & beside & now.steps.known & (weight > 0) & inside
         row, column = (each.astype(np.int64) for each in np.nonzero(want))
         if not len(row):
@@ -327,11 +325,7 @@ def settled(
         r, c = row[~good], column[~good]
         new_x[r, c], new_y[r, c], new_owner[r, c], new_torn[r, c] = px[r, c], py[r, c], LOOKED, True
         found = evidence(plane, board, k, (new_x, new_y, new_torn))
-        edge = F(k.contrast_radius_px)
-        near_edge = (new_x < edge) | (new_y < edge)
-        near_edge |= (new_x > width - 1 - edge) | (new_y > height - 1 - edge)
         take = (new_owner != NONE) & (found.score >= F(2 * k.stay_nats))
-        take &= ~((new_owner == LOOKED) & near_edge)
         take &= _first_claims(new_owner, take)
         if not take.any():
             break
