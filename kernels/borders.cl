@@ -271,8 +271,9 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
     for (int depth = 0; depth < DEPTHS; ++depth) {
       const float out = depth == 0 ? -0.5f : depth == 1 ? far : STEP_OF_LEVELS * (float)depth;
       int sum = 0;
+      const float2 at = square.middle + out * square.out;
       for (int spot = -1; spot <= 1; ++spot)
-        sum += grey_at(IMAGE, (square.middle + out * square.out) + STEP_OF_LEVELS * (float)spot * square.along);
+        sum += grey_at(IMAGE, at + STEP_OF_LEVELS * (float)spot * square.along);
       levels[m * DEPTHS + depth] = sum;
     }
   }
