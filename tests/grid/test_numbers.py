@@ -496,8 +496,8 @@ def test_a_whole_board_before_a_fisheye_has_the_same_nodes_like_the_rest_as_by_i
     assert not liked.ambiguous
 
 
-@pytest.mark.parametrize("severity", [0.5, 1.5, 2.0])
-def test_a_pressed_gel_has_its_numbers_at_rest(severity):
+@pytest.mark.parametrize(("severity", "share"), [(0.5, 0.99), (1.5, 0.99), (2.0, 0.96)])
+def test_a_pressed_gel_has_its_numbers_at_rest(severity, share):
     scene = random_scene(81, markers=24, shape=SIZE, severity=severity, indenter=Indenter.TORUS)
     rest, view = rendered(scene.at_rest()), rendered(scene)
     at_rest = grid_of(rest)
@@ -505,7 +505,7 @@ def test_a_pressed_gel_has_its_numbers_at_rest(severity):
     grid = grid_of(view, like=at_rest)
     moved = view._replace(corners=view.corners - offset)
     assert_right_or_told(grid, moved, "truth")
-    assert scored(grid, moved, known="truth").share > 0.96
+    assert scored(grid, moved, known="truth").share > share
 
 
 def _truth_at_rest(grid: Grid, view: View) -> np.ndarray:
