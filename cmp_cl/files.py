@@ -158,6 +158,8 @@ def read_toml(path: str | PathLike[str]) -> dict[str, Any]:
         return tomllib.loads(text.replace("\r\n", "\n"))
     except RecursionError as error:
         raise ValueError("nested too deep, no settings") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"it is not TOML: {error}") from error
 
 
 def read_npz(

@@ -168,14 +168,14 @@ def _boards(
                     image = read[path][side if arguments.stereo else 0]
                     size = (image.shape[1], image.shape[0])
                     if sizes.get(name, size) != size:
-                        raise ImageError(
-                            f"{shown(path)} has {size} px, earlier views {sizes[name]}"
+                        raise GridError(
+                            "it has {} x {} px, earlier views {} x {}".format(*size, *sizes[name])
                         )
                     grid = find_board(
                         image, arguments.board, full_scale=arguments.full_scale, device=device
                     )
                     sizes[name] = size
-                except ImageError as error:
+                except ImageError as error:  # of a file, which may show two views
                     left_out.append(one_line(error))
                 except GridError as error:
                     which = f" ({name})" if arguments.stereo else ""
@@ -190,7 +190,7 @@ def _boards(
                 "--board counts the inner corners, one less than the squares along each side, and "
                 "--stereo is for images that show two views"
             )
-    return grids, sizes, left_out
+    return grids, sizes, list(dict.fromkeys(left_out))
 
 
 def _report(found: Calibration, names: Mapping[str, list[str]]) -> None:

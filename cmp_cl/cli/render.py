@@ -19,7 +19,7 @@ _OPTIONS = {  # each a field of Scene
     "corrosion": "wear of the print, 0 to 3",
     "noise": "standard deviation of the noise, 1/255 of white",
     "shape": "rows and columns of the image, px",
-    "bits": "bits of a grey level, 8 or 12",
+    "bits": "bits of a grey level, 8 to 16",
     "seed": "seed of noise, tears and light",
 }
 

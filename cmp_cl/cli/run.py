@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import re
 import sys
 from collections.abc import Generator
 
@@ -120,7 +121,8 @@ def run(arguments: argparse.Namespace) -> int:
     names = [arguments.source] if arguments.left is None else [arguments.left, arguments.right]
     sources = [Source(name, dict(arguments.set)) for name in names]
     source, stop = sources[0] if len(sources) == 1 else Pairs(*sources), Stop()
-    pictures = [f"{arguments.plot}{suffix}" for suffix in (".png", ".mp4") if arguments.plot]
+    plot = re.sub(r"\.(png|mp4)$", "", arguments.plot or "")
+    pictures = [f"{plot}{suffix}" for suffix in (".png", ".mp4") if plot]
     series = [] if arguments.out == "-" else [arguments.out]
     check_files([*source.paths, arguments.config, arguments.stereo], [*series, *pictures])
     recording = Recording(source, arguments.rest_frame)

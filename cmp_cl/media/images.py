@@ -135,7 +135,11 @@ def decoded(
                 "OPENCV_IO_MAX_IMAGE_PIXELS raises it"
             ) from error
     if not first and not pages:
-        raise ImageError(f"{str(path)!r} is not an image that OpenCV can read, or is damaged")
+        video = suffix_of(path, ImageError) in VIDEO_SUFFIXES
+        what = (
+            "a video: give images" if video else "not an image that OpenCV can read, or is damaged"
+        )
+        raise ImageError(f"{str(path)!r} is {what}")
     for page in pages:
         if page.dtype not in (np.uint8, np.uint16):
             raise ImageError(

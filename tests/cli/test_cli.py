@@ -93,6 +93,8 @@ PATTERN = "pattern", "--grid", "4x4"
     [
         ((), ["COMMAND"]),
         (("bogus",), ["bogus", "detect"]),
+        (("detect", BOARD, "--outt", "c.csv"), ["--outt c.csv; cmp-cl detect --help"]),
+        (("detect", BOARD, "--config", "text.png"), ["text.png: it is not TOML"]),
         (("detect", "missing.png"), ["there is no file 'missing.png'"]),
         (("detect", "empty"), ["no image and no video in the folder 'empty'"]),
         (("detect", "float.tif"), ["float32", "expected 8 or 16 bits"]),

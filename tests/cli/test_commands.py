@@ -77,9 +77,11 @@ def test_calibrate_finds_the_cameras_again(run, boards):
     for number, frame in enumerate(boards):
         cv2.imwrite(f"{number}.png", frame)
     cv2.imwrite("4.png", np.full((VIEW[0], 2 * VIEW[1]), 90, np.uint8))
-    status, out, err = run("calibrate", "--stereo", *(f"{n}.png" for n in range(5)), *BOARD)
+    cv2.imwrite("5.png", np.full(VIEW, 90, np.uint8))
+    status, out, err = run("calibrate", "--stereo", *(f"{n}.png" for n in range(6)), *BOARD)
     assert status == 0
     assert err.startswith("cmp-cl: left out 4.png (left): no pattern of 12 x 12 corners is found")
+    assert "left out 5.png (right): it has 108 x 240 px, earlier views 216 x 240" in err
     assert "advice: 4 different views" in out
     rig = StereoRig.load("rig.yaml")
     assert rig.K1[0, 0] == pytest.approx(RIG.K1[0, 0], rel=0.02)
@@ -94,6 +96,7 @@ def test_calibrate_finds_the_cameras_again(run, boards):
         ([], ["--left IMAGE... --right IMAGE... for two"]),
         (["--stereo", "0.png", "1.png"], ["3 different views", "not 2"]),
         (["--stereo", "0.png", "--board", "9x6"], ["looks like", "--board counts the inner"]),
+        (["plain.mp4"], ["plain.mp4' is a video: give images"]),
         (["plain.png"], ["no view of camera shows a board of 12 x 12", "--stereo"]),
         (["--stereo", "--left", "0.png", "--right", "1.png"], ["with --stereo if each shows"]),
         (["none.png"], ["none.png"]),
@@ -107,6 +110,7 @@ def test_a_wrong_argument_of_calibrate_is_one_line_and_no_file(
     run, boards, tmp_path, arguments, words
 ):
     cv2.imwrite("plain.png", np.full(VIEW, 90, np.uint8))
+    Path("plain.mp4").touch()
     for number in range(2):
         cv2.imwrite(f"{number}.png", boards[number])
     fails_in_one_line(run("calibrate", *BOARD, *arguments), *words)

@@ -406,7 +406,7 @@ def test_a_pipe_gets_json_lines_alone_and_the_report_goes_to_stderr(one_view):
 
 def test_a_sheet_and_one_annotated_video_are_written(run, recording, press):
     pytest.importorskip("matplotlib", reason="matplotlib is not installed")
-    status, out, _ = run("run", recording, *STEREO, "--plot", "shown")
+    status, out, _ = run("run", recording, *STEREO, "--plot", "shown.png")
     assert (status, out.splitlines()[-2:]) == (0, ["wrote shown.png", "wrote shown.mp4"])
     capture = cv2.VideoCapture("shown.mp4")
     assert sum(capture.read()[0] for _ in range(len(press) + 3)) == len(press)
