@@ -178,28 +178,32 @@ class Detector(Closing):
         """Return the plan that has the layout of its frames on the device."""
         return self._plans.lend()
 
-    def begin(self, frames: Sequence[GreyImage], *, still: bool = True) -> Plan:
+    def begin(self, frames: Sequence[GreyImage], *, still: bool = True, read: bool = True) -> Plan:
         """Upload frames and enqueue their kernels, without waiting; return the plan that has them.
 
         Launches that are enqueued in `queue` next find the corners of the frames on the device, see
         kernels/result.clh. `finish` must follow. still: the frames do not change before it; else
-        they do not change before the `uploads` of the plan. Raises the errors of a call.
+        they do not change before the `uploads` of the plan. read: download the result too; else
+        the plan's `download` must follow, or `finish` with what is listed. Raises the errors of a
+        call.
         """
         images = [self._checked(frame) for frame in frames]
         with self._lock:
             self._check_alive()
             plan = self._plans.lend(len(images))
-            self._start(plan, images, self._transfers, still=still)
+            self._start(plan, images, self._transfers, still=still, read=read)
             self._plans.keep(plan)
             return plan
 
-    def finish(self, plan: Plan) -> tuple[Found, bool]:
+    def finish(self, plan: Plan, listed: NDArray[np.float32] | None = None) -> tuple[Found, bool]:
         """Return what is found in the frames of the plan that `begin` returned, and whether
-        launches enqueued behind it have found the same: not if a list was too short."""
+        launches enqueued behind it have found the same: not if a list was too short.
+
+        listed: (V, N) float32, the first numbers of each result, if the host has them already."""
         with self._lock:
             self._check_alive()
             before = self.regrown
-            found = self._found(plan)
+            found = self._found(plan, listed)
             return found, self.regrown == before
 
     def batch(self, stack: NDArray[Any] | Sequence[GreyImage]) -> list[Corners]:
@@ -306,21 +310,23 @@ class Detector(Closing):
         transfers: cl.CommandQueue,
         *,
         still: bool = True,
+        read: bool = True,
     ) -> None:
         plan.events.clear()
         try:
-            plan.launch(plan.upload(transfers, frames, still=still))
+            plan.launch(plan.upload(transfers, frames, still=still), read=read)
         except cl.MemoryError as error:
             raise plan.refused(error) from error
 
-    def _found(self, plan: Plan) -> Found:
+    def _found(self, plan: Plan, listed: NDArray[np.float32] | None = None) -> Found:
         self._plans.take_back(plan)
         try:
             while True:
                 try:
-                    return Found(plan.read(), plan)
+                    return Found(plan.read(listed), plan)
                 except Overflow as overflow:
                     self._grow(plan, overflow)
+                    listed = None
         except cl.MemoryError as error:
             raise plan.refused(error) from error
 

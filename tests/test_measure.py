@@ -14,6 +14,7 @@ import cmp_cl
 from cmp_cl import GridError, NodeStatus, StereoRig, measure
 from cmp_cl.measure.views import View
 from cmp_cl.media import read_frames
+from cmp_cl.opencl import memory
 from cmp_cl.synthetic import boards, render_stereo
 
 FILM = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.6, 0.6)  # a press that ends, and one at once
@@ -226,7 +227,12 @@ def test_a_frame_that_does_not_fit_is_refused_and_the_next_one_is_measured(film)
         np.testing.assert_array_equal(following(film[2]).field.displacement, expected)
 
 
-def test_a_frame_with_more_corners_than_there_is_room_for_is_measured_and_so_is_the_next():
+@pytest.mark.parametrize("apart", [False, True], ids=["shared memory", "memory of its own"])
+def test_a_frame_with_more_corners_than_there_is_room_for_is_measured_and_so_is_the_next(
+    apart, monkeypatch
+):
+    if apart:
+        monkeypatch.setattr(memory, "shares_memory", lambda _: False)
     images = [np.pad(pressed(severity).left.image, ((0, 0), (0, 260))) for severity in FILM[:4]]
     y, x = np.indices((len(images[2]), 240)) // 12 % 2
     images[2][:, -240:] = np.where(x == y, 200, 40)  # a board beside the pattern

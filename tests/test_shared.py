@@ -1,18 +1,19 @@
 """Memory that the host and a device share."""
 
-import dataclasses
 import gc
+from collections import Counter
 
 import images
 import numpy as np
 import pyopencl as cl
 import pytest
 from comparison import assert_same_bytes
+from gels import NODES, RIG, SPLIT, pressed
 
 from cmp_cl import Detector
-from cmp_cl.measure import OneView
+from cmp_cl.measure import OneView, TwoViews
 from cmp_cl.opencl import memory
-from cmp_cl.synthetic import random_scene, render
+from cmp_cl.stages import plan as plans
 
 BOARD = images.eight_bits()["board"]
 TEXTURE = images.texture(BOARD.shape)
@@ -38,20 +39,51 @@ def test_a_detector_gives_the_same_corners_with_and_without_shared_memory(
         assert_same_bytes(here, copied)
 
 
-def test_fields_are_the_same_with_and_without_shared_memory(handle, device, monkeypatch):
-    scene = random_scene(3, markers=12, severity=0.0)
-    rest, now = (render(dataclasses.replace(scene, severity=level)).image for level in (0.0, 0.1))
+@pytest.fixture
+def copies(monkeypatch):
+    """Count the copies to ("write") and from ("read") the memory of a device of its own."""
+    counts = Counter()
+
+    copy = cl.enqueue_copy
+
+    def counted(queue, to, source, **place):
+        counts["read"] += isinstance(to, np.ndarray)
+        counts["write"] += isinstance(source, np.ndarray)
+        return copy(queue, to, source, **place)
+
+    monkeypatch.setattr(cl, "enqueue_copy", counted)
+    for module in (memory, plans):
+        monkeypatch.setattr(module, "copy_rectangle", counted)
+    return counts
+
+
+@pytest.mark.parametrize("views", [1, 2])
+def test_fields_are_the_same_without_shared_memory_and_a_tracked_frame_is_one_read(
+    handle, device, monkeypatch, copies, views
+):
+    shots = [pressed(level) for level in (0.0, 0.1, 0.15)]
+    rest, now, last = (shot.left.image if views == 1 else shot.frame for shot in shots)
     results = []
     for shares in (True, False):
         monkeypatch.setattr(memory, "shares_memory", lambda _, shares=shares: shares)
-        with OneView(rest, shape=(12, 12), strain=True, device=device) as measure:
+        with (
+            OneView(rest, shape=NODES, strain=True, device=device)
+            if views == 1
+            else TwoViews(rest, RIG, SPLIT, shape=NODES, strain=True, device=device)
+        ) as measure:
             measure.skip()
-            found = [measure(frame) for frame in (now, now)]  # the first is numbered anew
-        assert [each.tracked for each in found] == [False, True]
-        results.append([each.arrays for each in found])
+            first = measure(now)  # is numbered anew
+            copies.clear()
+            found = [first, measure(now), measure(last)]
+            expected = {} if shares else {"read": 2, "write": 2 * views}
+            assert {name: count for name, count in copies.items() if count} == expected
+        assert [each.tracked for each in found] == [False, True, True]
+        results.append(found)
     for here, copied in zip(*results, strict=True):
-        for name, values in here.items():
-            np.testing.assert_array_equal(values, copied[name], err_msg=name)
+        for name, values in here.arrays.items():
+            np.testing.assert_array_equal(values, copied.arrays[name], err_msg=name)
+        for corners, others in zip(here.corners, copied.corners, strict=True):
+            assert_same_bytes(corners, others)
 
 
 def beside(one, other):

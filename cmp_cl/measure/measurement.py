@@ -144,8 +144,15 @@ class Measurement(Closing):
                 shape = self._views[0].rest.shape
             rest, geometry = self._at_rest()
             programs = programs_of(chosen.handle)
+            most = max(len(view.corners) for view in self._views)
             self._plan = FieldPlan(
-                self._detector.queue, programs, chosen, rest=rest, geometry=geometry, strain=strain
+                self._detector.queue,
+                programs,
+                chosen,
+                rest=rest,
+                geometry=geometry,
+                strain=strain,
+                listed=self._detector.layout.numbers_to_list(most * 5 // 4),
             )
             stack.callback(self._plan.release)
             self._tracker: Tracker | None = None
@@ -179,8 +186,9 @@ class Measurement(Closing):
         if self._tracker is not None and self._follows:
             begun = self._begin(images)
             self._follow(begun)
-            self._detector.finish(begun.plan)
-            self._tracker.know_rest(self._plan.read())
+            arrays = self._plan.read()
+            self._detector.finish(begun.plan, arrays.get("listed"))
+            self._tracker.know_rest(arrays)
         self._follows = False
 
     def close(self) -> None:
@@ -295,16 +303,20 @@ class Measurement(Closing):
 
     def _begin(self, views: Sequence[GreyImage]) -> _Begun:
         """Enqueue the kernels that find the corners of a frame."""
-        return _Begun(tuple(views), self._detector.begin(views))
+        return _Begun(tuple(views), self._detector.begin(views, read=False))
 
     def _follow(self, begun: _Begun) -> None:
-        """Enqueue those that track the nodes and compute the field, if the tracker can go on."""
-        if self._tracker is not None and self._follows:
-            self._track(self._tracker, begun.plan)
-            begun.tracker = self._tracker
+        """Enqueue those that track the nodes and compute the field, if the tracker can go on; and
+        one download."""
+        if self._tracker is None or not self._follows:
+            begun.plan.download()
+            return
+        self._track(self._tracker, begun.plan)
+        begun.tracker = self._tracker
 
     def _track(self, tracker: Tracker, plan: Plan) -> None:
         """Enqueue the kernels that find the nodes of a plan's frame from those on the device."""
+        plan.list_in(self._plan.frame)
         self._events = enqueue(self._detector.queue, tracker.launches(plan))
         self._events += self._plan.start()
 
@@ -318,9 +330,8 @@ class Measurement(Closing):
 
     def _settle(self, begun: _Begun) -> Measured:
         """Wait for a frame. Number it anew where tracking does not hold, or is audited."""
-        # One wait: a second one, for the corners, would take a core from the kernels.
         arrays = self._plan.read() if begun.tracker else {}
-        found, same = self._detector.finish(begun.plan)
+        found, same = self._detector.finish(begun.plan, arrays.get("listed"))
         tracker, numbers = begun.tracker, [view.sure for view in self._views]
         settled = Measured(
             views=begun.views,

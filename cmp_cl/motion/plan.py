@@ -44,7 +44,8 @@ class FieldPlan:
     """Buffers and bound kernels that turn the nodes of V views into a field of D coordinates.
 
     rest: the nodes at rest. geometry: how the views show them, in space or in the plane. strain:
-    whether fields have a strain.
+    whether fields have a strain. listed: numbers of each view, written by others, that the host
+    reads with the results.
     frame: what a frame starts from, see `Tracker.layout`, and what comes of it.
 
     Where the device has no double precision, displacements in space err by some hundredths of a
@@ -60,12 +61,13 @@ class FieldPlan:
         rest: Moment,
         geometry: InSpace | InPlane,
         strain: bool = False,
+        listed: int = 0,
     ) -> None:
         self.shape = rest.shape
         self._queue, self._strained, self._geometry = queue, strain, geometry
         self._at_rest = AtRest(rest, device, slopes=strain)
         self._double = has_double(device)
-        self.frame = Memory(queue, self._frame_layout())
+        self.frame = Memory(queue, self._frame_layout(listed))
         self._filter = LatticeFilter(
             queue,
             programs,
@@ -116,7 +118,7 @@ class FieldPlan:
         }
         return tables | (self._at_rest.strain_constants if self._strained else {})
 
-    def _frame_layout(self) -> Layout:
+    def _frame_layout(self, listed: int) -> Layout:
         layout = {
             **Tracker.layout(self._geometry.views, self.shape),
             **LatticeFilter.layout(self.shape, self._geometry.axes, slopes=self._strained),
@@ -127,6 +129,8 @@ class FieldPlan:
         if self._strained:
             layout["strain"] = (3, *self.shape), np.float32
             layout["strain_covariance"] = (covariances(3), *self.shape), np.float32
+        if listed:
+            layout["listed"] = (self._geometry.views, listed), np.float32
         return layout
 
     # What happens in a frame

@@ -166,7 +166,7 @@ class Plan(PlanBase):
         return sum(each.buffer.size for each in self.memory.values())
 
     @property
-    def _shared(self) -> bool:
+    def shared(self) -> bool:
         """Return whether the device works in the host's memory."""
         return self.memory["image"].shared
 
@@ -207,7 +207,7 @@ class Plan(PlanBase):
         # The same for frames that lie elsewhere. Intel's runtime copies such frames, and PoCL reads
         # them where they lie.
         self._in_place: list[Launch] = []
-        if self._shared and is_pocl(self.device.handle) and self.detection is harmonic:
+        if self.shared and is_pocl(self.device.handle) and self.detection is harmonic:
             first = harmonic.launch_in_place(self)
             self._in_place = [first, *self.launches[1:]] if first else []
         self._numbers: tuple[int, int, int] | None = None  # of their place
@@ -234,7 +234,7 @@ class Plan(PlanBase):
                 harmonic.set_place(self._in_place[0], *numbers)
                 self._numbers = numbers
             return self._in_place
-        if self._shared:
+        if self.shared:
             self._write(frames)
             return self.launches
         size = self.dtype.itemsize
@@ -266,17 +266,39 @@ class Plan(PlanBase):
         for n, frame in enumerate(frames):
             lines[1 + n * rows : 1 + (n + 1) * rows, self.pad : self.pad + columns] = frame
 
-    def launch(self, stages: Sequence[Launch]) -> None:
-        """Enqueue the stages in order, after the upload, and the download of the result."""
+    def launch(self, stages: Sequence[Launch], *, read: bool = True) -> None:
+        """Enqueue the stages in order, after the upload; read: the download of the result too."""
         self.events += enqueue(self.queue, stages, self.uploads)
         self._last = self.events[-1][1]
-        self._download()
+        if read:
+            self.download()
         self.queue.flush()
 
-    def _download(self) -> None:
+    def download(self) -> None:
         """Enqueue the download of the result, with as many corners as there will likely be."""
         for copied in self.memory["result"].download(result=self._bytes(self._likely)):
             self._last = copied
+
+    def list_in(self, memory: Memory) -> None:
+        """Enqueue the copy of the first numbers of each result to the array "listed", if there is
+        one, on the device; see `read`."""
+        if "listed" not in memory.parts:
+            return
+        own, listed = self.memory["result"].arrays["result"], memory.arrays["listed"]
+        for frame in range(self.frames):  # PoCL 3.0 crashes at a copy of all as a rectangle
+            cl.enqueue_copy(
+                self.queue,
+                memory.parts["listed"],
+                self.arrays["result"],
+                src_offset=frame * own.strides[0],
+                dst_offset=frame * listed.strides[0],
+                byte_count=min(own.strides[0], listed.strides[0]),
+            )
+
+    def numbers_to_list(self, corners: int) -> int:
+        """Return how many numbers of a result hold so many corners; 0 in shared memory, from which
+        nothing is copied."""
+        return 0 if self.shared else self._bytes(corners) // 4
 
     def _bytes(self, corners: int) -> int:
         """Return the bytes of the result of a frame that hold so many corners."""
@@ -288,21 +310,26 @@ class Plan(PlanBase):
             self._last.wait()
             self._last = None
 
-    def read(self) -> NDArray[np.float32]:
+    def read(self, listed: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """Return the result of each frame as kernels/result.clh lays it out, (frames, numbers),
         once the launches are done; raises Overflow.
+
+        listed: the first numbers of each, if the host has them already.
         """
         self._wait()
         self.uploads.clear()
         self._frames = None
         result = self.memory["result"].arrays["result"]
-        heads = result[:, : 4 * (1 + self.lists)].view(np.uint32).tolist()
-        most, listed = max(head[0] for head in heads), max(max(head[1:]) for head in heads)
-        if listed > self.list_capacity or most > self.corner_capacity:
-            raise Overflow(listed, most)
-        if most > self._likely:
+        begun = result if listed is None else listed.view(np.uint8)
+        heads = begun[:, : 4 * (1 + self.lists)].view(np.uint32).tolist()
+        most, longest = max(head[0] for head in heads), max(max(head[1:]) for head in heads)
+        if longest > self.list_capacity or most > self.corner_capacity:
+            raise Overflow(longest, most)
+        if listed is not None and self._bytes(most) <= listed[0].nbytes:
+            return listed
+        if listed is not None or most > self._likely:
             self._likely = most
-            self._download()
+            self.download()
             self._wait()
         self._likely = min(most * 9 // 8, self.corner_capacity)  # the next frame has about as many
         return result[:, : self._bytes(most)].copy().view(np.float32)
