@@ -1,8 +1,8 @@
 """Which corners get a number, and which numbers are right: family by family, beside the peers.
 
     python bench/numbering.py --quick        a tenth of the frames
-    python bench/numbering.py                writes results/numbering.csv
-    python bench/numbering.py --seed 9000000 --ablation      other frames; each idea left out
+    python bench/numbering.py                writes results/numbering.csv and ablation.csv
+    python bench/numbering.py --ablation     only the second: each idea of the lattice left out
 
 A node is right if it lies within 3 px of a corner and its number fits the lattice of the others,
 wrong if its number does not, false if no corner lies within 3 px and a quarter of a cell. Nodes
@@ -12,10 +12,13 @@ clutter also if a node is none of the board.
 """
 
 import argparse
+import contextlib
 import dataclasses
+import functools
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -39,9 +42,9 @@ from patterns import (
 )
 from scenes import View, photograph
 
-from cmp_cl import Corners, Detector, DetectorConfig, Grid, NodeStatus, build_grid, select_device
+from cmp_cl import Corners, Detector, DetectorConfig, Grid, NodeStatus, build_grid
 from cmp_cl.errors import GridError
-from cmp_cl.lattice.boards import boards
+from cmp_cl.grid import build, choice
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.plan import LatticePlan
 from cmp_cl.synthetic.scoring import agreeing
@@ -54,14 +57,23 @@ K = LatticeConstants()
 # Constants that leave one idea out.
 ABLATION: dict[str, dict[str, Any]] = {
     "all": {},
+    "links whatever lies between": {"side_middle": -1e9},
     "faces need not agree": {"agree": 100.0, "cuts": 0, "torn_corners": 4},
     "contradicted parts are not cut": {"cuts": 0, "torn_corners": 4},
     "faces of torn corners agree as others": {"torn_corners": 4},
     "no joins across tears": {"join_votes": 1e9},
+    "joins whatever the colours": {"join_votes": 0.0},
     "joins whatever the surface": {"join_bend": 0.0},
     "torn corners count as whole ones": {"rough_weight_per_px2": 1e9},
     "no test of nodes": {"prior_nats": 1e6},
-    "outer lines hold what they hold": {"least_line": 0.0},
+    "nodes whatever their sides": {"side_nats": 0.0, "prior_nats": K.prior_nats + 4 * K.side_nats},
+    "nodes whatever their cells": {"cells_nats": 0.0, "prior_nats": K.prior_nats + K.cells_nats},
+    "nodes wherever they are": {"sd_cells": 1e3},
+    "outer lines and whole boards hold what they hold": {"least_line": 0.0},
+    "borders say nothing of numbers": {"end_nats": 1e-6, "bare_nats": 0.0},
+    "prints say nothing of numbers": {"print_clip": 0.0},
+    "motion says nothing of numbers": {"motion_nats": 0.0},
+    "boards of few corners, and with gaps": {"few": 0.0, "gap": 1.0},
 }
 VERDICTS = ("right", "right, told", "refused", "wrong, told", "silent")
 
@@ -101,24 +113,13 @@ def of_grid_sized(view: View, corners: Corners) -> Answer | None:
     return answer_of(build_grid(corners, view.image, shape=view.whole), sized=True)
 
 
-def of_lattice(constants: LatticeConstants) -> Method:
-    """Return the largest board of the lattice with these constants; positions are as seen."""
-    device = select_device()
-
-    def find(view: View, corners: Corners) -> Answer:
-        kind = view.image.shape, view.image.dtype, 255
-        plan = LatticePlan(device, *kind, max(len(corners), 1), constants)
-        plan.take(view.image, corners.xy, corners.edges, corners.refusal)
-        plan.start()
-        found = next(boards(plan, corners.xy), None)
-        if found is None:
-            return NOTHING
-        row, column = np.nonzero(found.owner >= 0)
-        xy = np.stack([found.x[row, column], found.y[row, column]], axis=1).astype(np.float64)
-        predicted = int(np.count_nonzero(found.there)) - len(xy)
-        return Answer(xy, np.stack([row, column], axis=1), predicted)
-
-    return find
+@contextlib.contextmanager
+def changed(constants: dict[str, Any]) -> Iterator[None]:
+    """Let `build_grid` use other constants."""
+    values = dataclasses.replace(K, **constants)
+    plan = functools.partial(LatticePlan, constants=values)
+    with mock.patch.object(choice, "K", values), mock.patch.object(build, "lattice_plan", plan):
+        yield
 
 
 def calib_targets(view: View, _: Corners) -> Answer:
@@ -161,7 +162,8 @@ def libcbdetect(view: View, _: Corners) -> Answer:
     return Answer(np.stack([x, y], axis=1), np.indices((board.rows, board.cols)).reshape(2, -1).T)
 
 
-OURS: dict[str, Method] = {"cmp_cl": of_grid, "cmp_cl, size known": of_grid_sized}
+SIZED: dict[str, Method] = {"cmp_cl, size known": of_grid_sized}
+OURS = {"cmp_cl": of_grid} | SIZED
 PEERS: dict[str, Method] = {
     "calib-targets": calib_targets,
     "cv2 SB, LARGER": sector_based,
@@ -199,16 +201,15 @@ def scored(view: View, answer: Answer, *, alone: bool) -> dict[str, int]:
     xy, number = answer.xy[real], answer.number[real]
     if not len(xy):
         return row | {"frame": VERDICTS.index("refused")}
-    away = np.linalg.norm(xy[:, None] - view.truth[None, :, :2], axis=2)
+    away = np.abs(np.subtract.outer(xy @ [1, 1j], view.truth[:, :2] @ [1, 1j]))
     nearest, distance = away.argmin(axis=1), away.min(axis=1)
     hit = distance < HIT
     truth = view.truth[nearest[hit], 2:].astype(int)
     right = int(np.count_nonzero(agreeing(number[hit], truth)))
     of_board = hit.any() and view.whole and agreeing(number[hit], truth, view.whole).all()
-    row |= {"right": right, "wrong": int(np.count_nonzero(hit)) - right}
-    row["false"] = int(
-        np.count_nonzero((distance >= max(HIT, SHARE * view.cell)) & view.counted(xy))
-    )
+    far = (distance >= max(HIT, SHARE * view.cell)) & view.counted(xy)
+    wrong = int(np.count_nonzero(hit)) - right
+    row |= {"right": right, "wrong": wrong, "false": int(np.count_nonzero(far))}
     bad = row["wrong"] > 0 or (answer.sized and not of_board) or (alone and row["false"] > 0)
     return row | {"frame": verdict(good=not bad, told=answer.doubts)}
 
@@ -220,23 +221,18 @@ def verdict(*, good: bool, told: bool) -> int:
 
 
 def singles(
-    methods: dict[str, Method], arguments: argparse.Namespace, fewer: int
+    methods: dict[str, Method], families: Iterable[str], seed: int, fewer: int
 ) -> Iterator[dict[str, Any]]:
     """Run every method on every view, and sum by family."""
-    for name in arguments.families or FAMILIES:
+    for name in families:
         family = FAMILIES[name]
         totals: dict[str, dict[str, Any]] = {}
-        for view in family.views(arguments.seed, max(family.frames // fewer, 1)):
-            with Detector(
-                shape=view.image.shape, config=DetectorConfig.for_cell(view.cell)
-            ) as detector:
-                detector(view.image)  # the first call compiles
-                start = time.perf_counter()
-                corners = detector(view.image)
-                found = time.perf_counter() - start
+        times: dict[str, list[tuple[float, float]]] = {}
+        for view in family.views(seed, max(family.frames // fewer, 1)):
+            corners, ms_detect = detected(view)
             for method, ask in methods.items():
+                start = time.perf_counter()
                 try:
-                    start = time.perf_counter()
                     answer = ask(view, corners)
                 except GridError:
                     answer = NOTHING
@@ -245,17 +241,21 @@ def singles(
                 if answer is None:
                     continue
                 ms = 1e3 * (time.perf_counter() - start)
-                total = totals.setdefault(method, new_row(name, method) | {"times": []})
-                total["frames"] += 1
-                total["corners"] += len(view.truth)
-                total["times"].append((ms, 1e3 * found))
-                score = scored(view, answer, alone=family.alone)
-                total[f"frames {VERDICTS[score.pop('frame')]}"] += 1
-                for key, value in score.items():
-                    total[key] += value
-        for total in totals.values():
-            total["ms"], total["ms_detect"] = np.median(total.pop("times"), axis=0).tolist()
+                times.setdefault(method, []).append((ms, ms_detect))
+                score = scored(view, answer, alone=family.alone) | {"corners": len(view.truth)}
+                add(totals.setdefault(method, new_row(name, method)), score)
+        for method, total in totals.items():
+            total["ms"], total["ms_detect"] = np.median(times[method], axis=0).tolist()
             yield total
+
+
+def detected(view: View) -> tuple[Corners, float]:
+    """Return the corners of a view, and the time that they took, ms."""
+    config = DetectorConfig.for_cell(view.cell)
+    with Detector(shape=view.image.shape, config=config) as detector:
+        detector(view.image)  # the first call compiles
+        start = time.perf_counter()
+        return detector(view.image), 1e3 * (time.perf_counter() - start)
 
 
 def new_row(family: str, method: str) -> dict[str, Any]:
@@ -273,10 +273,7 @@ def wrong_sizes(fewer: int) -> dict[str, Any]:
     names = [f"stereo_opencv/{each}{n:02}" for n in range(1, 6) for each in ("left", "right")]
     for name in names[:: min(fewer, 5)] if DATA.is_dir() else ():
         view = photograph(name)
-        with Detector(
-            shape=view.image.shape, config=DetectorConfig.for_cell(view.cell)
-        ) as detector:
-            corners = detector(view.image)
+        corners, _ = detected(view)
         for asked in ((6, 8), (5, 9), (5, 8), (4, 7), (7, 9), (6, 10), (7, 10)):
             row["frames"] += 1
             try:
@@ -311,8 +308,7 @@ def judged(rest: Grid, first: Open, grid: Grid | None, case: Open) -> dict[str, 
     offset = np.median(truth - number, axis=0)
     number, truth = numbers_at(grid, case)
     wrong = int(np.count_nonzero((truth - number != offset).any(axis=1)))
-    good = wrong < FEW * len(number)
-    frame = verdict(good=good, told=grid.ambiguous)
+    frame = verdict(good=wrong < FEW * len(number), told=grid.ambiguous)
     return {"right": len(number) - wrong, "wrong": wrong, "frame": frame}
 
 
@@ -361,7 +357,7 @@ def film(seed: int, count: int) -> dict[str, Any]:
 def add(row: dict[str, Any], score: dict[str, int]) -> None:
     row["frames"] += 1
     row[f"frames {VERDICTS[score['frame']]}"] += 1
-    for key in ("corners", "right", "wrong"):
+    for key in ("corners", "right", "wrong", "false", "predicted"):
         row[key] += score.get(key, 0)
 
 
@@ -369,7 +365,7 @@ def numbered(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     if arguments.ablation:
         return
     fewer = FEWER if arguments.quick else 1
-    yield from singles(OURS | PEERS, arguments, fewer)
+    yield from singles(OURS | PEERS, arguments.families or FAMILIES, arguments.seed, fewer)
     if not arguments.families:
         yield wrong_sizes(fewer)
         yield from liked(arguments.seed, max(120 // fewer, 1))
@@ -377,16 +373,23 @@ def numbered(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 
 def ablation(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    if arguments.ablation:
-        changed = {name: dataclasses.replace(K, **each) for name, each in ABLATION.items()}
-        methods = {f"lattice, {name}": of_lattice(each) for name, each in changed.items()}
-        yield from singles(OURS | methods, arguments, FEWER if arguments.quick else 1)
+    """Yield the rows of each idea, as a method, in each family; times say nothing here."""
+    seed, fewer = arguments.seed, FEWER if arguments.quick else 1
+    methods = {idea: changed(each)(of_grid) for idea, each in ABLATION.items()}
+    yield from singles(methods, arguments.families or FAMILIES, seed, fewer)
+    for idea, constants in () if arguments.families else ABLATION.items():
+        with changed(constants):
+            rows = list(singles(SIZED, ["photographs, cut"], seed, fewer))
+            rows += wrong_sizes(fewer), *liked(seed, max(40 // fewer, 1))
+        for row in rows:
+            family = row["family"] + row["method"].removeprefix("cmp_cl")
+            yield row | {"family": family, "method": idea}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     options = {
         "seed": {"type": int, "default": SEED, "help": "of the first frames"},
-        "ablation": {"action": "store_true", "help": "ours alone, each idea left out"},
+        "ablation": {"action": "store_true", "help": "only each idea left out"},
         "families": {"nargs": "+", "choices": FAMILIES, "help": "only these"},
     }
     tables = {"numbering": numbered, "ablation": ablation}

@@ -2,6 +2,7 @@
 photographs, and patterns without an end.
 """
 
+import functools
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -326,6 +327,7 @@ def hidden(case: Open, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return (np.hypot(u - 6, v + 4) < 3) & (case.hole == "print")
 
 
+@functools.lru_cache(maxsize=1000)
 def picture(case: Open, seed: int) -> GreyImage:
     """Return the frame, (SIDE, SIDE) uint8."""
     size = SIDE, SIDE
@@ -343,6 +345,7 @@ def picture(case: Open, seed: int) -> GreyImage:
     ).image
 
 
+@functools.lru_cache(maxsize=1000)
 def corners_in(case: Open) -> np.ndarray:
     """Return the corners of the pattern that a frame shows, (N, 4), as in `View`."""
     every = boards.corners_in(lambda x, y: place(case, x, y), (SIDE, SIDE))

@@ -5,9 +5,8 @@ python bench/report.py     writes results/REPORT.md, results/*.png and the table
 """
 
 import argparse
-import contextlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -135,7 +134,6 @@ def detection(folder: Path) -> str:
     whole["missed a frame"] = whole["missed"] / whole["frames"]
     whole["false a frame"] = whole["false"] / whole["frames"]
     error_against_time(whole, folder / "error.png")
-    right_by_severity(summed(table, "severity"), folder / "severity.png")
     counted = ["frames", "frames right, %", "missed a frame", "false a frame", "rmse", "ms"]
     return headed(
         "Error against run time",
@@ -148,9 +146,27 @@ def detection(folder: Path) -> str:
         "![Error against run time](error.png)\n",
         markdown(whole[["method", *counted]]),
         "## Frames right, %, by severity and by density\n",
-        "![Frames right by severity](severity.png)\n",
         markdown(shares(table, "severity").merge(shares(table, "markers"), on="method")),
     )
+
+
+def error_against_time(whole: pd.DataFrame, path: Path) -> None:
+    """Draw each method at its time and its wrong corners, and write the plot."""
+    figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
+    placed: list[np.ndarray] = []
+    for _, row in whole.sort_values("ms").iterrows():
+        at = row["ms"], max(row["wrong"], 0.01)
+        axes.plot(*at, "o", color="#c1272d" if row["method"] in OURS else "#4d4d4d")
+        crowd = sum((np.abs(np.log10(at) - other) < (0.6, 0.25)).all() for other in placed)
+        placed.append(np.log10(at))
+        place = 4, (3, -10, 14, -21)[crowd % 4]  # labels of neighbours lie one below the other
+        axes.annotate(row["method"], at, fontsize=7, xytext=place, textcoords="offset points")
+    said = {"xlabel": "ms a frame, 640 x 480", "ylabel": "missed and false per 1000 corners"}
+    axes.set(xscale="log", yscale="log", **said)
+    axes.grid(alpha=0.25)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
 
 
 def shares(table: pd.DataFrame, by: str) -> pd.DataFrame:
@@ -218,7 +234,6 @@ def sigma(folder: Path) -> str:
     groups = usual.groupby(["kind", "corrosion"], sort=False)
     rows = groups.agg(frames=("frames", "sum"), rms=("rms", "mean"), share=("within_2", "mean"))
     rows["within 2 sigma, %"] = 100 * rows.pop("share")
-    coverage(usual, folder / "sigma.png")
     return headed(
         "Positions, displacements, and their sigma",
         table,
@@ -227,7 +242,30 @@ def sigma(folder: Path) -> str:
         "seen: where the mark sits on a worn print is not in it. A displacement cancels the wear. "
         "`raw` is before the lattice filter.\n",
         markdown(rows.reset_index()),
-        "![Share within two sigma, by severity](sigma.png)\n",
+    )
+
+
+def ablation(folder: Path) -> str:
+    table = read(folder, "ablation")
+    table["told"] = table["frames right, told"] + table["frames wrong, told"]
+    counts = ["right", "false", "wrong", "told", "frames refused", "frames silent"]
+    rows: dict[str, dict[str, str]] = {}
+    for (family, frames), group in table.groupby(["family", "frames"], sort=False):
+        column, values = f"{family} ({frames})", group.set_index("method")[counts]
+        for idea, own in values.iterrows():
+            more = own - values.loc["all"]
+            shown = own.map(str) if idea == "all" else more.map("{:+}".format).replace("+0", "0")
+            text = f"{' / '.join(shown[:3])}; {' / '.join(shown[3:])}"
+            kept = rows.setdefault(str(idea), {"left out": str(idea)})
+            kept[column] = text if idea == "all" or more.any() else "="
+    return headed(
+        "What each idea of the lattice is worth",
+        table,
+        "Nodes right / false / wrong; frames told / refused / silently wrong, of the number in the "
+        "heading. The first row has all ideas; the others say what changes (=: nothing) if one is "
+        "left out. Half-edges that choose each other, closed faces and the second look at places "
+        "without a corner are structure: no constant leaves them out.\n",
+        markdown(pd.DataFrame(rows.values())),
     )
 
 
@@ -306,56 +344,6 @@ def _refracted(rows: pd.DataFrame) -> str:
     return markdown(known.filter(names).rename(columns=names))
 
 
-# plots
-
-
-@contextlib.contextmanager
-def plot(path: Path, size: tuple[float, float], **said: Any) -> Iterator[plt.Axes]:
-    """Yield axes, and write what was drawn there."""
-    figure, axes = plt.subplots(figsize=size, layout="constrained")
-    yield axes
-    axes.set(**said)
-    axes.grid(alpha=0.25)
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-
-
-def error_against_time(whole: pd.DataFrame, path: Path) -> None:
-    logarithmic = {"xscale": "log", "yscale": "log", "xlabel": "ms a frame, 640 x 480"}
-    said = "missed and false per 1000 corners"
-    placed: list[np.ndarray] = []
-    with plot(path, (8, 5), **logarithmic, ylabel=said) as axes:
-        for _, row in whole.sort_values("ms").iterrows():
-            at = row["ms"], max(row["wrong"], 0.01)
-            axes.plot(*at, "o", color="#c1272d" if row["method"] in OURS else "#4d4d4d")
-            crowd = sum((np.abs(np.log10(at) - other) < (0.6, 0.25)).all() for other in placed)
-            placed.append(np.log10(at))
-            place = 4, (3, -10, 14, -21)[crowd % 4]  # labels of neighbours lie one below the other
-            axes.annotate(row["method"], at, fontsize=7, xytext=place, textcoords="offset points")
-
-
-def right_by_severity(rows: pd.DataFrame, path: Path) -> None:
-    said = {"xlabel": "severity of the press", "ylabel": "frames right, %", "ylim": (-2, 102)}
-    with plot(path, (8, 4.5), **said) as axes:
-        for name, group in rows.groupby("method", sort=False):
-            share, own = 100 * group["right"] / group["frames"], name in OURS
-            style = {"lw": 2 if own else 0.8, "zorder": 3 if own else 2, "label": name}
-            axes.plot(group["severity"], share, ".-", **style)
-        axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
-
-
-def coverage(table: pd.DataFrame, path: Path) -> None:
-    said = {"xlabel": "severity of the press", "ylabel": "within two sigma, %", "ylim": (60, 101)}
-    with plot(path, (7, 4), **said) as axes:
-        axes.axhspan(90, 98, color="#dddddd", label="90 to 98 %")
-        kept = table[table["kind"] != "position"]
-        for kind, group in kept.groupby("kind", sort=False):
-            by = group.groupby("severity")["within_2"].mean()
-            axes.plot(by.index, 100 * by, "o-", label=kind)
-        axes.legend(fontsize=8, frameon=False)
-
-
 # the page
 
 
@@ -405,6 +393,7 @@ SECTIONS: dict[str, Callable[[Path], str]] = {
     "photographs": photographs,
     "sigma": sigma,
     "numbering": as_it_is("numbering", "Numbers"),
+    "ablation": ablation,
     "field": as_it_is("field", "From a frame to its field"),
     "refraction": refraction,
     "stiff": as_it_is("stiff", "Stiff and extreme cases", "Counts are of false corners."),
