@@ -231,11 +231,13 @@ def times(presses: Sequence[Film], rounds: int) -> list[Row]:
             in_turn(used, frames[0])  # compiles what is left
             for number in to_and_fro(len(frames), rounds):
                 spent[film[number].case == LIGHT].append(in_turn(used, frames[number]))
+            launches = plain.launches
     rows = ratios("two views", LIGHT, spent[True], "at most 1.6")
     rows += ratios("two views", "severity 0.5 to 1.5", spent[False], "at most 2")
     detection, field, strain = np.transpose(spent[True] + spent[False])
     more = np.median((strain - field) / detection)
     rows.append(("strain on top", "two views", len(detection), more, "times", "at most 1"))
+    rows.append(("launches of a tracked frame", "two views", 1, launches, "", ""))
     scene = random_scene(SEED, markers=SMALL, severity=0.0)
     frames = [render(dataclasses.replace(scene, severity=level)).image for level in STEPS[:10]]
     with (

@@ -265,6 +265,14 @@ def _flow(
                     ambiguous = measured.ambiguous and frame.index != recording.number
                     with pace.spent("writing"):
                         found.write(frame, measured, ambiguous=ambiguous)
+                    if measured.differing:
+                        bar.clear()
+                        tell(
+                            f"frame {frame.index}: tracking had another corner for "
+                            f"{counted(measured.differing, 'node')} than the numbers that an audit "
+                            "found anew, which hold from here on; in the frames before, these "
+                            "nodes may be wrong"
+                        )
                     continue
                 found.left_out += 1
                 if found.left_out <= _LINES_OF_BROKEN:

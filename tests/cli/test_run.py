@@ -1,5 +1,6 @@
 """`cmp-cl run` as a user has it, on small rendered frames."""
 
+import dataclasses
 import json
 import os
 import re
@@ -27,6 +28,7 @@ from cmp_cl import (
     StereoRig,
     select_device,
 )
+from cmp_cl.measure.views import View
 from cmp_cl.media import Frame, read_image
 from cmp_cl.series import SeriesWriter, read_series
 from cmp_cl.synthetic import boards
@@ -116,6 +118,23 @@ def test_broken_frames_and_frames_without_the_pattern_do_not_end_a_run(run, reco
     assert off_by(series, press, (0, 1, 0, 2))[3] < CLOSE
 
 
+def test_an_audit_that_finds_other_numbers_is_told(run, recording, press, monkeypatch):
+    number = View.number
+
+    def otherwise(view, corners, image):
+        grid = number(view, corners, image)
+        index = grid.index.copy()
+        index[[5, 7]] = index[[7, 5]]
+        return dataclasses.replace(grid, index=index)
+
+    cv2.imwrite(str(recording / "0a.png"), press[0].frame)
+    monkeypatch.setattr("cmp_cl.measure.measurement.AUDITED", 1)
+    monkeypatch.setattr(View, "number", otherwise)
+    status, _, err = run("run", recording, *STEREO)
+    assert status == 0
+    assert "frame 1: tracking had another corner for 4 nodes than " in err
+
+
 def test_a_mirrored_view_is_reversed(run, recording, press):
     run("run", recording, *STEREO)
     straight = np.load("press.npz")["displacement"]
@@ -155,11 +174,11 @@ def failing_decoder(press, monkeypatch):
 def failing_device(press, monkeypatch):
     begin, calls = Detector.begin, []
 
-    def beginning(self, frames):
+    def beginning(self, frames, **settings):
         calls.append(frames)
         if len(calls) == 4:  # the first one is the frame at rest
             raise DeviceError("the device is lost")
-        return begin(self, frames)
+        return begin(self, frames, **settings)
 
     monkeypatch.setattr(Detector, "begin", beginning)
 
