@@ -41,5 +41,6 @@ def test_a_damaged_file_is_read_or_refused(cases):
     assert "'refused'" in run(SCRIPT, "--cases", cases, "--seed", 1)
 
 
+@pytest.mark.exhaustive
 def test_a_hang_a_crash_and_a_flood_of_memory_are_found():
     run("-c", BAD, SCRIPT.parent)

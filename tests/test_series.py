@@ -330,7 +330,7 @@ except OSError as error:
     print(error)
 """
 FRAMES = 60  # of the series whose writer is killed
-DRAWS = some(range(50), [0])
+KILLS = [(suffix, draw) for suffix in FORMATS for draw in range(50)]
 
 
 def killed(path, seconds):
@@ -345,8 +345,7 @@ def killed(path, seconds):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="there is no kill -9 on Windows")
-@pytest.mark.parametrize("draw", DRAWS)
-@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize(("suffix", "draw"), some(KILLS, [(".npz", 0)], several=True))
 def test_a_kill_at_any_moment_loses_no_frame_that_was_told_as_written(tmp_path, suffix, draw):
     path, part = tmp_path / f"press{suffix}", tmp_path / f"press{suffix}.part"
     told = killed(path, random.Random(f"{suffix}{draw}").uniform(0, 0.15))
@@ -368,13 +367,15 @@ def test_a_kill_at_any_moment_loses_no_frame_that_was_told_as_written(tmp_path, 
 
 FULL = [(size, 10**5) for size in range(1000, 4600, 360)]  # kB, and the most frames
 FULL += [(size, 120) for size in range(760, 1260, 70)]
+FULL = [(suffix, *full) for suffix in FORMATS for full in FULL]
+FEW = [(".npz", 1360, 10**5), *((suffix, 1250, 120) for suffix in FORMATS)]
 
 
-@pytest.mark.parametrize("full", some(FULL, [(1360, 10**5), (1250, 120)]), ids=str)
-@pytest.mark.parametrize("suffix", FORMATS)
-def test_a_full_disk_is_reported_and_keeps_all_frames_up_to_then(tmp_path, suffix, full):
+@pytest.mark.parametrize(("suffix", "kilobytes", "frames"), some(FULL, FEW, several=True))
+def test_a_full_disk_is_reported_and_keeps_all_frames_up_to_then(
+    tmp_path, suffix, kilobytes, frames
+):
     """Either a frame or, after 120 of them, the file finds no room."""
-    kilobytes, frames = full
     disk = tmp_path / "disk"
     disk.mkdir()
     namespace = ["unshare", "-rm", "sh", "-c"]

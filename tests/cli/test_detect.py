@@ -39,6 +39,7 @@ def test_the_board_is_found_where_opencv_finds_it(run):
     status, out, err = run("detect", BOARD, "--out", "corners.csv", "--overlay", "o.png")
     assert (status, err) == (0, "")
     rows = rows_of("corners.csv")
+    assert list(rows[0]) == COLUMNS.split()
     assert f"{BOARD}: {len(rows)} corners in " in out
     assert " ms on " in out
     assert f"wrote corners.csv: {len(rows)} corners" in out
