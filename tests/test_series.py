@@ -16,7 +16,6 @@ import time
 import tracemalloc
 import warnings
 import xml.etree.ElementTree
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -143,6 +142,7 @@ def test_what_is_written_is_read_again(tmp_path, suffix):
         assert found[name].dtype == value.dtype
     np.testing.assert_array_equal(found["rest"], rest())
     assert str(found["unit"]) == "mm"
+    assert json.loads(str(found["about"]))["units"]["sigma"] == "mm"
     assert sorted(read_series(tmp_path / f"press{suffix}", ["rest", "none"])) == ["index", "rest"]
 
 
@@ -159,17 +159,6 @@ def test_a_part_that_grows_can_be_read_at_any_moment(tmp_path):
         while growing.is_alive():
             found = read_series(tmp_path / "a.npz.part")
             assert len({len(found[name]) for name in (*frame(0), "index", "time_ms")}) == 1
-
-
-def test_numpy_reads_an_npz_and_its_parts(tmp_path):
-    path = write(tmp_path / "press.npz")
-    assert zipfile.ZipFile(path).testzip() is None
-    with np.load(path) as data:
-        assert json.loads(str(data["about"]))["units"]["sigma"] == "mm"
-        assert data["displacement"].shape == (3, *SHAPE, 3)
-    with SeriesWriter(tmp_path / "b.npz", rest=rest()) as series:
-        series.append(index=0, time_ms=0, **frame(0))
-        assert np.load(tmp_path / "b.npz.part" / "sigma.npy").shape == (1, *SHAPE)
 
 
 def test_hdf5_holds_units_version_time_and_configuration(tmp_path):
