@@ -83,18 +83,6 @@ def test_a_camera_of_each_lens_is_found_again(lens):
     assert np.abs(off).max() < 1.0
 
 
-def test_a_rig_is_found_again():
-    rig, found = toed_in_rig(), rig_of(rig_views())
-    again = found.rig()
-    assert found.error == pytest.approx(0.05 * math.sqrt(2), rel=0.1)
-    assert again.K1[0, 0] == pytest.approx(rig.K1[0, 0], rel=0.01)
-    assert np.linalg.norm(again.T) == pytest.approx(np.linalg.norm(rig.T), rel=0.01)
-    lengths = np.concatenate(
-        [sides(again.triangulate(*pair).xyz) for pair in zip(*found.grids.values(), strict=True)]
-    )
-    assert lengths.mean() == pytest.approx(3, abs=0.005)
-
-
 @pytest.mark.parametrize("unit", [1e-6, 1e6])
 def test_the_unit_of_length_does_not_matter(unit):
     seen = rig_views(count=6)
@@ -228,12 +216,10 @@ def test_a_node_far_outside_of_its_image_is_refused(place):
         calibrated({"a": [seen[0], grid_of(xy), *seen[2:]]})
 
 
-@pytest.mark.parametrize("shared", [False, True])
-def test_the_sigma_of_the_focal_length_is_that_of_its_error(shared):
+def test_the_sigma_of_the_focal_length_is_that_of_its_error_where_neighbours_share_noise():
     deviations = []
     for seed in range(20):
-        seen = rig_views(count=6, seed=seed, tilt=0.3, shared=shared)
-        found = rig_of({"left": seen["left"]})
+        found = rig_of({"left": rig_views(count=6, seed=seed, tilt=0.3, shared=True)["left"]})
         off = found.cameras["left"].matrix[0, 0] - toed_in_rig().K1[0, 0]
         deviations.append(off / found.focal_sigma["left"])
     # From 20 calibrations, the ratio has a standard error of 16 %.
