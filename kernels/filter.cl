@@ -149,38 +149,78 @@ float sum_of(const float8 v) {
   return half_sum.x + half_sum.y + half_sum.z + half_sum.w;
 }
 
-/* What an estimate of the noise is made of: the residuals of the pilot along both axes (0), along
- * one of them (1, 2) or along a diagonal (3, 4). Their lengths and the mask of the nodes that count
- * are averaged along the row into `near`, as are the products of the coordinates of the first; the
- * degrees of freedom of the estimate, and the floor of the noise, come from `sums` over the row. */
+/* The residuals of the pilot in a row: 0 along both axes, 1 along the columns, 2 along the row. */
+void left_by_axes(const int row, const int estimate, __global const float *data,
+                  __global const float *pilot_down, __global const float *pilot_along,
+                  float (*left)[LINE]) {
+  float down[LINE];
+  for (int k = 0; k < K; ++k) {
+    __global const float *plane = data + k * PLANE, *here = plane + row * LINE;
+    EACH_EIGHT STORE_EIGHT(down + c, estimate == 2 ? EIGHT_AT(here + c)
+                                                   : filter_down(plane, row, c, PILOT_DOWN,
+                                                                 pilot_down));
+    EACH_EIGHT STORE_EIGHT(left[k] + c,
+                           EIGHT_AT(here + c) -
+                               (estimate == 1 ? LOAD_EIGHT(down + c)
+                                              : filter_along(down, c, PILOT_ALONG, pilot_along)));
+  }
+}
+
+/* The same along a diagonal, 3 or 4; 0 less than three nodes from a side. */
+void left_by_diagonal(const int row, const int estimate, __global const float *data,
+                      float (*left)[LINE]) {
+  const int inside = row >= 3 && row < ROWS - 3;
+  for (int k = 0; k < K; ++k) {
+    __global const float *here = data + k * PLANE + row * LINE;
+    for (int c = 0; c < LINE; ++c) left[k][c] = 0;
+    for (int c = 3; inside && c < COLUMNS - 3; ++c) left[k][c] = here[c];
+    for (int t = -3; inside && t <= 3; ++t) {
+      const float weight = DIAGONAL[t + 3];
+      __global const float *across = here + t * LINE + (estimate == 3 ? t : -t);
+      for (int c = 3; c < COLUMNS - 3; ++c) left[k][c] -= weight * across[c];
+    }
+  }
+}
+
+/* What is made of the residuals along both axes alone: their squares, by which nodes are rejected,
+ * the products of their coordinates, averaged along the row into `near`, and the sum of the squares
+ * of all values, of which the floor of the noise is a share. */
+void products_of_row(const int row, __global const float *data, __global const float *vote,
+                     float (*left)[LINE], __global const float *rows_noise,
+                     __global float *size, __global float *near, __global float *sums) {
+  float line[LINE + 2 * NOISE_REACH];
+  float8 total = 0;
+  EACH_EIGHT {
+    float8 square = 0;
+    for (int k = 0; k < K; ++k) {
+      const float8 here = EIGHT_AT(data + k * PLANE + row * LINE + c);
+      total += here * here;
+      square += LOAD_EIGHT(left[k] + c) * LOAD_EIGHT(left[k] + c);
+    }
+    EIGHT_AT(size + row * LINE + c) = HAS_VOTE(row, c) * square / K;
+  }
+  sums[row * SUMS + SUMS - 1] = sum_of(total);
+  int p = PRODUCT_PLANE;
+  for (int j = 0; j < K; ++j)
+    for (int k = j; k < K; ++k) {
+      EACH_EIGHT STORE_EIGHT(line + NOISE_REACH + c, HAS_VOTE(row, c) * LOAD_EIGHT(left[j] + c) *
+                                                         LOAD_EIGHT(left[k] + c));
+      average_along(line, NOISE_REACH, rows_noise, near + (p++ * ROWS + row) * LINE, LANES);
+    }
+}
+
+/* What an estimate of the noise is made of: the lengths of its residuals and the mask of the nodes
+ * that count, averaged along the row into `near`, and the sums over the row from which its degrees
+ * of freedom come. */
 void pilot_of_row(const int row, const int estimate, __global const float *data,
                   __global const float *vote, __global const float *pilot_down,
                   __global const float *pilot_along, __global const float *own_down,
                   __global const float *own_along, __global const float *rows_noise,
                   __global float *size, __global float *near, __global float *sums) {
   float left[K][LINE], line[LINE + 2 * NOISE_REACH], mask[LINE + 2 * NOISE_REACH];
+  if (estimate < 3) left_by_axes(row, estimate, data, pilot_down, pilot_along, left);
+  else left_by_diagonal(row, estimate, data, left);
   const int inside = row >= 3 && row < ROWS - 3;
-  for (int k = 0; k < K; ++k) {
-    __global const float *plane = data + k * PLANE, *here = plane + row * LINE;
-    if (estimate < 3) {
-      float *down = line;
-      EACH_EIGHT STORE_EIGHT(down + c, estimate == 2 ? EIGHT_AT(here + c)
-                                                     : filter_down(plane, row, c, PILOT_DOWN,
-                                                                   pilot_down));
-      EACH_EIGHT STORE_EIGHT(left[k] + c,
-                             EIGHT_AT(here + c) -
-                                 (estimate == 1 ? LOAD_EIGHT(down + c)
-                                                : filter_along(down, c, PILOT_ALONG, pilot_along)));
-    } else {
-      for (int c = 0; c < LINE; ++c) left[k][c] = 0;
-      for (int c = 3; inside && c < COLUMNS - 3; ++c) left[k][c] = here[c];
-      for (int t = -3; inside && t <= 3; ++t) {
-        const float weight = DIAGONAL[t + 3];
-        __global const float *across = here + t * LINE + (estimate == 3 ? t : -t);
-        for (int c = 3; c < COLUMNS - 3; ++c) left[k][c] -= weight * across[c];
-      }
-    }
-  }
   const float8 own_of_row = own_down[row], own_inside = DIAGONAL[3], none = 0, one = 1;
   const float8 least_vote = estimate == 0 ? 2 : 1, least = estimate == 0 ? 1e-3f : 0.05f;
   float8 sum[PRODUCTS];
@@ -211,28 +251,7 @@ void pilot_of_row(const int row, const int estimate, __global const float *data,
     average_along(mask, NOISE_REACH, rows_noise, near + (MASK_PLANE(estimate) * ROWS + row) * LINE,
                   LANES);
   for (int p = 0; p < PRODUCTS; ++p) sums[row * SUMS + estimate * PRODUCTS + p] = sum_of(sum[p]);
-  if (estimate != 0) return;
-  float8 total = 0;
-  EACH_EIGHT {
-    const float8 has_vote = HAS_VOTE(row, c);
-    float8 square = 0;
-    for (int k = 0; k < K; ++k) {
-      const float8 here = EIGHT_AT(data + k * PLANE + row * LINE + c);
-      total += here * here;
-      square += LOAD_EIGHT(left[k] + c) * LOAD_EIGHT(left[k] + c);
-    }
-    EIGHT_AT(size + row * LINE + c) = has_vote * square / K;
-    STORE_EIGHT(mask + NOISE_REACH + c, has_vote);
-  }
-  sums[row * SUMS + SUMS - 1] = sum_of(total);
-  int p = PRODUCT_PLANE;
-  for (int j = 0; j < K; ++j)
-    for (int k = j; k < K; ++k) {
-      EACH_EIGHT STORE_EIGHT(line + NOISE_REACH + c,
-                             LOAD_EIGHT(mask + NOISE_REACH + c) * LOAD_EIGHT(left[j] + c) *
-                                 LOAD_EIGHT(left[k] + c));
-      average_along(line, NOISE_REACH, rows_noise, near + (p++ * ROWS + row) * LINE, LANES);
-    }
+  if (estimate == 0) products_of_row(row, data, vote, left, rows_noise, size, near, sums);
 }
 
 /* The pilot. One work-item a row and an estimate. */

@@ -176,6 +176,47 @@ void meet(__global const REAL *camera, const REALS *one, const REALS *two, REALS
 }
 #endif
 
+/* One Gauss-Newton step. The motion of a point (3) by its residuals in both views, and its shift (3)
+ * by those of its pixels, `bend`, are (J' W J)^-1 J' W of them. jacobian: J, of the pixels by the
+ * point, (4, 3). covariance: (J' W J)^-1, xx xy xz yy yz zz. */
+void fit(const REALS *jacobian, const REALS *weight, const REALS *residual, const REALS *bend,
+         REALS *covariance, REALS *move, REALS *shift) {
+  REALS a[6], by_residual[3], by_bend[3];
+  for (int p = 0; p < 6; ++p) a[p] = 0;
+  for (int k = 0; k < 3; ++k) by_residual[k] = by_bend[k] = 0;
+  for (int j = 0; j < 4; ++j) {
+    const REALS *d = jacobian + 3 * j;
+    const REALS x = weight[j] * d[0], y = weight[j] * d[1], z = weight[j] * d[2];
+    a[0] += x * d[0];
+    a[1] += x * d[1];
+    a[2] += x * d[2];
+    a[3] += y * d[1];
+    a[4] += y * d[2];
+    a[5] += z * d[2];
+    for (int k = 0; k < 3; ++k) {
+      by_residual[k] += weight[j] * d[k] * residual[j];
+      by_bend[k] += weight[j] * d[k] * bend[j];
+    }
+  }
+  const REALS c0 = a[3] * a[5] - a[4] * a[4], c1 = a[2] * a[4] - a[1] * a[5];
+  const REALS c2 = a[1] * a[4] - a[2] * a[3], determinant = a[0] * c0 + a[1] * c1 + a[2] * c2;
+  const REALS inverse = 1 / determinant;
+  covariance[0] = c0 * inverse;
+  covariance[1] = c1 * inverse;
+  covariance[2] = c2 * inverse;
+  covariance[3] = (a[0] * a[5] - a[2] * a[2]) * inverse;
+  covariance[4] = (a[1] * a[2] - a[0] * a[4]) * inverse;
+  covariance[5] = (a[0] * a[3] - a[1] * a[1]) * inverse;
+  const int of_row[3][3] = {{0, 1, 2}, {1, 3, 4}, {2, 4, 5}};
+  for (int k = 0; k < 3; ++k) {
+    move[k] = shift[k] = 0;
+    for (int j = 0; j < 3; ++j) {
+      move[k] += covariance[of_row[k][j]] * by_residual[j];
+      shift[k] += covariance[of_row[k][j]] * by_bend[j];
+    }
+  }
+}
+
 /* Triangulate the nodes that both views show, and subtract their position at rest: the point at
  * which the rays meet best, then one Gauss-Newton step on the reprojection error, weighted by
  * 1 / sigma^2.
@@ -228,7 +269,6 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
   cross_3(one, turned, across);
   sine_2.all = dot_3(across, across) / (dot_3(one, one) * dot_3(turned, turned));
 
-  /* One Gauss-Newton step */
   REALS jacobian[12];
 #if MEDIA
   REALS tangents[2], passed[2 * PASSED];
@@ -241,57 +281,25 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
   depth_left.all = project(left, point, seen, jacobian);
   depth_right.all = project(right, point, seen + 2, jacobian + 6);
 #endif
-  REALS weight[4], residual[4], bend[4];
+  REALS weight[4], residual[4], bend[4], covariance[6], move[3], shift[3];
   for (int j = 0; j < 4; ++j) {
     weight[j] = 1 / weight_of[j / 2].all;
     residual[j] = pixel[j] - seen[j];
     bend[j] = bend_in[j].all;
   }
-  REALS a[6], by_residual[3], by_bend[3];
-  for (int p = 0; p < 6; ++p) a[p] = 0;
-  for (int k = 0; k < 3; ++k) by_residual[k] = by_bend[k] = 0;
-  for (int j = 0; j < 4; ++j) {
-    const REALS *d = jacobian + 3 * j;
-    const REALS x = weight[j] * d[0], y = weight[j] * d[1], z = weight[j] * d[2];
-    a[0] += x * d[0];
-    a[1] += x * d[1];
-    a[2] += x * d[2];
-    a[3] += y * d[1];
-    a[4] += y * d[2];
-    a[5] += z * d[2];
-    for (int k = 0; k < 3; ++k) {
-      by_residual[k] += weight[j] * d[k] * residual[j];
-      by_bend[k] += weight[j] * d[k] * bend[j];
-    }
-  }
-  const REALS c0 = a[3] * a[5] - a[4] * a[4], c1 = a[2] * a[4] - a[1] * a[5];
-  const REALS c2 = a[1] * a[4] - a[2] * a[3], determinant = a[0] * c0 + a[1] * c1 + a[2] * c2;
-  const REALS inverse = 1 / determinant;
-  BY_LANE v[6];
-  v[0].all = c0 * inverse;
-  v[1].all = c1 * inverse;
-  v[2].all = c2 * inverse;
-  v[3].all = (a[0] * a[5] - a[2] * a[2]) * inverse;
-  v[4].all = (a[1] * a[2] - a[0] * a[4]) * inverse;
-  v[5].all = (a[0] * a[3] - a[1] * a[1]) * inverse;
-  BY_LANE better[3], bent_by[3], error;
-  const int of_row[3][3] = {{0, 1, 2}, {1, 3, 4}, {2, 4, 5}};
-  for (int k = 0; k < 3; ++k) {
-    const int *row = of_row[k];
-    better[k].all = bent_by[k].all = 0;
-    for (int j = 0; j < 3; ++j) {
-      better[k].all += v[row[j]].all * by_residual[j];
-      bent_by[k].all += v[row[j]].all * by_bend[j];
-    }
-  }
+  fit(jacobian, weight, residual, bend, covariance, move, shift);
+  BY_LANE better[3], bent_by[3], v[6], error;
   error.all = 0;
   for (int j = 0; j < 4; ++j) {
     const REALS *d = jacobian + 3 * j;
-    const REALS left_over = residual[j] - d[0] * better[0].all - d[1] * better[1].all -
-                            d[2] * better[2].all;
+    const REALS left_over = residual[j] - d[0] * move[0] - d[1] * move[1] - d[2] * move[2];
     error.all += left_over * left_over;
   }
-  for (int k = 0; k < 3; ++k) better[k].all += point[k];
+  for (int p = 0; p < 6; ++p) v[p].all = covariance[p];
+  for (int k = 0; k < 3; ++k) {
+    better[k].all = point[k] + move[k];
+    bent_by[k].all = shift[k];
+  }
 
   EACH_LANE {
     const int i = first + lane;
