@@ -20,7 +20,7 @@ from cmp_cl.media.cameras import Pairs, Source, paired
     [
         ([0, 20, 60, 80, 100], [8, 28, 48, 68, 108], [(0, 0), (1, 1), (2, 3), (4, 4)], (1, 1)),
         ([0, 20, 40, 60], [33, 53, 73, 93, 113], [(2, 0), (3, 1)], (2, 3)),
-        ([math.nan] * 3, [math.nan] * 4, [(0, 0), (1, 1), (2, 2)], (0, 1)),  # no times: in turn
+        ([math.nan] * 4, [math.nan] * 3, [(0, 0), (1, 1), (2, 2)], (1, 0)),  # no times: in turn
     ],
 )
 def test_pairs_are_the_nearest_and_the_others_come_alone(left, right, expected, alone):
