@@ -160,7 +160,6 @@ def test_a_window_that_the_views_do_not_fix_is_refused_by_name():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"media": ((5.0, 0.5), (GEL, 1.41))}, "a medium of the window has .* index 0.5"),
         ({"media": ()}, "at least the pattern's medium"),
         ({"pitch": 1.6}, "the squares of the pattern measure 0.8001 mm, not 1.6"),
     ],

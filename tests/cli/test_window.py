@@ -82,7 +82,6 @@ def test_a_press_behind_a_window_is_measured_with_the_rig_that_calibrate_writes(
         (["--window", "5", *THROUGH], ["'5' is not LENGTH:INDEX of each layer"]),
         ([*THROUGH], ["--rest needs --window"]),
         (["--window", "20:1.4", *THROUGH, "--step", "1"], ["need 1 image each"]),
-        (["--window", "20:1.4", *THROUGH, "--pitch", "1.6"], ["not 1.6; check the pitch"]),
     ],
 )
 def test_a_wrong_argument_of_a_window_is_one_line_and_no_file(run, written, arguments, words):
