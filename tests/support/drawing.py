@@ -33,7 +33,8 @@ FREE = {  # settings that do not go into the text of the kernels
     *("phase", "minimum", "relative", "noise", "max_shift", "cell", "octaves", "scale"),
     "full_scale",
 }
-ROUNDING = 1e-6  # px: of an edge point some px from the corner, and of its fit, in float32
+# of float32: an edge point some px from the corner and its fit, px; a sum over a model of -1 to 1
+ROUNDING = 1e-6
 Rng = np.random.Generator
 
 
@@ -97,18 +98,26 @@ def random_image(rng: Rng, shape: tuple[int, int], dtype: Any) -> np.ndarray:
 
 
 def movement_by_rounding(image: np.ndarray, config: DetectorConfig) -> np.ndarray:
-    """Return how far the oracle's own positions move, (N,) px, if its edge points are rounded to
-    float32. Centrelines through points that nearly coincide depend on every digit."""
-    exact, rng = reference.refine.edge_points, np.random.default_rng(0)
+    """Return how far the oracle's own positions move, (N,) px, if its edge points and its model of
+    a corner are rounded to float32. Centrelines through points that nearly coincide depend on every
+    digit, and so does a step by an edge that is a thousandth of the noise around it."""
+    rng = np.random.default_rng(0)
+    points_of, model_of = reference.refine.edge_points, reference.edge_step.model_of
 
-    def rounded(*arguments: Any) -> Any:
-        points = exact(*arguments)
+    def rounded_points(*arguments: Any) -> Any:
+        points = points_of(*arguments)
         return dataclasses.replace(
             points, point=points.point + rng.normal(0, ROUNDING, points.point.shape)
         )
 
+    def rounded_model(*arguments: Any) -> Any:
+        return [part + rng.normal(0, ROUNDING, part.shape) for part in model_of(*arguments)]
+
     there = reference.detect(image, config).xy
-    with mock.patch.object(reference.refine, "edge_points", rounded):
+    with (
+        mock.patch.object(reference.refine, "edge_points", rounded_points),
+        mock.patch.object(reference.edge_step, "model_of", rounded_model),
+    ):
         moved = [np.abs(reference.detect(image, config).xy - there) for _ in range(60)]
     return np.max(moved, axis=(0, 2))
 
