@@ -55,7 +55,7 @@ def several(views=None, **changed):
         (lambda: corner_overlay(IMAGE, GRID), "corners must be of type Corners"),
         (lambda: grid_overlay(IMAGE, None), "grid must be of type Grid"),
         (lambda: build_grid(GRID, IMAGE), "corners must be of type Corners"),
-        (lambda: Source(0), "name must be of type str"),
+        (lambda: Source(0), "a source is named by a text such as '0' or .*, not 0$"),
         (lambda: reference.detect(IMAGE, "a"), "config must be of type DetectorConfig"),
         (lambda: several({"a": GRID}), r"views\['a'\] must"),
         (lambda: several(sizes={"a": (9, 0)}), r"sizes\['a'\] must"),

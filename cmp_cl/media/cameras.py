@@ -17,7 +17,7 @@ from typing import Any, cast
 import cv2
 import numpy as np
 
-from cmp_cl.errors import ConfigError, ImageError, check_kind
+from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.image import GreyImage
 from cmp_cl.media.ahead import Ahead
 from cmp_cl.media.images import find_inputs
@@ -34,7 +34,8 @@ def is_live(name: str) -> bool:
 
     Raises ConfigError if it is no text.
     """
-    check_kind("name", name, str, ConfigError)
+    if not isinstance(name, str):
+        raise ConfigError(f"a source is named by a text such as '0' or 'press.mp4', not {name!r}")
     number = name.isascii() and name.isdigit() and not Path(name).exists()
     return number or re.match(r"/dev/video|[a-z][a-z0-9+.-]*://", name) is not None
 
