@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from cases import some
-from stereo_data import gel, grid_of, points
+from stereo_data import gel, grid_of, points, rms
 
 from cmp_cl.errors import FieldError
 from cmp_cl.field import DisplacementField, green_lagrange, surface_normals
@@ -48,10 +48,6 @@ def pressed_gel():
 
 def gradient_of(strain):
     return np.array([[1 + strain, 0.3 * strain], [0.1 * strain, 1 - 0.5 * strain]])
-
-
-def rms(error):
-    return float(np.sqrt(np.mean(np.square(error))))
 
 
 def green(gradient):
