@@ -176,9 +176,9 @@ void meet(__global const REAL *camera, const REALS *one, const REALS *two, REALS
 }
 #endif
 
-/* One Gauss-Newton step. The motion of a point (3) by its residuals in both views, and its shift (3)
- * by those of its pixels, `bend`, are (J' W J)^-1 J' W of them. jacobian: J, of the pixels by the
- * point, (4, 3). covariance: (J' W J)^-1, xx xy xz yy yz zz. */
+/* One Gauss-Newton step. The motion of a point (3) by its residuals in both views, and its shift
+ * (3) by those of its pixels, `bend`, are (J' W J)^-1 J' W of them. jacobian: J, of the pixels by
+ * the point, (4, 3). covariance: (J' W J)^-1, xx xy xz yy yz zz. */
 void fit(const REALS *jacobian, const REALS *weight, const REALS *residual, const REALS *bend,
          REALS *covariance, REALS *move, REALS *shift) {
   REALS a[6], by_residual[3], by_bend[3];

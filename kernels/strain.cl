@@ -131,29 +131,12 @@ void spread_of_row(const int row, __global const float *weights, __global const 
       for (int c = 0; c < LINE; ++c) spread[p][c] -= mean[j][c] * mean[k][c];
 }
 
-/* The covariances of the coordinates of the slopes of the filtered values over whole windows, per
- * node step: PRODUCTS planes along the rows and as many along the columns, NaN where they are
- * unknown. The weights of the pairs of filters, times the deviation of the noise, are replaced by
- * their mean over the votes of the window. A slope is then one combination of the nodes, and the
- * variance of its noise a quadratic form of these weights. Its matrices gram_* are the products of
- * the filters behind the mean and behind the slope of a window along an axis, first those of the
- * same node, then those of nodes that are neighbours. common: the covariance of the noise of the
- * coordinates over its mean diagonal. The bias of smoothing is not in it, and shows in how far
- * apart the slopes of the pairs are; BIAS of that is added. span_down, span_along: the weights of
- * the nodes of a window in its mean, and in its slope, (2, ROWS, WIDE) and (2, WIDE, LINE). One
- * work-item a row. */
-__kernel void slopes(__global const float *weights, __global const float *estimate,
-                     __global const float *values, __global const float *variance,
-                     __global const uchar *votes,
-                     __global const float *common, __global const float *rough,
-                     __global const float *span_down, __global const float *span_along,
-                     __global const float *gram_down, __global const float *gram_along,
-                     __global float *slopes) {
-  const int row = get_global_id(0);
-  if (row >= ROWS) return;
+/* The weights of the pairs of filters, times the deviation of the noise, in their mean over the
+ * votes of the window, for each node of a row; NaN where there is no vote. */
+void mean_weights(const int row, __global const float *weights, __global const float *variance,
+                  __global const uchar *votes, float (*mean)[COLUMNS]) {
   const int top = max(row - STRAIN_REACH, 0), bottom = min(row + STRAIN_REACH, ROWS - 1);
-  float scale[WIDE][COLUMNS], share[COLUMNS], mean[PAIRS][COLUMNS];
-  float line[COLUMNS + 2 * STRAIN_REACH];
+  float scale[WIDE][COLUMNS], share[COLUMNS], line[COLUMNS + 2 * STRAIN_REACH];
   for (int c = 0; c < COLUMNS + 2 * STRAIN_REACH; ++c) line[c] = 0;
   for (int r = top; r <= bottom; ++r)
     EACH_COLUMN {
@@ -177,44 +160,71 @@ __kernel void slopes(__global const float *weights, __global const float *estima
     for (int t = 0; t < WIDE; ++t) EACH_COLUMN mean[pair][c] += line[c + t];
     EACH_COLUMN mean[pair][c] *= share[c];
   }
+}
+
+/* The variance of the noise of a slope, for each node of a row: the quadratic form of the mean
+ * weights. Its matrices are products of the filters behind the mean and behind the slope of a
+ * window along an axis: `down` of this row, `along` of its nodes; first those of the same node,
+ * then those of nodes that are neighbours. shared: see `shared_with_neighbours`. */
+void noise_of_row(__global const float *down, __global const float *along, const float2 shared,
+                  const float (*mean)[COLUMNS], float *noise) {
+  float product[FILTERS_ALONG * FILTERS_ALONG][COLUMNS];
+  for (int p = 0; p < FILTERS_ALONG * FILTERS_ALONG; ++p) {
+    __global const float *alone = along + p * COLUMNS;
+    __global const float *beside = alone + FILTERS_ALONG * FILTERS_ALONG * COLUMNS;
+    EACH_COLUMN product[p][c] = alone[c] + shared.y * beside[c];
+  }
+  EACH_COLUMN noise[c] = 0;
+  for (int a = 0; a < FILTERS_DOWN; ++a) {
+    float mixed[FILTERS_ALONG][COLUMNS];
+    for (int b = 0; b < FILTERS_ALONG; ++b) {
+      EACH_COLUMN mixed[b][c] = 0;
+      for (int other = 0; other < FILTERS_DOWN; ++other) {
+        const int p = a * FILTERS_DOWN + other;
+        const float factor = down[p] + shared.x * down[ROWS * FILTERS_DOWN * FILTERS_DOWN + p];
+        EACH_COLUMN mixed[b][c] += factor * mean[other * FILTERS_ALONG + b][c];
+      }
+    }
+    for (int b = 0; b < FILTERS_ALONG; ++b) {
+      float along_too[COLUMNS];
+      EACH_COLUMN along_too[c] = 0;
+      for (int other = 0; other < FILTERS_ALONG; ++other)
+        EACH_COLUMN along_too[c] += product[b * FILTERS_ALONG + other][c] * mixed[other][c];
+      EACH_COLUMN noise[c] += along_too[c] * mean[a * FILTERS_ALONG + b][c];
+    }
+  }
+  EACH_COLUMN noise[c] = noise[c] < 0 ? 0 : noise[c];
+}
+
+/* The covariances of the coordinates of the slopes of the filtered values over whole windows, per
+ * node step: PRODUCTS planes along the rows and as many along the columns, NaN where they are
+ * unknown. With the same weights in the whole window, a slope is one combination of its nodes. The
+ * bias of smoothing is not in the noise of that, and shows in how far apart the slopes of the pairs
+ * are; BIAS of that is added. common: the covariance of the noise of the coordinates over its mean
+ * diagonal. span_down, span_along: the weights of the nodes of a window in its mean, and in its
+ * slope, (2, ROWS, WIDE) and (2, WIDE, LINE); gram_*: see `noise_of_row`, of both. One work-item a
+ * row. */
+__kernel void slopes(__global const float *weights, __global const float *estimate,
+                     __global const float *values, __global const float *variance,
+                     __global const uchar *votes,
+                     __global const float *common, __global const float *rough,
+                     __global const float *span_down, __global const float *span_along,
+                     __global const float *gram_down, __global const float *gram_along,
+                     __global float *slopes) {
+  const int row = get_global_id(0);
+  if (row >= ROWS) return;
+  float mean[PAIRS][COLUMNS], noise[COLUMNS], spread[PRODUCTS][LINE];
+  mean_weights(row, weights, variance, votes, mean);
   const float2 shared = shared_with_neighbours(rough);
-  for (int turn = 0; turn < 2; ++turn) {
-    __global const float *down =
-        gram_down + (turn * 2 * ROWS + row) * FILTERS_DOWN * FILTERS_DOWN;
-    __global const float *along =
-        gram_along + (1 - turn) * 2 * FILTERS_ALONG * FILTERS_ALONG * COLUMNS;
-    float total[COLUMNS], product[FILTERS_ALONG * FILTERS_ALONG][COLUMNS];
-    float spread[PRODUCTS][LINE];
+  for (int turn = 0; turn < 2; ++turn) { /* the slope along the row, down the columns */
     spread_of_row(row, weights, estimate, values, span_down + (turn * ROWS + row) * WIDE,
                   span_along + (1 - turn) * WIDE * LINE, spread);
-    EACH_COLUMN total[c] = 0;
-    for (int p = 0; p < FILTERS_ALONG * FILTERS_ALONG; ++p) {
-      __global const float *alone = along + p * COLUMNS;
-      __global const float *beside = alone + FILTERS_ALONG * FILTERS_ALONG * COLUMNS;
-      EACH_COLUMN product[p][c] = alone[c] + shared.y * beside[c];
-    }
-    for (int a = 0; a < FILTERS_DOWN; ++a) {
-      float mixed[FILTERS_ALONG][COLUMNS];
-      for (int b = 0; b < FILTERS_ALONG; ++b) {
-        EACH_COLUMN mixed[b][c] = 0;
-        for (int other = 0; other < FILTERS_DOWN; ++other) {
-          const int p = a * FILTERS_DOWN + other;
-          const float factor = down[p] + shared.x * down[ROWS * FILTERS_DOWN * FILTERS_DOWN + p];
-          EACH_COLUMN mixed[b][c] += factor * mean[other * FILTERS_ALONG + b][c];
-        }
-      }
-      for (int b = 0; b < FILTERS_ALONG; ++b) {
-        float along_too[COLUMNS];
-        EACH_COLUMN along_too[c] = 0;
-        for (int other = 0; other < FILTERS_ALONG; ++other)
-          EACH_COLUMN along_too[c] += product[b * FILTERS_ALONG + other][c] * mixed[other][c];
-        EACH_COLUMN total[c] += along_too[c] * mean[a * FILTERS_ALONG + b][c];
-      }
-    }
-    EACH_COLUMN total[c] = total[c] < 0 ? 0 : total[c];
+    noise_of_row(gram_down + (turn * 2 * ROWS + row) * FILTERS_DOWN * FILTERS_DOWN,
+                 gram_along + (1 - turn) * 2 * FILTERS_ALONG * FILTERS_ALONG * COLUMNS, shared,
+                 mean, noise);
     for (int p = 0; p < PRODUCTS; ++p)
       EACH_COLUMN slopes[(turn * PRODUCTS + p) * NODES + row * COLUMNS + c] =
-          total[c] * SHAPE(common, p, row * COLUMNS + c) + BIAS * spread[p][c];
+          noise[c] * SHAPE(common, p, row * COLUMNS + c) + BIAS * spread[p][c];
   }
 }
 
@@ -260,20 +270,13 @@ void of_slope(__global const float *by_slope, __global const float *covariance, 
 #endif
 }
 
-/* Green-Lagrange strain E11 E22 E12 and its covariance, xx xy xz yy yz zz; NaN where there is none.
- * rest: the position at rest, from the middle of the lattice. slopes, rest_slopes: as in `slopes`.
- * One work-item a node. */
-__kernel void strain(__global const float *rest_position, __global const float *displacement,
-                     __global const uchar *valid, __global const float *covariance,
-                     __global const float *slopes, __global const float *rest_covariance,
-                     __global const float *rest_slopes, __global float *strain,
-                     __global float *strain_covariance) {
-  const int i = get_global_id(0);
-  if (i >= NODES) return;
+/* Fit planes to the positions in the window around node i, at rest and now; return whether there
+ * are enough nodes. slope: of both, by column and by row. own, whole: the variances of the two
+ * slopes of independent errors of variance 1, over the valid nodes and over the whole window. */
+int fit_planes(const int i, __global const float *rest_position,
+               __global const float *displacement, __global const uchar *valid,
+               float3 (*slope)[2], float *own, float *whole) {
   const int row = i / COLUMNS, column = i % COLUMNS;
-  for (int k = 0; k < 3; ++k) strain[k * NODES + i] = NAN;
-  for (int p = 0; p < 6; ++p) strain_covariance[p * NODES + i] = NAN;
-  if (!valid[i]) return;
   const int top = max(row - STRAIN_REACH, 0), bottom = min(row + STRAIN_REACH, ROWS - 1);
   const int left = max(column - STRAIN_REACH, 0), right = min(column + STRAIN_REACH, COLUMNS - 1);
   float n = 0, x = 0, y = 0, xx = 0, xy = 0, yy = 0;
@@ -305,8 +308,7 @@ __kernel void strain(__global const float *rest_position, __global const float *
     }
   const float cxx = n * xx - x * x, cxy = n * xy - x * y, cyy = n * yy - y * y;
   const float determinant = cxx * cyy - cxy * cxy; /* n times that of the normal equations */
-  if (n < LEAST_NODES || !(determinant > LEAST_DETERMINANT * n)) return;
-  float3 slope[2][2]; /* at rest and now, by column and by row */
+  if (n < LEAST_NODES || !(determinant > LEAST_DETERMINANT * n)) return 0;
   for (int m = 0; m < 2; ++m) {
     const float3 total = (float3)(all[m][0], all[m][1], all[m][2]);
     const float3 by_x = n * (float3)(sum[m][0][0], sum[m][0][1], sum[m][0][2]) - x * total;
@@ -314,6 +316,30 @@ __kernel void strain(__global const float *rest_position, __global const float *
     slope[m][0] = (cyy * by_x - cxy * by_y) / determinant;
     slope[m][1] = (cxx * by_y - cxy * by_x) / determinant;
   }
+  own[0] = n * cyy / determinant;
+  own[1] = n * cxx / determinant;
+  const float high = bottom - top + 1, wide = right - left + 1;
+  whole[0] = 12 / (high * wide * (wide * wide - 1));
+  whole[1] = 12 / (wide * high * (high * high - 1));
+  return 1;
+}
+
+/* Green-Lagrange strain E11 E22 E12 and its covariance, xx xy xz yy yz zz; NaN where there is none.
+ * rest: the position at rest, from the middle of the lattice. slopes, rest_slopes: as in `slopes`.
+ * One work-item a node. */
+__kernel void strain(__global const float *rest_position, __global const float *displacement,
+                     __global const uchar *valid, __global const float *covariance,
+                     __global const float *slopes, __global const float *rest_covariance,
+                     __global const float *rest_slopes, __global float *strain,
+                     __global float *strain_covariance) {
+  const int i = get_global_id(0);
+  if (i >= NODES) return;
+  for (int k = 0; k < 3; ++k) strain[k * NODES + i] = NAN;
+  for (int p = 0; p < 6; ++p) strain_covariance[p * NODES + i] = NAN;
+  if (!valid[i]) return;
+  float3 slope[2][2];
+  float own[2], whole[2];
+  if (!fit_planes(i, rest_position, displacement, valid, slope, own, whole)) return;
   const float3 a1 = slope[0][0], a2 = slope[0][1];
   if (!(length(cross(a1, a2)) > 1e-9f * (dot_of(a1, a1) + dot_of(a2, a2)))) return;
 #if K == 2
@@ -339,11 +365,6 @@ __kernel void strain(__global const float *rest_position, __global const float *
   const float3 before_1[3] = {off_1 + 2 * e12 * turned, -2 * e12 * turned,
                               off_2 / 2 + (e22 - e11) * turned};
   const float3 before_2[3] = {none, off_2, off_1 / 2};
-  /* Of independent errors of variance 1, over the valid nodes and over the whole window. */
-  const float own[2] = {n * cyy / determinant, n * cxx / determinant};
-  const float high = bottom - top + 1, wide = right - left + 1;
-  const float whole[2] = {12 / (high * wide * (wide * wide - 1)),
-                          12 / (wide * high * (high * high - 1))};
   float3 by_step[2][3], rest_by_step[2][3];
   float found[6] = {0, 0, 0, 0, 0, 0};
   for (int step = 0; step < 2; ++step) {
