@@ -71,6 +71,7 @@ def boards():
 
 
 BOARD = "--board", "12x12", "--square", "2", "--out", "rig.yaml"
+AT_REST = "--rest", "1.png", "--grid", "20x20", "--pitch", "0.8"
 
 
 def test_calibrate_finds_the_cameras_again(run, boards):
@@ -103,6 +104,22 @@ def test_calibrate_finds_the_cameras_again(run, boards):
         (
             ["--stereo", "0.png", "--split", "0,0,9,9:0,0,9,8"],
             ["left and right must have one size"],
+        ),
+        (["0.png", "--mirror", "left"], ["--split and --mirror need --stereo"]),
+        (["0.png", "--corners", "c.mat"], ["--corners c.mat must end in .vnl"]),
+        (["--camera", "a=gone.png"], ["gone.png"]),
+        (["--camera", "noname.png"], ["NAME=IMAGE"]),
+        (["--camera", "a=0.png", "1.png", "--camera", "b=0.png"], ["2 of a and 1 of b"]),
+        (["--camera", "a=0.png", "--camera", "a=1.png"], ["a is given twice"]),
+        (
+            ["--stereo", "0.png", "--window", "5:1.49"],
+            ["--window needs --rest IMAGE, --grid 40x40 and --pitch"],
+        ),
+        (["0.png", "--window", "5"], ["'5' is not LENGTH:INDEX of each layer"]),
+        (["--stereo", "0.png", *AT_REST], ["--rest needs --window"]),
+        (
+            ["--stereo", "0.png", "--window", "20:1.4", *AT_REST, "--step", "1"],
+            ["need 1 image each"],
         ),
     ],
 )
@@ -155,14 +172,3 @@ def test_named_cameras_make_a_rig_that_run_takes(run, opencv_views):
     assert run("calibrate", *cameras, *CHESSBOARD, "--out", "rig.yaml")[0] == 0
     rig = StereoRig.load("rig.yaml")
     assert np.linalg.norm(rig.T) == pytest.approx(83.2, abs=1)
-    before = Path("rig.yaml").read_bytes()
-    for wrong, why in (
-        (["--camera", "left=gone.png"], "gone.png"),
-        (["--camera", "noname.png"], "NAME=IMAGE"),
-        ([*cameras, "--camera", f"third={opencv_views[0][4]}"], "1 of third"),
-        ([*cameras, "--camera", f"left={left[0]}"], "twice"),
-        ([*cameras, "--mirror", "left"], "--split"),
-        ([*cameras, "--corners", "c.mat"], "c.mat"),
-    ):
-        fails_in_one_line(run("calibrate", *wrong, *CHESSBOARD, "--out", "rig.yaml"), why)
-        assert Path("rig.yaml").read_bytes() == before
