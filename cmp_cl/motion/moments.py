@@ -16,11 +16,10 @@ from cmp_cl.motion.filter import (
     Filtered,
     filter_at_rest,
     filter_change,
-    flat,
     most_at_rest,
-    planes,
     strain_of,
 )
+from cmp_cl.motion.layout import flat, planes
 from cmp_cl.motion.scale import PlaneScale
 from cmp_cl.opencl.device import Device
 from cmp_cl.points import Points3D, PointStatus

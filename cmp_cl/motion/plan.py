@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from cmp_cl.corners import Corners
 from cmp_cl.field import DisplacementField
 from cmp_cl.grid.grid import Grid
-from cmp_cl.motion.filter import (
-    LatticeFilter,
+from cmp_cl.motion.filter import LatticeFilter
+from cmp_cl.motion.geometry import InPlane, InSpace
+from cmp_cl.motion.layout import (
     covariances,
     defines_of,
     flat,
@@ -27,7 +28,6 @@ from cmp_cl.motion.filter import (
     of_nodes,
     planes,
 )
-from cmp_cl.motion.geometry import InPlane, InSpace
 from cmp_cl.motion.moments import AtRest, Moment, field_of
 from cmp_cl.motion.nodes import put
 from cmp_cl.motion.tables import axis_tables

@@ -40,8 +40,7 @@ class PlaneScale:
 
     @classmethod
     def of_pixel(cls, length: float, unit: str = "mm") -> Self:
-        """Return the scale of a camera that faces the plane, so that a px has the same length
-            everywhere.
+        """Return the scale of a camera that faces the plane: a px has the same length everywhere.
 
         length: of one px. unit: name of its unit. Raises FieldError if it is not positive.
         """
