@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from comparison import assert_same_bytes
 from gels import GEL, NODES, RIG, SPLIT, Shot, pressed
 from lattices import drawn
 from videos import write_video
@@ -145,11 +146,22 @@ def test_tracked_corners_of_any_refinement_have_their_sigma_and_a_field(refineme
     assert tracked.field.valid.mean() > 0.9
 
 
+@pytest.fixture(params=["as it is", "of its own"])
+def any_memory(request, monkeypatch):
+    """Let the device have the memory that it has, then one that the host does not share."""
+    if request.param == "of its own":
+        monkeypatch.setattr(memory, "shares_memory", lambda _: False)
+
+
+@pytest.mark.usefixtures("any_memory")
 def test_a_stream_is_measured_as_calls_are_and_refuses_them_until_it_ends(film):
     with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
-        alone = [following(frame).field.displacement for frame in film]
-        for each, expected in zip(following.stream(film), alone, strict=True):
-            np.testing.assert_array_equal(each.field.displacement, expected)
+        calls = [following(frame) for frame in film]
+        alone = [each.field.displacement for each in calls]
+        for each, called in zip(following.stream(film), calls, strict=True):
+            np.testing.assert_array_equal(each.field.displacement, called.field.displacement)
+            for corners, expected in zip(each.corners, called.corners, strict=True):
+                assert_same_bytes(corners, expected)
         left = following.stream(film)
         next(left)
         within = [lambda: following(film[5]), following.skip, lambda: next(following.stream(film))]
@@ -227,12 +239,8 @@ def test_a_frame_that_does_not_fit_is_refused_and_the_next_one_is_measured(film)
         np.testing.assert_array_equal(following(film[2]).field.displacement, expected)
 
 
-@pytest.mark.parametrize("apart", [False, True], ids=["shared memory", "memory of its own"])
-def test_a_frame_with_more_corners_than_there_is_room_for_is_measured_and_so_is_the_next(
-    apart, monkeypatch
-):
-    if apart:
-        monkeypatch.setattr(memory, "shares_memory", lambda _: False)
+@pytest.mark.usefixtures("any_memory")
+def test_a_frame_with_more_corners_than_there_is_room_for_is_measured_and_so_is_the_next():
     images = [np.pad(pressed(severity).left.image, ((0, 0), (0, 260))) for severity in FILM[:4]]
     y, x = np.indices((len(images[2]), 240)) // 12 % 2
     images[2][:, -240:] = np.where(x == y, 200, 40)  # a board beside the pattern
