@@ -271,7 +271,7 @@ class StereoRig:
         return by_point, np.dstack([by_lens, *by_place])
 
     def _moved(self, step: Array) -> "StereoRig":
-        """Return the rig after a step of its pose and of its window."""
+        """Return the rig after a step of its pose and of its window, without a covariance."""
         pose, window = np.split(step, [POSE])
         right = self._cameras[1]
         right[-POSE:] += pose
@@ -280,6 +280,7 @@ class StereoRig:
             R=rotation_of(right),
             T=right[-3:],
             window=None if self.window is None else self.window.moved(window),
+            covariance=None,
         )
 
     @property
