@@ -39,7 +39,7 @@ _LEVELS = np.arange(256, dtype=np.uint8)[:, None]
 _PLASMA = cv2.applyColorMap(_LEVELS, cv2.COLORMAP_PLASMA)[:, 0]  # (256, 3), BGR
 _STRIP = 36  # px below the image for the legend
 _LEAST = 1000  # px along the longer side of an overlay
-_LEAST_OF_VIDEO, _MOST_OF_VIDEO = 480, 1920  # px, the same of `moved_overlay`
+_LEAST_OF_VIDEO, _MOST_OF_VIDEO = 480, 1920  # px, of `moved_overlay`: width, and longer side
 _FRACTION_BITS = 4
 _UNIT = 1 << _FRACTION_BITS
 
@@ -107,12 +107,15 @@ def moved_overlay(
 
     image: (H, W) uint8 or uint16. moved: how far each node has moved, (R, C); one without a
     displacement is grey. top: the end of the scale, in the unit. text: beside the bar. Returns
-    (H', W', 3) uint8 BGR, whose longer side has 480 to 1920 px. Raises FieldError if `moved` does
-    not fit the grid.
+    (H', W', 3) uint8 BGR, enlarged by a whole factor until it is 480 px wide, as far as its longer
+    side then has at most 1920 px, or reduced to these. Raises FieldError if `moved` does not fit
+    the grid.
     """
     if moved.shape != grid.shape:
         raise FieldError(f"moved is {moved.shape}, the grid has {grid.shape} nodes")
-    canvas = _Canvas(image, _LEAST_OF_VIDEO, _MOST_OF_VIDEO)
+    longest, wanted = max(image.shape), -(-_LEAST_OF_VIDEO // image.shape[1])
+    times = max(1, min(wanted, _MOST_OF_VIDEO // longest))  # as wide as the colour bar
+    canvas = _Canvas(image, times * longest, _MOST_OF_VIDEO)
     canvas.lattice(grid.xy)
     values = moved[grid.valid]
     levels = np.rint(255 * np.nan_to_num(values) / (top or 1)).clip(0, 255).astype(int)

@@ -428,7 +428,9 @@ def test_a_sheet_and_one_annotated_video_are_written(run, recording, press):
     status, out, _ = run("run", recording, *STEREO, "--plot", "shown.png")
     assert (status, out.splitlines()[-2:]) == (0, ["wrote shown.png", "wrote shown.mp4"])
     capture = cv2.VideoCapture("shown.mp4")
-    assert sum(capture.read()[0] for _ in range(len(press) + 3)) == len(press)
+    pictures = [capture.read()[1] for _ in range(len(press) + 3)]
+    assert sum(each is not None for each in pictures) == len(press)
+    assert pictures[0][0, -1].any()  # the picture is as wide as the colour bar below it
     sheet = cv2.imread("shown.png")
     assert run("plot", "press.npz", "--out", "same.png")[0] == 0
     np.testing.assert_array_equal(cv2.imread("same.png"), sheet)
