@@ -240,11 +240,12 @@ def test_a_frame_that_does_not_fit_is_refused_and_the_next_one_is_measured(film)
 
 
 @pytest.mark.usefixtures("any_memory")
-def test_a_frame_with_more_corners_than_there_is_room_for_is_measured_and_so_is_the_next():
+@pytest.mark.parametrize("most", [1, 65536], ids=["lists that grow", "long lists"])
+def test_a_frame_with_more_corners_than_there_is_room_for_is_measured_and_so_is_the_next(most):
     images = [np.pad(pressed(severity).left.image, ((0, 0), (0, 260))) for severity in FILM[:4]]
     y, x = np.indices((len(images[2]), 240)) // 12 % 2
     images[2][:, -240:] = np.where(x == y, 200, 40)  # a board beside the pattern
-    config = cmp_cl.DetectorConfig.for_cell(12).replace(max_corners=1)
+    config = cmp_cl.DetectorConfig.for_cell(12).replace(max_corners=most)
     with measure.OneView(images[0], shape=NODES, config=config) as following:
         _, few, crowded, after = map(following, images)
     assert len(crowded.corners[0]) > 2 * len(few.corners[0])
