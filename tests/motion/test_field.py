@@ -299,15 +299,18 @@ def test_the_same_nodes_give_the_same_bytes(run):
         assert values.tobytes() == again[name].tobytes(), name
 
 
-@pytest.mark.parametrize("window", ["no window", "acrylic and gel"])
+@pytest.mark.parametrize(
+    ("views", "window"), [(1, "no window"), (2, "no window"), (2, "acrylic and gel")]
+)
 def test_a_device_without_double_precision_errs_by_hundredths_of_a_micrometre(
-    run, monkeypatch, window
+    run, monkeypatch, views, window
 ):
     rng, rig = np.random.default_rng(8), rig_with(window=window)
-    rest, now = (views_of(rig, surface(*USUAL, press), rng) for press in (0.0, 1.0))
-    _, _, exact = run(rig, rest, now)
+    grids = (views_of(rig, surface(*USUAL, press), rng) for press in (0.0, 1.0))
+    seen = seen_by(views, rig, *grids)
+    _, _, exact = run(*seen)
     monkeypatch.setattr(plans, "has_double", lambda device: False)
-    _, _, single = run(rig, rest, now)
+    _, _, single = run(*seen)
     off = np.abs(single.displacement - exact.displacement).max()
     assert 0 < off < 1e-4
 
