@@ -18,7 +18,6 @@ typedef struct {
   float depth;
   float rough_weight;
   float side_nats, cells_nats, prior, penalty, torn_penalty;
-  float stay, enter;
   float reach, near, edge;
 } Nats;
 
@@ -316,8 +315,8 @@ float usual_share(__global const int2 *cells, const int place, const int width) 
 
 float clipped(const float v) { return v < -1.0f ? -1.0f : v > 1.0f ? 1.0f : v; }
 
-/* The score of a node in nats: its sides, its cells, and its distance from the prediction, which
- * counts more if it is torn. */
+/* The score of a node in nats, below 0 if it is less likely than not: its sides, its cells, and its
+ * distance from the prediction, which counts more if it is torn. */
 float score_of(const float sides, const int quality, const float share, const float2 seen,
                const bool is_torn, const Prediction prediction, const float cell,
                __constant Nats *nats) {
@@ -366,9 +365,9 @@ __kernel void score_nodes(__constant Nats *nats, __global const int *restrict la
 }
 
 /* Whether a node scores too little, and is the worst of its 3 x 3: the others may need it less. */
-bool is_weak(__constant Nats *nats, const int width, const int place, __global const float *score) {
+bool is_weak(const int width, const int place, __global const float *score) {
   const float own = score[place];
-  bool is_worst = own < nats->stay;
+  bool is_worst = own < 0;
   for (int r = -1; is_worst && r <= 1; ++r)
     for (int c = -1; c <= 1; ++c) is_worst &= own <= score[place + r * width + c];
   return is_worst;
@@ -416,7 +415,7 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
   ADD_NEW_SIDE(place - width, at[place - width], here, parity)
   const float score = score_of(whole, seen.quality, share, found.at, is_torn, prediction,
                                steps.cell, nats);
-  if (!(score < nats->enter)) found.owner = is_free ? found.nearest : PLACE;
+  if (!(score < 0)) found.owner = is_free ? found.nearest : PLACE;
   return found;
 }
 
@@ -485,14 +484,14 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
     if (row < NEAR || row >= height - NEAR || column < NEAR || column >= width - NEAR) continue;
     if (!IS_HERE(seen[place])) {
       if (is_beside_nodes(seen, place, width)) list_place(OF_PLACES, LOOKED, place);
-    } else if (is_weak(nats, width, place, score)) {
+    } else if (is_weak(width, place, score)) {
       list_place(OF_PLACES, JUDGED, place);
     }
   }
   ALL_TOGETHER;
   for (int round = 1;;) {
     FOR_LISTED(JUDGED) {
-      if (!is_weak(nats, width, place, score)) continue;
+      if (!is_weak(width, place, score)) continue;
       if (owner[place] >= 0) used[owner[place]] = 0;
       owner[place] = NONE;
       seen[place] = (float2)(NAN, NAN);

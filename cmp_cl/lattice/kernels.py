@@ -147,7 +147,6 @@ def nats(plan: "LatticePlan") -> NDArray[np.float32]:
             *(k.cell_depth, k.rough_weight_per_px2),
             *(k.side_nats, k.cells_nats, k.prior_nats),
             *(0.5 / k.sd_cells**2, 2 / k.sd_cells**2),  # that of a torn corner is half as large
-            *(k.stay_nats, 2 * k.stay_nats),
             *(k.reach_cells, k.near_cells, k.contrast_radius_px),
         ],
         np.float32,

@@ -164,7 +164,7 @@ def test_places_without_a_corner(device):
     kept = np.random.default_rng(0).random(len(corners)) < 0.9
     board = assert_equal_to_the_oracle(device, image, keep(corners, kept))
     assert np.count_nonzero(board.owner == LOOKED) > 0.05 * len(corners)
-    assert np.count_nonzero(board.owner != NONE) > 0.9 * len(corners)
+    assert np.count_nonzero(board.owner != NONE) > 0.95 * len(corners)
 
 
 def test_a_place_at_the_edge_of_the_image_gets_no_node(device):

@@ -325,7 +325,7 @@ def settled(
         r, c = row[~good], column[~good]
         new_x[r, c], new_y[r, c], new_owner[r, c], new_torn[r, c] = px[r, c], py[r, c], LOOKED, True
         found = evidence(plane, board, k, (new_x, new_y, new_torn))
-        take = (new_owner != NONE) & (found.score >= F(2 * k.stay_nats))
+        take = (new_owner != NONE) & (found.score >= 0)
         take &= _first_claims(new_owner, take)
         if not take.any():
             break
@@ -350,7 +350,7 @@ def dropped(plane: Plane, board: Board, k: LatticeConstants) -> Board:
         for i in range(-1, 2):
             for j in range(-1, 2):
                 worst = np.fmin(worst, shifted(score, i, j, np.nan))
-        bad = there & (score < F(k.stay_nats)) & (score <= worst)
+        bad = there & (score < 0) & (score <= worst)
         if not bad.any():
             return board
         board = Board(
