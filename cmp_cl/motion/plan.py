@@ -145,14 +145,14 @@ class FieldPlan:
         """Enqueue the launches and the download of the results; return the event of each launch.
         The inputs are on the device."""
         events = enqueue(self._queue, self.launches)
-        self.frame.download()
+        self._done = [events[-1][1], *self.frame.download()][-1]
         self._queue.flush()
         return events
 
     def read(self) -> dict[str, NDArray[Any]]:
-        """Wait for the launches. Return copies of the arrays of the frame by name; results are
+        """Wait for what was started. Return copies of the arrays of the frame by name; results are
         planes (N, R, C) float32, status and source (R, C) uint8."""
-        self._queue.finish()
+        self._done.wait()
         return self.frame.copies()
 
     def field(self, results: dict[str, NDArray[Any]]) -> DisplacementField:
