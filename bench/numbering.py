@@ -93,9 +93,6 @@ Method = Callable[[View, Corners], Answer | None]  # None: it cannot be asked
 NOTHING = Answer(np.zeros((0, 2)), np.zeros((0, 2), int))
 
 
-# methods
-
-
 def answer_of(grid: Grid, *, sized: bool = False) -> Answer:
     row, column = np.nonzero(grid.valid & (grid.status != NodeStatus.INTERPOLATED))
     predicted = int(np.count_nonzero(grid.status == NodeStatus.INTERPOLATED))

@@ -40,7 +40,8 @@ class LatticeConstants:
     agree: shares of a step, greatest difference between faces that share a link. With .4, 262 335
         torn corners lose 798 nodes, and a fisheye's rim whole blocks of cells.
     agree_cut: factor, by which that tolerance falls for a part that contradicts itself.
-    cuts: times, that it falls at most; .5 becomes .04. 5 do the same.
+    cuts: times, that it falls at most; .5 becomes .04. 128 torn gels need 5, with which a
+        dislocation of 8 cells stays without numbers.
     torn_corners: corners, that a face may have torn; for each further one it falls once: a squeezed
         rim of them hangs on the wrong side of a tear. With 1, and with 4, one of 100 torn gels has
         wrong numbers, with 2 none; if it falls twice, their 206 847 corners have 1408 right nodes
@@ -55,9 +56,8 @@ class LatticeConstants:
         one, and none of 24 others.
     join_votes: votes, that a placement needs; and corners beside a board, that are told. With 4,
         waves that stretch cells 2.5 times had wrong joins; right ones in torn gels have 8 to 80.
-    join_bend: factor, by which the second placement must bend the surface more. None of 140 parts
-        was misplaced with 1 to 1.1; 1.1 leaves two of 24 in torn gels apart.
-    tear_rough: cells^2, noise of positions in the bending energy; 1 does the same.
+    join_bend: factor, by which the second placement must bend the surface more; with 1 it is enough
+        that it bends least at the first. 1.1 leaves two of 24 parts in torn gels apart.
     tear_most: nodes, of each side of a tear, and of a board that is continued; the cost of a
         placement grows with its cube. With 32 torn gels lost 262 of 47 893 nodes; 48 does as well
         as 64.
@@ -108,8 +108,8 @@ class LatticeConstants:
     few: share, of the corners that a board must hold, unless it has all nodes of a known size. With
         0, 13 of 565 boards in clutter are right that are refused, but of 60 grounds of noise
         without a board one is numbered in silence and five are told.
-    gap: share, of the places inside a board; so many without a node are told. It is told of 27 of
-        88 torn gels; without it one with two wrong numbers is silent.
+    gap: share, of the places inside a board; so many without a node are told. It is told of 30 of
+        128 torn gels; without it two with wrong numbers are silent.
     """
 
     # Links
@@ -133,7 +133,6 @@ class LatticeConstants:
     span: int = 4
     join_votes: float = 6.0
     join_bend: float = 1.0
-    tear_rough: float = 0.1
     tear_most: int = 48
     # Nodes
     prediction_weights: tuple[float, float, float, float] = (12.0, 4.0, 1.5, 0.7)

@@ -163,8 +163,8 @@ def bending(fixed: Side, moved: Side, offsets: Numbers, k: LatticeConstants) -> 
     two sides, for each offset of the second one's numbers; infinite where it is not defined.
 
     Cubic radial functions with a quadratic trend: M [w; c] = [x; 0], energy x' w, with
-    M = [K + rough I, B; B', 0]. The first side and the trend are eliminated once; the energy is
-    theirs, and that of what they leave of the second side.
+    M = [K + I, B; B', 0]. The first side and the trend are eliminated once; the energy is theirs,
+    and that of what they leave of the second side.
     """
     middle, number = moved.at.mean(), moved.number - moved.number.mean()
     cell = float(np.abs(np.vdot(number, moved.at - middle)) / np.vdot(number, number).real)
@@ -177,14 +177,14 @@ def bending(fixed: Side, moved: Side, offsets: Numbers, k: LatticeConstants) -> 
     origin = one.number.mean()
     first = one.number - origin
     system = np.zeros((count + TREND, count + TREND))
-    system[:count, :count] = _cubes(first, first) + k.tear_rough * np.eye(count)
+    system[:count, :count] = _cubes(first, first) + np.eye(count)
     system[:count, count:] = _trend(first)
     system[count:, :count] = system[:count, count:].T
     position = np.concatenate([x, np.zeros((TREND, 2))])
     second = ((two.number - origin) + offsets[:, None]).ravel()
     beside = np.concatenate([_cubes(second, first), _trend(second)], axis=1)
     beside = beside.reshape(len(offsets), -1, count + TREND)
-    own = _cubes(two.number, two.number) + k.tear_rough * np.eye(len(two.at))
+    own = _cubes(two.number, two.number) + np.eye(len(two.at))
     try:
         inverse = np.linalg.inv(system)
         across = beside @ inverse  # one small product an offset: BLAS starts no threads
