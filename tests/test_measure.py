@@ -287,6 +287,15 @@ def test_a_view_is_measured_against_the_view_at_rest():
         against_rest(rest)
 
 
+def test_a_torn_view_at_rest_has_not_moved():
+    torn = pressed(1.8).left.image
+    with measure.OneView(torn, shape=NODES) as against_rest:
+        assert (against_rest.rest_grids[0].status == NodeStatus.ATTACHED).any()
+        anew, tracked = against_rest(torn), against_rest(torn)
+    assert (anew.tracked, tracked.tracked) == (False, True)
+    assert max(anew.largest, tracked.largest) < 1e-6  # px, of single precision
+
+
 def test_values_before_the_filter_are_there_too_and_less_certain():
     rest, now = (pressed(severity).left.image for severity in (0.0, 0.4))
     with measure.OneView(rest, shape=NODES) as view:

@@ -34,9 +34,10 @@ class View:
         *,
         track: bool,
     ) -> None:
-        self.corners, self.rest = detector.grid(view, shape=shape)
+        self.corners, rest = detector.grid(view, shape=shape)
         self._device = detector.device
-        check_board(self.rest)
+        check_board(rest)
+        self.rest = _as_seen(rest, self.corners)
         self.sure = dataclasses.replace(self.rest, confidence=math.inf, rival=None)
         self.track = track
         self._previous: Callable[[], Grid] | None = None
@@ -62,11 +63,7 @@ class View:
         if whole is None or not whole.valid.any():
             self.lost()
             return empty_grid(len(corners), self.rest.shape, self.rest)
-        # A field takes the corners as they were seen, torn ones too; its filter knows their sigma.
-        known = whole.index[:, 0] >= 0
-        xy = whole.xy.copy()
-        xy[tuple(whole.index[known].T)] = corners.xy[known]
-        whole = dataclasses.replace(whole, xy=xy)
+        whole = _as_seen(whole, corners)
         self.go_on(lambda: whole)
         return whole.cut_to(self.rest)
 
@@ -88,6 +85,15 @@ class View:
 
     def _before(self) -> Grid:
         return self.rest if self._previous is None else self._previous()
+
+
+def _as_seen(grid: Grid, corners: Corners) -> Grid:
+    """Return a grid with its corners where they were seen, torn ones too, at rest as in each frame:
+    wear moves with the print. The filter of a field knows their sigma."""
+    known = grid.index[:, 0] >= 0
+    xy = grid.xy.copy()
+    xy[tuple(grid.index[known].T)] = corners.xy[known]
+    return dataclasses.replace(grid, xy=xy)
 
 
 @contextlib.contextmanager
