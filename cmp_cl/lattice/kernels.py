@@ -3,16 +3,15 @@ plan, or among `values`. What the kernels do stands in kernels/.
 """
 
 import enum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pyopencl as cl
 from numpy.typing import NDArray
 
+from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.opencl.launches import constant
 from cmp_cl.stages.refine import RESULT_FIELDS, RESULT_HEAD
-
-if TYPE_CHECKING:
-    from cmp_cl.lattice.plan import LatticePlan
 
 FILES = ("bins", "links", "faces", "parts", "votes", "nodes", "borders")
 DIRECTIONS = 1024  # unit vectors in a full turn
@@ -60,9 +59,9 @@ BOARD_OF_NUMBERS: tuple[Kernel, ...] = (
 )
 
 
-def sizes(plan: "LatticePlan") -> dict[str, int]:
-    """Return the bytes of the buffers."""
-    corners, places, (rows, columns) = plan.capacity, plan.places, plan.shape
+def sizes(*, corners: int, places: int, rows: int, columns: int, step: int) -> dict[str, int]:
+    """Return the bytes of the buffers of the lattice, of a frame with so many rows and columns, and
+    elements from row to row."""
     # A bin is as large as a quarter of the area of a corner, or larger, and 4 px wide or wider.
     bins = 4 * corners + rows // 4 + columns // 4 + 2
     of_corners = {
@@ -81,25 +80,22 @@ def sizes(plan: "LatticePlan") -> dict[str, int]:
     return {
         **{name: size * corners for name, size in of_corners.items()},
         **{name: size * places for name, size in of_places.items()},
-        "image": (rows + 2) * plan.step * plan.dtype.itemsize,
         "corners": 4 * (RESULT_HEAD + RESULT_FIELDS * corners),
-        "levels": 2 * rows * plan.step,
+        "levels": 2 * rows * step,
         "starts": 4 * bins,
         "layout": 4 * LAYOUT,
         "border": 4 * FOUND,
     }
 
 
-def values(plan: "LatticePlan") -> dict[str, Any]:
-    """Return the arguments that are no buffers of a frame, by name."""
-    k = plan.constants
+def values(k: LatticeConstants, context: cl.Context) -> dict[str, Any]:
+    """Return the arguments that the constants are, by name."""
     whole = {
         "rings": k.link_rings,
         "neighbours": k.link_neighbours,
         "torn_corners": k.torn_corners,
         "most_cuts": k.cuts,
         "least_part": k.least_board,
-        "places": plan.places,
         "rounds": ROUNDS,
     }
     real = {
@@ -111,24 +107,15 @@ def values(plan: "LatticePlan") -> dict[str, Any]:
         "passing": k.passing,
         "least_line": k.least_line,
     }
-    count = {
-        "capacity": plan.capacity,
-        "step": plan.step,
-        "level_step": plan.step,
-        "full_scale": plan.full_scale,
-        "rows": plan.shape[0],
-        "columns": plan.shape[1],
-    }
     tables = {
         "circle": circle(),
         "tolerances": k.face_tolerances(),
-        "nats": nats(plan),
+        "nats": nats(k),
     }
     return {
         **{name: np.int32(value) for name, value in whole.items()},
         **{name: np.float32(value) for name, value in real.items()},
-        **{name: np.uint32(value) for name, value in count.items()},
-        **{name: constant(plan.queue.context, table) for name, table in tables.items()},
+        **{name: constant(context, table) for name, table in tables.items()},
     }
 
 
@@ -139,9 +126,8 @@ def circle() -> NDArray[np.float32]:
     return rounded
 
 
-def nats(plan: "LatticePlan") -> NDArray[np.float32]:
+def nats(k: LatticeConstants) -> NDArray[np.float32]:
     """Return the constants of the score, in the order of kernels/nodes.cl."""
-    k = plan.constants
     return np.array(
         [
             *(k.cell_depth, k.rough_weight_per_px2),

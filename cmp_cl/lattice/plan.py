@@ -72,8 +72,8 @@ class LatticePlan:
             self.capacity, self.pad = multiple(capacity, GROUP), LEAST_PAD
             self.step, given = multiple(shape[1] + 2 * self.pad, GROUP), {}
         self.kernels = programs.kernels(kernels.FILES, self._defines)
-        self.values = kernels.values(self)
-        sizes = {n: size for n, size in kernels.sizes(self).items() if n not in given}
+        self.values = kernels.values(self.constants, self.queue.context) | self._numbers
+        sizes = {n: size for n, size in self._sizes.items() if n not in given}
         self.memory = Memory(self.queue, {n: ((size,), np.uint8) for n, size in sizes.items()})
         self.buffers = given | self.memory.parts
         self.make_room(kernels.ROOM * self.capacity)
@@ -119,6 +119,30 @@ class LatticePlan:
             "METHOD_FIELD": METHOD,
             "SPAN": k.span,
         }
+
+    @property
+    def _sizes(self) -> dict[str, int]:
+        """Return the bytes of the buffers."""
+        rows, columns = self.shape
+        room = {"corners": self.capacity, "places": self.places}
+        return {
+            "image": (rows + 2) * self.step * self.dtype.itemsize,
+            **kernels.sizes(**room, rows=rows, columns=columns, step=self.step),
+        }
+
+    @property
+    def _numbers(self) -> dict[str, Any]:
+        """Return the arguments that tell of the frame, and how much room there is."""
+        count = {
+            "capacity": self.capacity,
+            "step": self.step,
+            "level_step": self.step,
+            "full_scale": self.full_scale,
+            "rows": self.shape[0],
+            "columns": self.shape[1],
+        }
+        numbers = {name: np.uint32(value) for name, value in count.items()}
+        return {**numbers, "places": np.int32(self.places)}
 
     @property
     def bytes(self) -> int:
