@@ -239,6 +239,15 @@ def test_a_frame_that_does_not_fit_is_refused_and_the_next_one_is_measured(film)
         np.testing.assert_array_equal(following(film[2]).field.displacement, expected)
 
 
+def test_a_frame_of_another_size_is_told_to_have_a_frame_at_rest_of_its_own():
+    rest = pressed(0.0).left.image
+    with (
+        measure.OneView(rest, shape=NODES) as one,
+        pytest.raises(cmp_cl.ImageError, match=r"at rest is \(.*, this one \("),
+    ):
+        one(rest[:-5])
+
+
 @pytest.mark.usefixtures("any_memory")
 @pytest.mark.parametrize("most", [1, 65536], ids=["lists that grow", "long lists"])
 def test_a_frame_with_more_corners_than_there_is_room_for_is_measured_and_so_is_the_next(most):

@@ -16,7 +16,7 @@ from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
-from cmp_cl.errors import ConfigError, DeviceError, FieldError, check_kind, errors_last
+from cmp_cl.errors import ConfigError, DeviceError, FieldError, ImageError, check_kind, errors_last
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.measure.measured import Measured, Tally
@@ -420,6 +420,16 @@ def _grids(
 
 def _grid(measured: Measured, view: int) -> Grid:
     return measured.grids[view]
+
+
+def check_size(frame: GreyImage, at_rest: tuple[int, ...]) -> None:
+    """Raise ImageError if a frame has another size than the frame at rest."""
+    shape = check_image(frame).shape
+    if shape != at_rest:
+        raise ImageError(
+            f"the frame at rest is {at_rest}, this one {shape}; measure a recording of another "
+            "size against its own frame at rest"
+        )
 
 
 def _with_field(measured: Measured) -> Measured:

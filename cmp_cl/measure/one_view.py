@@ -3,7 +3,7 @@
 from typing import Unpack
 
 from cmp_cl.image import GreyImage
-from cmp_cl.measure.measurement import Measurement, Settings
+from cmp_cl.measure.measurement import Measurement, Settings, check_size
 from cmp_cl.motion import PlaneScale
 from cmp_cl.motion.geometry import InPlane
 from cmp_cl.motion.moments import Moment
@@ -40,4 +40,5 @@ class OneView(Measurement):
         return Moment.in_plane(grid, self._scale), InPlane(self._scale, grid.edge_radius)
 
     def _views_of(self, frame: GreyImage) -> tuple[GreyImage, ...]:
+        check_size(frame, self._detector.shape)
         return (frame,)

@@ -7,11 +7,11 @@ from typing import Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError, GridError, ImageError, check_kind
+from cmp_cl.errors import ConfigError, GridError, check_kind
 from cmp_cl.grid import Grid
 from cmp_cl.grid.grid import NO_SIDES
 from cmp_cl.image import GreyImage
-from cmp_cl.measure.measurement import Measurement, Settings
+from cmp_cl.measure.measurement import Measurement, Settings, check_size
 from cmp_cl.measure.patterns import align_views
 from cmp_cl.motion.geometry import InSpace
 from cmp_cl.motion.moments import Moment
@@ -134,11 +134,7 @@ class TwoViews(Measurement):
 
     def _views_of(self, frame: GreyImage) -> tuple[GreyImage, ...]:
         views = self._split(frame)
-        if frame.shape != self._size:
-            raise ImageError(
-                f"the frame at rest is {self._size}, this one {frame.shape}; measure a recording "
-                "of another size against its own frame at rest"
-            )
+        check_size(frame, self._size)
         return views
 
 
