@@ -40,7 +40,7 @@ def environment() -> dict[str, Any]:
         "commit": _commit(),
         "device": str(device),
         "driver": device.driver,
-        "cpu": _cpu(),
+        "cpu": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
         "system": f"{platform.system()} {platform.release()}",
         "threads_opencv": cv2.getNumThreads(),
@@ -138,13 +138,3 @@ def _git(folder: Path, *arguments: str) -> str:
         ["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True
     )
     return answer.stdout.strip()
-
-
-def _cpu() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()

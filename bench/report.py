@@ -134,6 +134,9 @@ def detection(folder: Path) -> str:
     whole["missed a frame"] = whole["missed"] / whole["frames"]
     whole["false a frame"] = whole["false"] / whole["frames"]
     error_against_time(whole, folder / "error.png")
+    by = summed(table, "severity").assign(share=lambda rows: 100 * rows["right"] / rows["frames"])
+    right = by.pivot(index="severity", columns="method", values="share")
+    by_severity(right, folder / "severity.png", "frames right, %")
     counted = ["frames", "frames right, %", "missed a frame", "false a frame", "rmse", "ms"]
     return headed(
         "Error against run time",
@@ -146,6 +149,7 @@ def detection(folder: Path) -> str:
         "![Error against run time](error.png)\n",
         markdown(whole[["method", *counted]]),
         "## Frames right, %, by severity and by density\n",
+        "![Frames right by severity](severity.png)\n",
         markdown(shares(table, "severity").merge(shares(table, "markers"), on="method")),
     )
 
@@ -164,9 +168,19 @@ def error_against_time(whole: pd.DataFrame, path: Path) -> None:
     said = {"xlabel": "ms a frame, 640 x 480", "ylabel": "missed and false per 1000 corners"}
     axes.set(xscale="log", yscale="log", **said)
     axes.grid(alpha=0.25)
-    axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=110)
     plt.close(figure)
+
+
+def by_severity(columns: pd.DataFrame, path: Path, said: str) -> None:
+    """Draw each column over the severity of the press, ours bold, and write the plot."""
+    names = {"xlabel": "severity of the press", "ylabel": said}
+    axes = columns.plot(style=".-", colormap="tab20", figsize=(8, 4.5), grid=True, **names)
+    for line in axes.lines:
+        line.set_linewidth(2 if line.get_label() in OURS else 0.8)
+    axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
+    axes.figure.savefig(path, dpi=110, bbox_inches="tight")
+    plt.close(axes.figure)
 
 
 def shares(table: pd.DataFrame, by: str) -> pd.DataFrame:
@@ -234,6 +248,9 @@ def sigma(folder: Path) -> str:
     groups = usual.groupby(["kind", "corrosion"], sort=False)
     rows = groups.agg(frames=("frames", "sum"), rms=("rms", "mean"), share=("within_2", "mean"))
     rows["within 2 sigma, %"] = 100 * rows.pop("share")
+    moved = usual[usual["kind"] != "position"]
+    covered = 100 * moved.groupby(["severity", "kind"])["within_2"].mean().unstack()
+    by_severity(covered, folder / "sigma.png", "errors within two sigma, %")
     return headed(
         "Positions, displacements, and their sigma",
         table,
@@ -242,6 +259,7 @@ def sigma(folder: Path) -> str:
         "seen: where the mark sits on a worn print is not in it. A displacement cancels the wear. "
         "`raw` is before the lattice filter.\n",
         markdown(rows.reset_index()),
+        "![Share within two sigma, by severity](sigma.png)\n",
     )
 
 
