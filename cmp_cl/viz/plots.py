@@ -117,11 +117,11 @@ def _draw_map(axes: "Axes", moment: Moment, shown: Map, top: float) -> None:
     )
     points = nodes[~np.isnan(nodes[..., 0])]
     low, high = points.min(axis=0), points.max(axis=0)
-    edge = 0.03 * float((high - low).max() or 1.0)
+    extent = float((high - low).max()) or 1.0
     names = ("along rows", "along columns") if moment.in_space else ("x", "y")
     title = shown.title if np.isfinite(cells).any() else f"{shown.title}: no cell has a value"
     if shown.title == "displacement":
-        factor = 2 * float((high - low).max()) / _ARROWS / top  # the longest has two distances
+        scale = top * _ARROWS / (2 * extent)  # the longest arrow has two distances
         step = -(-max(shown.values.shape) // _ARROWS)
         some = np.zeros(shown.values.shape, np.bool_)
         some[step // 2 :: step, step // 2 :: step] = True
@@ -129,10 +129,11 @@ def _draw_map(axes: "Axes", moment: Moment, shown: Map, top: float) -> None:
         shift = (moment.shift @ directions[: nodes.shape[2], : moment.shift.shape[2]].T)[some]
         axes.quiver(
             *nodes[some].T, *shift.T,
-            angles="xy", scale_units="xy", scale=1 / factor,
+            angles="xy", scale_units="xy", scale=scale,
             color="white", edgecolor="black", linewidth=0.3, width=4e-3,
         )  # fmt: skip
-        title += f", arrows {factor:.2g} x"
+        title += f", arrows {1 / scale:.2g} x"
+    edge = 0.03 * extent
     axes.set(
         xlim=(low[0] - edge, high[0] + edge),
         ylim=(high[1] + edge, low[1] - edge),
