@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from comparison import assert_same_bytes
-from gels import GEL, NODES, RIG, SPLIT, Shot, pressed
+from gels import GEL, NODES, RIG, SPLIT, Shot, numbered_otherwise, pressed
 from lattices import drawn
 from videos import write_video
 
@@ -192,20 +192,12 @@ def test_audits_take_the_views_in_turn(film, monkeypatch):
 
 
 def test_an_audit_tells_the_nodes_that_tracking_numbered_otherwise(film, monkeypatch):
-    number = View.number
-
-    def otherwise(view, corners, image):
-        grid = number(view, corners, image)
-        index = grid.index.copy()
-        index[[5, 7]] = index[[7, 5]]
-        return dataclasses.replace(grid, index=index)
-
     monkeypatch.setattr("cmp_cl.measure.measurement.AUDITED", 2)
     with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
         found = [following(frame) for frame in film[:4]]
         assert [each.tracked for each in found] == [False, True, True, True]
         assert (following.tally.audited, following.tally.differing) == (1, 0)
-        monkeypatch.setattr(View, "number", otherwise)
+        monkeypatch.setattr(View, "number", numbered_otherwise)
         assert following(film[3]).differing == 4  # two in each view
         assert not following(film[3]).differing
         assert following.tally == measure.Tally(tracked=5, numbered=3, audited=2, differing=4)

@@ -1,6 +1,5 @@
 """`cmp-cl run` as a user has it, on small rendered frames."""
 
-import dataclasses
 import json
 import os
 import re
@@ -15,7 +14,7 @@ import numpy as np
 import pytest
 from cases import some
 from disks import full_after
-from gels import RIG, VIEW, pressed
+from gels import RIG, VIEW, numbered_otherwise, pressed
 from lattices import drawn
 from messages import fails_in_one_line
 from videos import camera_of, write_deep_video, write_video
@@ -119,17 +118,9 @@ def test_broken_frames_and_frames_without_the_pattern_do_not_end_a_run(run, reco
 
 
 def test_an_audit_that_finds_other_numbers_is_told(run, recording, press, monkeypatch):
-    number = View.number
-
-    def otherwise(view, corners, image):
-        grid = number(view, corners, image)
-        index = grid.index.copy()
-        index[[5, 7]] = index[[7, 5]]
-        return dataclasses.replace(grid, index=index)
-
     cv2.imwrite(str(recording / "0a.png"), press[0].frame)
     monkeypatch.setattr("cmp_cl.measure.measurement.AUDITED", 1)
-    monkeypatch.setattr(View, "number", otherwise)
+    monkeypatch.setattr(View, "number", numbered_otherwise)
     status, _, err = run("run", recording, *STEREO)
     assert status == 0
     assert "frame 1: tracking had another corner for 4 nodes than " in err

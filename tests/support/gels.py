@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl import BinocularSplit, StereoRig
+from cmp_cl.measure.views import View
 from cmp_cl.synthetic import (
     Indenter,
     Mode,
@@ -59,3 +60,11 @@ def board_frame(
         seed=number,
     )
     return binocular_frame(*render_stereo(scene, rig)[:2])
+
+
+def numbered_otherwise(view, corners, image, *, number=View.number):
+    """Number a view as it does, with two of its corners exchanged."""
+    grid = number(view, corners, image)
+    index = grid.index.copy()
+    index[[5, 7]] = index[[7, 5]]
+    return dataclasses.replace(grid, index=index)
