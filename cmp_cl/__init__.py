@@ -77,11 +77,7 @@ __all__ = sorted(_HOME)
 def __getattr__(name: str) -> Any:
     found: Any
     if name == "__version__":
-        metadata = importlib.import_module("importlib.metadata")  # takes most of `import cmp_cl`
-        try:
-            found = metadata.version("cmp-cl")
-        except metadata.PackageNotFoundError:
-            found = "unknown"
+        found = importlib.import_module("cmp_cl.files").version()
     elif name in _HOME:
         found = getattr(importlib.import_module(f"cmp_cl.{_HOME[name]}"), name)
     elif not name.startswith("_") and importlib.util.find_spec(f"cmp_cl.{name}") is not None:

@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import errno
+import importlib.metadata
 import math
 import os
 import re
@@ -24,6 +25,14 @@ from cmp_cl.errors import CmpClError
 _MOST_TOML = 1 << 16  # bytes
 _WRITABLE = 0o222  # mode bits that allow writing
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def version() -> str:
+    """Return the version of cmp_cl, as files state it; "unknown" if it is not installed."""
+    try:
+        return importlib.metadata.version("cmp-cl")
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
 
 
 def check_path(path: object, error: type[CmpClError | OSError]) -> None:

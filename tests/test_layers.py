@@ -84,6 +84,12 @@ def test_a_module_imports_only_what_stands_below_it():
     assert wrong == []
 
 
+def test_no_module_imports_what_imports_everything():
+    assert {
+        name for name, path in modules().items() if ASIDE & imported(path, everywhere=True)
+    } == set()
+
+
 def test_every_module_has_a_layer():
     tops = {name.split(".")[0] for name in modules()}
     assert set().union(*LAYERS) == tops - ASIDE

@@ -15,11 +15,11 @@ from typing import Any, NoReturn, TextIO
 
 import cv2
 
-import cmp_cl
 from cmp_cl.cli import calibrate, demo, detect, devices, pattern, plot, render, run
 from cmp_cl.cli.messages import one_line, shortened, tell
 from cmp_cl.cli.running.stopping import handled, interrupt
 from cmp_cl.errors import CmpClError, KernelBuildError
+from cmp_cl.files import version
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -88,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Finds the corners of deformed checkerboards on any OpenCL device, and "
         "measures the deformation.",
     )
-    parser.add_argument("--version", action="version", version=f"cmp-cl {cmp_cl.__version__}")
+    parser.add_argument("--version", action="version", version=f"cmp-cl {version()}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in (demo, pattern, calibrate, run, plot, detect, render, devices):
         name = command.__name__.rpartition(".")[2]

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError, check_kind, extra
-from cmp_cl.files import check_target, new_folder, suffix_of, whole_path
+from cmp_cl.files import check_target, new_folder, suffix_of, version, whole_path
 from cmp_cl.series import formats, mcap
 from cmp_cl.series.part import Arrays, Part, Stored
 
@@ -126,8 +126,6 @@ class SeriesWriter(Closing):
         settings: Mapping[str, str] | None = None,
         **constants: ArrayLike,
     ) -> None:
-        from cmp_cl import __version__
-
         self._constants = {name: _array(name, value, "biufUS") for name, value in constants.items()}
         self._layout: dict[str, tuple[tuple[int, ...], str]] | None = None
         self._count = 0
@@ -137,7 +135,7 @@ class SeriesWriter(Closing):
         units = dict(_UNITS)
         if "unit" in constants:
             units |= dict.fromkeys(_LENGTHS, str(constants["unit"]))
-        about = {"units": units, "cmp_cl": __version__, "written": now, **(settings or {})}
+        about = {"units": units, "cmp_cl": version(), "written": now, **(settings or {})}
         self._target = Path("-")
         self._of_nodes = False
         if isinstance(path, str) and path == "-":
