@@ -5,7 +5,7 @@ import dataclasses
 import functools
 import inspect
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar, TypedDict
 
 import numpy as np
@@ -75,7 +75,8 @@ class _Begun:
 class Measurement(Closing):
     """Measures frames against the frame at rest. Use it in a with statement.
 
-    at_rest: the views of the frame at rest, of one size. The other arguments are `Settings`.
+    at_rest: the frame at rest. views_of: returns the views of a frame, of one size. The other
+    arguments are `Settings`.
 
     constants: arrays that a series holds once: rest (R, C, 2) or (R, C, 3), raw_rest (rest before
     the lattice filter), unit, and the detected positions at rest, (R, C, 2), px: xy_rest, or
@@ -103,7 +104,8 @@ class Measurement(Closing):
 
     def __init__(
         self,
-        at_rest: Sequence[GreyImage],
+        at_rest: GreyImage,
+        views_of: Callable[[GreyImage], tuple[GreyImage, ...]],
         *,
         shape: tuple[int, int] | None = None,
         config: DetectorConfig | None = None,
@@ -119,7 +121,8 @@ class Measurement(Closing):
         self._streams = False
         self._events: list[tuple[str, cl.Event]] = []  # of the last frame, but of the detector
         self._follows = False  # whether the tracker has the nodes of the frame before
-        chosen, images = select_device(device), [check_image(view) for view in at_rest]
+        self._size, self._views_of = check_image(at_rest).shape, views_of
+        chosen, images = select_device(device), views_of(at_rest)
         if config is None:
             with named(0, images):
                 cell, _ = find_pattern(images[0], shape=shape, full_scale=full_scale, device=chosen)
@@ -170,7 +173,7 @@ class Measurement(Closing):
             self._know_rest(images)
             self._stack = stack.pop_all()
 
-    def _know_rest(self, images: Sequence[GreyImage]) -> None:
+    def _know_rest(self, images: tuple[GreyImage, ...]) -> None:
         """Measure the frame at rest; let the tracker know what it finds there."""
         grids = [view.rest for view in self._views]
         self._start_from(grids, [view.corners for view in self._views])
@@ -227,7 +230,7 @@ class Measurement(Closing):
         """
         with self._lock:
             self._check_free()
-            begun = self._begin(self._views_of(frame))
+            begun = self._begin(self._checked(frame))
             self._follow(begun)
             return _with_field(self._settled(begun))
 
@@ -272,7 +275,7 @@ class Measurement(Closing):
     def _begun(self, frame: GreyImage | None) -> _Begun | None:
         """Enqueue the kernels that find the corners of a frame; None is a missing one."""
         with self._lock:
-            return None if frame is None else self._begin(self._views_of(frame))
+            return None if frame is None else self._begin(self._checked(frame))
 
     def _check_free(self) -> None:
         """Raise FieldError within a stream: each frame is measured after the one before it."""
@@ -297,13 +300,19 @@ class Measurement(Closing):
         """Return the nodes at rest, and how the views show them."""
         raise NotImplementedError
 
-    def _views_of(self, frame: GreyImage) -> tuple[GreyImage, ...]:
-        """Return the views of a frame."""
-        raise NotImplementedError
+    def _checked(self, frame: GreyImage) -> tuple[GreyImage, ...]:
+        """Return the views of a frame; raises ImageError unless it has the size of that at rest."""
+        shape = check_image(frame).shape
+        if shape != self._size:
+            raise ImageError(
+                f"the frame at rest is {self._size}, this one {shape}; measure a recording of "
+                "another size against its own frame at rest"
+            )
+        return self._views_of(frame)
 
-    def _begin(self, views: Sequence[GreyImage]) -> _Begun:
+    def _begin(self, views: tuple[GreyImage, ...]) -> _Begun:
         """Enqueue the kernels that find the corners of a frame."""
-        return _Begun(tuple(views), self._detector.begin(views, read=False))
+        return _Begun(views, self._detector.begin(views, read=False))
 
     def _follow(self, begun: _Begun) -> None:
         """Enqueue those that track the nodes and compute the field, if the tracker can go on; and
@@ -420,16 +429,6 @@ def _grids(
 
 def _grid(measured: Measured, view: int) -> Grid:
     return measured.grids[view]
-
-
-def check_size(frame: GreyImage, at_rest: tuple[int, ...]) -> None:
-    """Raise ImageError if a frame has another size than the frame at rest."""
-    shape = check_image(frame).shape
-    if shape != at_rest:
-        raise ImageError(
-            f"the frame at rest is {at_rest}, this one {shape}; measure a recording of another "
-            "size against its own frame at rest"
-        )
 
 
 def _with_field(measured: Measured) -> Measured:

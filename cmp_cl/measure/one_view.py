@@ -3,7 +3,7 @@
 from typing import Unpack
 
 from cmp_cl.image import GreyImage
-from cmp_cl.measure.measurement import Measurement, Settings, check_size
+from cmp_cl.measure.measurement import Measurement, Settings
 from cmp_cl.motion import PlaneScale
 from cmp_cl.motion.geometry import InPlane
 from cmp_cl.motion.moments import Moment
@@ -29,7 +29,7 @@ class OneView(Measurement):
         self, rest: GreyImage, *, cell: float | None = None, **settings: Unpack[Settings]
     ) -> None:
         self._cell = cell
-        super().__init__([rest], **settings)
+        super().__init__(rest, lambda frame: (frame,), **settings)
         self.constants["xy_rest"] = self.rest_grids[0].xy
         if cell is not None:
             self.constants["homography"] = self._scale.matrix
@@ -38,7 +38,3 @@ class OneView(Measurement):
         (grid,), cell = self.rest_grids, self._cell
         self._scale = PlaneScale.pixels() if cell is None else PlaneScale.of_cells(grid, cell)
         return Moment.in_plane(grid, self._scale), InPlane(self._scale, grid.edge_radius)
-
-    def _views_of(self, frame: GreyImage) -> tuple[GreyImage, ...]:
-        check_size(frame, self._detector.shape)
-        return (frame,)

@@ -11,7 +11,7 @@ from cmp_cl.errors import ConfigError, GridError, check_kind
 from cmp_cl.grid import Grid
 from cmp_cl.grid.grid import NO_SIDES
 from cmp_cl.image import GreyImage
-from cmp_cl.measure.measurement import Measurement, Settings, check_size
+from cmp_cl.measure.measurement import Measurement, Settings
 from cmp_cl.measure.patterns import align_views
 from cmp_cl.motion.geometry import InSpace
 from cmp_cl.motion.moments import Moment
@@ -50,9 +50,8 @@ class TwoViews(Measurement):
     ) -> None:
         check_kind("rig", rig, StereoRig, ConfigError)
         check_kind("split", split, BinocularSplit, ConfigError)
-        views = split(rest)
-        self._rig, self._split, self._size = rig, split, rest.shape
-        super().__init__(views, **settings)
+        self._rig, self._split = rig, split
+        super().__init__(rest, split, **settings)
         if rig.window is not None and rig.covariance is not None:
             self._bias = Bias(rig, self.rest.xyz)
         left, right = self.rest_grids
@@ -131,11 +130,6 @@ class TwoViews(Measurement):
                 f"the rig fits the nodes to {error:.2g} px, but with {how} to {other:.2g} px; give "
                 "the views as they were in the calibration"
             )
-
-    def _views_of(self, frame: GreyImage) -> tuple[GreyImage, ...]:
-        views = self._split(frame)
-        check_size(frame, self._size)
-        return views
 
 
 def _fit(points: Points3D) -> int:
