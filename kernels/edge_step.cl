@@ -40,15 +40,8 @@
 #define NEIGHBOURS_BACKWARDS(v, right) \
   (v.s76543210 + (float8)(right.s10, v.s7654, v.s32))
 
-__kernel void edge_step(__global const PIXEL *restrict image, __global const int *restrict corners,
-                        __global const uint *restrict counts, const uint rows,
-                        const uint columns, const uint step, const uint capacity,
-                        const uint count_offset, const uint length, const float max_shift,
-                        const float scale,
-#if SCALED
-                        __global const float8 *restrict ring_samples,
-#endif
-                        const float radius, __global const float8 *restrict moments,
+__kernel void edge_step(CORNERS_TO_REFINE, SCALED_RINGS const float radius,
+                        __global const float8 *restrict moments,
                         __global float *restrict result) {
   CORNER_OF_WORK_ITEM
   EDGES_OF_CORNER

@@ -23,8 +23,9 @@ float number_of(const uint order) {
 }
 
 /* Of each frame and octave, the median autocorrelation of the residuals of the corners that
- * EDGE_STEP accepted, -INFINITY if there are none; then the median of their grains and of FEW that
- * are 0. Of two values it is the lower one. Byte by byte from the first. One work-group for each. */
+ * EDGE_STEP accepted, -INFINITY if there are none; then the median of their grains and of FEW
+ * that are 0. Of two values it is the lower one. Byte by byte from the first. One work-group for
+ * each. */
 __kernel void typical_residual(__global float *restrict result,
                                __global const uint *restrict counts, const uint capacity,
                                const uint count_offset, __global float *restrict typical) {

@@ -44,7 +44,8 @@ typedef union {
 #define CENTRE (camera + 28)
 
 /* The pixel of a point (x, y) of the plane at distance 1, and its derivatives xx xy yx yy. */
-void distort(__global const REAL *camera, const REALS x, const REALS y, REALS *pixel, REALS *slope) {
+void distort(__global const REAL *camera, const REALS x, const REALS y, REALS *pixel,
+             REALS *slope) {
   const REALS r = x * x + y * y;
   const REALS over = 1 + r * (K4 + r * (K5 + r * K6));
   const REALS g = (1 + r * (K1 + r * (K2 + r * K3))) / over;

@@ -53,9 +53,9 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 
 
 def scratch(plan: PlanBase) -> list[dict[str, int]]:
-    """Return the bytes of the temporary arrays, see `Plan`."""
+    """Return the bytes of the temporary arrays, layout by layout."""
     of_frame = 3 * (2 + _rule(plan).fine) * plan.list_capacity + 2 * plan.working[0]
-    decided = {"strong": 4 * plan.frames * of_frame}
+    decided = {"strong": 4 * plan.frames * (of_frame if plan.octaves else 1)}
     if plan.form is Form.CPU:
         return [decided]
     plane = 2 * (plan.frames * plan.working[0] + 2) * plan.step

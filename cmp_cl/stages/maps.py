@@ -98,7 +98,8 @@ def _ring_maps(plan: Plan, rule: BinaryRings) -> dict[str, Any]:
             values["contrast"] = np.where(contrast == none, 0, contrast)
         elif launch.stage == "maximum":
             response = _plane(plan, plan.arrays["response"], plan.types["RESPONSE"])
-            values |= {"response": response.astype(np.int32), "score": _score_map(plan)}
+            (score,) = _per_pixel(plan, "score_map", [np.int32], plan.arrays["response"])
+            values |= {"response": response.astype(np.int32), "score": score}
     return values | {"maximum": _bits(plan, "maxima" if rule.contrast is None else "passed")}
 
 
@@ -159,8 +160,3 @@ def _at_candidates(plan: Plan, dtype: Any, name: str | None) -> NDArray[Any]:
     image = np.zeros(rows * plan.step, dtype)
     image[index[: counts[0]]] = numbers[: counts[0]]
     return image.reshape(rows, plan.step)[:, plan.pad :][:, : plan.working[1]]
-
-
-def _score_map(plan: Plan) -> NDArray[np.int32]:
-    (scores,) = _per_pixel(plan, "score_map", [np.int32], plan.arrays["response"])
-    return scores

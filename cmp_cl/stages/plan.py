@@ -101,7 +101,8 @@ class Plan(PlanBase):
     def sizes(self) -> dict[str, int]:
         """Return the bytes of every buffer, by name."""
         pixel = self.dtype.itemsize
-        parts = [[multiple(size, ALIGNMENT) for size in each.values()] for each in self._layouts]
+        layouts = self.detection.scratch(self)
+        parts = [[multiple(size, ALIGNMENT) for size in each.values()] for each in layouts]
         columns = CORNER_COLUMNS + (self.octaves > 0)
         sizes = {
             "image": self._frame_elements * pixel,
@@ -122,15 +123,6 @@ class Plan(PlanBase):
         if self.octaves:
             return self.octave_starts[-1]
         return (self.frames * self.shape[0] + 2) * self.full_step
-
-    @property
-    def _layouts(self) -> list[dict[str, int]]:
-        """Return the bytes of the temporary arrays, layout by layout.
-
-        The arrays of a layout lie one after the other in the buffer "scratch", which every layout
-        uses from its start.
-        """
-        return list(self.detection.scratch(self))
 
     def _allocate(self) -> None:
         needed = sum(self.sizes.values())
@@ -171,8 +163,10 @@ class Plan(PlanBase):
         return self.memory["image"].shared
 
     def _parts_of_work(self) -> dict[str, cl.Buffer]:
+        """Return the temporary arrays. Those of a layout lie one after the other in the buffer
+        "scratch", which every layout uses from its start."""
         parts = {}
-        for layout in self._layouts:
+        for layout in self.detection.scratch(self):
             start = 0
             for name, size in layout.items():
                 parts[name] = self.memory["scratch"].buffer.get_sub_region(start, size)

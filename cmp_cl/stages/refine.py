@@ -82,7 +82,11 @@ def launches(plan: PlanBase) -> list[Launch]:
         return [plan.of_corners("centroids", **_full_size(plan), scale=scale)]
     given = {name: plan.arrays[name] for name in ("corners", "counts", "result")}
     refined, *grown = looks(plan, room=plan.corner_capacity, **given)
-    return [refined, *_typical(plan), *grown]
+    if not grown:
+        return [refined]
+    groups, capacity = plan.frames * (plan.compiled_octaves + 1) * MEDIANS, plan.corner_capacity
+    typical = plan.of_groups("typical_residual", groups, MEDIAN_GROUP, capacity=np.uint32(capacity))
+    return [refined, typical, *grown]
 
 
 def looks(
@@ -136,14 +140,6 @@ def looks(
     return [launch, plan.stage("grow_variance", (room, plan.frames), (GROUP, 1), **listed)]
 
 
-def _typical(plan: PlanBase) -> list[Launch]:
-    """Return the launch that finds the medians of the residuals, if there are any."""
-    if not isinstance(plan.config.refinement, EdgeStep):
-        return []
-    groups, capacity = plan.frames * (plan.compiled_octaves + 1) * MEDIANS, plan.corner_capacity
-    return [plan.of_groups("typical_residual", groups, MEDIAN_GROUP, capacity=np.uint32(capacity))]
-
-
 def _full_size(plan: PlanBase) -> dict[str, Any]:
     rows, columns = (np.uint32(n) for n in plan.shape)
     return {"rows": rows, "columns": columns, "step": np.uint32(plan.full_step)}
@@ -168,38 +164,33 @@ class Found:
 
     @functools.cached_property
     def corners(self) -> list[Corners]:
-        """Return the corners of each frame."""
-        return read_corners(self._rows, self._plan)
-
-
-def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
-    """Return the corners of each frame, as parts of the result of `Plan.read`."""
-    device, found = str(plan.device), []
-    refinement, radius = plan.config.refinement, math.nan
-    if isinstance(refinement, EdgeStep):
-        radius = step_radius(refinement, plan.scale or 1.0)
-    for row, count in zip(rows, rows[:, 0].view(np.uint32).tolist(), strict=True):
-        padded = multiple(count, LANES)
-        fields = row[RESULT_HEAD:][: READ_FIELDS * padded].reshape(READ_FIELDS, padded)
-        method, refusal, octave, doubtful = (
-            fields[METHOD].view(np.uint8).reshape(4, padded)[:, :count]
-        )
-        pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
-        if plan.scale is not None:
-            pixel = full_pixels(pixel, plan.shape, plan.scale)
-        found.append(
-            Corners(
-                xy=fields[POSITION].reshape(-1, 2)[:count],
-                pixel=pixel,
-                octave=octave,
-                response=fields[RESPONSE, :count],
-                method=method,
-                refusal=refusal,
-                sigma=np.sqrt(fields[VARIANCE, :count]),
-                edges=fields[EDGES].reshape(-1, 4)[:count],
-                doubtful=doubtful.view(np.bool_),
-                edge_radius=radius,
-                device=device,
+        """Return the corners of each frame, as parts of the result of `Plan.read`."""
+        plan, device, found = self._plan, str(self._plan.device), []
+        refinement, radius = plan.config.refinement, math.nan
+        if isinstance(refinement, EdgeStep):
+            radius = step_radius(refinement, plan.scale or 1.0)
+        for row, count in zip(self._rows, self.counts, strict=True):
+            padded = multiple(count, LANES)
+            fields = row[RESULT_HEAD:][: READ_FIELDS * padded].reshape(READ_FIELDS, padded)
+            method, refusal, octave, doubtful = (
+                fields[METHOD].view(np.uint8).reshape(4, padded)[:, :count]
             )
-        )
-    return found
+            pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
+            if plan.scale is not None:
+                pixel = full_pixels(pixel, plan.shape, plan.scale)
+            found.append(
+                Corners(
+                    xy=fields[POSITION].reshape(-1, 2)[:count],
+                    pixel=pixel,
+                    octave=octave,
+                    response=fields[RESPONSE, :count],
+                    method=method,
+                    refusal=refusal,
+                    sigma=np.sqrt(fields[VARIANCE, :count]),
+                    edges=fields[EDGES].reshape(-1, 4)[:count],
+                    doubtful=doubtful.view(np.bool_),
+                    edge_radius=radius,
+                    device=device,
+                )
+            )
+        return found

@@ -167,16 +167,8 @@ typedef struct {
 /* The number of one corner in a vector of eight. */
 #define OF_LANE(v) ((const float *)&(v))[lane]
 
-__kernel void edge_step_eight(__global const PIXEL *restrict image,
-                              __global const int *restrict corners,
-                              __global const uint *restrict counts, const uint rows,
-                              const uint columns, const uint step, const uint capacity,
-                              const uint count_offset, const uint length,
-                              const float max_shift, const float scale,
-#if SCALED
-                              const uint ring_reach, __global const float8 *restrict ring_samples,
-#endif
-                              const float radius, __global const float8 *restrict moments,
+__kernel void edge_step_eight(CORNERS_TO_REFINE, SCALED_RINGS const float radius,
+                              __global const float8 *restrict moments,
                               __global float *restrict result) {
   FRAME_OF_WORK_ITEM
   if (get_global_id(0) * LANES >= total) return;

@@ -5,17 +5,17 @@
 #endif
 
 /* From an image to the lists of its maxima, for CPUs: one launch takes bands of rows from the image
- * to the maxima of both responses in all octaves, and the last band of a frame to finish decides for
- * it, because a launch of its own costs as much as half of the decision. kernels/harmonic.clh has
- * the rule.
+ * to the maxima of both responses in all octaves, and the last band of a frame to finish decides
+ * for it, because a launch of its own costs as much as half of the decision. kernels/harmonic.clh
+ * has the rule.
  *
- * A band goes over its rows once; every step keeps a ring buffer of as many rows as the later steps
- * need, and all of them stay in the cache. Two bands share the rows between them: one goes down from
- * the first row, the other goes up from the last, and they take a few rows at a time until none is
- * left. So both end together, even if one of them starts late or runs on a slower core. The small
- * octaves come first, so that the frame evens out what they leave. Each loop over a row is a
- * function of its own with restrict pointers and one cast per operation: compilers turn it into
- * vectors of 16-bit numbers. */
+ * A band goes over its rows once; every step keeps a ring buffer of as many rows as the later
+ * steps need, and all of them stay in the cache. Two bands share the rows between them: one goes
+ * down from the first row, the other goes up from the last, and they take a few rows at a time
+ * until none is left. So both end together, even if one of them starts late or runs on a slower
+ * core. The small octaves come first, so that the frame evens out what they leave. Each loop over a
+ * row is a function of its own with restrict pointers and one cast per operation: compilers turn it
+ * into vectors of 16-bit numbers. */
 
 #define REACH_OF_RING 5
 #define REACH_OF_WIDE (OCTAVES ? 8 : REACH_OF_RING)
@@ -290,11 +290,11 @@ int take_rows(volatile __global uint *taken, const int next, const int height, c
 #define FRAME_ROW(y) (frame + (size_t)(y) * frame_step)
 #define IMAGE_ROW(y) (image + (size_t)(y) * step)
 
-/* List the maxima of a band of an octave, write the rows that its corners are refined in to `image`,
- * those of the frame unless it lies there, and fill their padding. frame, image: the first pixel. An
- * odd band goes up. `taken` counts how often the two bands of a segment have taken rows. `area` has a
- * bit for every pixel of the frame, in rows of `frame_words`. lists, counts: of the frame. Return the
- * sum of the noise. */
+/* List the maxima of a band of an octave, write the rows that its corners are refined in to
+ * `image`, those of the frame unless it lies there, and fill their padding. frame, image: the first
+ * pixel. An odd band goes up. `taken` counts how often the two bands of a segment have taken rows.
+ * `area` has a bit for every pixel of the frame, in rows of `frame_words`. lists, counts: of the
+ * frame. Return the sum of the noise. */
 ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_step,
                   __global PIXEL *image, __global const uint *restrict area,
                   const uint frame_words, const Octave octave, const uint band,
@@ -421,12 +421,12 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
   return noise_of_band + take_noise(noise_of_column, width);
 }
 
-/* List the maxima of all octaves, and decide for the frame. The first pixel of the first frame is at
- * `frame_start`, that of each other one `frame_apart` behind; rows have `frame_step` elements. The
- * counters of a frame are those of its lists, of the bands that have finished, of the rows taken in
- * each segment of each octave, and of halving. The fences and the counts order the lists of all
- * bands before the decision, on every CPU: OpenCL 1.2 alone does not promise it between groups. One
- * work-item per band. */
+/* List the maxima of all octaves, and decide for the frame. The first pixel of the first frame is
+ * at `frame_start`, that of each other one `frame_apart` behind; rows have `frame_step` elements.
+ * The counters of a frame are those of its lists, of the bands that have finished, of the rows
+ * taken in each segment of each octave, and of halving. The fences and the counts order the lists
+ * of all bands before the decision, on every CPU: OpenCL 1.2 alone does not promise it between
+ * groups. One work-item per band. */
 __kernel void harmonic_band(__global const PIXEL *memory, const ulong frame_start,
                             const uint frame_step, const int frame_apart, __global PIXEL *image,
 #if OCTAVES

@@ -56,7 +56,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 
 
 def scratch(plan: PlanBase) -> list[dict[str, int]]:
-    """Return the bytes of the temporary arrays, see `Plan`.
+    """Return the bytes of the temporary arrays, layout by layout.
 
     The sums of binarization are not needed any more when there are responses. These lie at the
     start of every other layout, and so stay.
