@@ -20,23 +20,7 @@ from cmp_cl.reference.paper import binarize, criteria, gate, nms, ring, spectral
 
 __all__ = ["detect", "detect_with_margin", "maps"]
 
-_LATER = {"response", "score", "maximum"}  # fields of Maps that the criteria do not give
-
 Mask = NDArray[np.bool_] | None
-
-
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class _Found:
-    """The corners by the paper's rule, as `harmonic.Corners`; their octave is the image itself."""
-
-    x: NDArray[np.int64]
-    y: NDArray[np.int64]
-    response: NDArray[np.int64]
-    centroid: NDArray[np.float64]
-    rounded: NDArray[np.int64]
-    halvings: NDArray[np.int64]
-    images: list[GreyImage]
-    maps: Maps
 
 
 def detect(image: GreyImage, config: DetectorConfig | None = None, mask: Mask = None) -> Corners:
@@ -67,9 +51,10 @@ def detect_with_margin(
     pixel = np.stack([harmonic.in_frame(at, found.halvings) for at in (found.x, found.y)], axis=1)
     centroid, rounded, images = found.centroid, found.rounded, found.images
     if factor != 1:
-        pixel = scale.nearest(scale.to_full(pixel.astype(np.float64), factor), image.shape)
+        size_of_frame = image.shape[::-1]
+        pixel = scale.nearest(scale.to_full(pixel.astype(np.float64), factor), size_of_frame)
         centroid = scale.to_full(centroid, factor)
-        rounded, images = scale.nearest(centroid + scale.BORDER, image.shape), [image]
+        rounded, images = scale.nearest(centroid + scale.BORDER, size_of_frame), [image]
     values: dict[str, NDArray[Any]] = {}
     for halvings, octave in enumerate(images):
         here, size = found.halvings == halvings, 2**halvings
@@ -109,7 +94,7 @@ def _checked(mask: Mask, image: GreyImage) -> NDArray[np.bool_]:
 
 def _at_scale(
     image: GreyImage, config: DetectorConfig, mask: NDArray[np.bool_], factor: float
-) -> _Found | harmonic.Corners:
+) -> nms.Found:
     full_scale = config.grey_levels(image.dtype)
     image = scale.to_working(image, factor)
     mask = scale.mask_at_working(mask, factor)
@@ -124,24 +109,28 @@ def _of_rings(
     nms_radius: int,
     full_scale: int,
     mask: NDArray[np.bool_],
-) -> _Found:
+) -> nms.Found:
     """Find corners by the paper's criteria; the gate examines the maxima of the response."""
-    layer = _layer(binarize.binarize(image, rings.threshold), mask, rings)
-    response = layer["response"]
+    binary = binarize.binarize(image, rings.threshold)
+    inner = ring.ring_bits(binary, ring.INNER)
+    outer = ring.ring_bits(binary, ring.OUTER[rings.outer_radius])
+    maps: dict[str, Any] = dict.fromkeys(field.name for field in dataclasses.fields(Maps))
+    if isinstance(rings.criteria, RapidCriteria):
+        maps |= criteria.rapid(binary, inner, outer, rings.criteria)
+    else:
+        maps |= spectral.spectral(binary, inner, outer, rings.criteria)
+    candidate = maps["candidate"] & mask
+    response = np.where(candidate, maps["response"], 0)
     score = nms.score(response)
     maximum = nms.maxima(response, score, nms_radius)
+    maps |= dict(binary=binary, inner=inner, outer=outer, candidate=candidate, response=response)
     if rings.contrast is not None:
-        layer["contrast"], maximum = gate.gate(
-            image,
-            layer["inner"],
-            maximum,
-            rings.outer_radius,
-            rings.contrast,
-            full_scale,
+        maps["contrast"], maximum = gate.gate(
+            image, inner, maximum, rings.outer_radius, rings.contrast, full_scale
         )
     y, x = np.nonzero(maximum)
     centroid, rounded = nms.centroids(response, x, y)
-    return _Found(
+    return nms.Found(
         x=x,
         y=y,
         response=response[y, x],
@@ -149,24 +138,5 @@ def _of_rings(
         rounded=rounded,
         halvings=np.zeros(len(x), np.int64),
         images=[image],
-        maps=Maps(**layer, score=score, maximum=maximum),
-    )
-
-
-def _layer(
-    binary: NDArray[np.bool_], mask: NDArray[np.bool_], rings: BinaryRings
-) -> dict[str, Any]:
-    """Return the maps of one binary image by their names, without those of the gate."""
-    inner = ring.ring_bits(binary, ring.INNER)
-    outer = ring.ring_bits(binary, ring.OUTER[rings.outer_radius])
-    fields = {field.name for field in dataclasses.fields(Maps)}
-    layer: dict[str, Any] = dict.fromkeys(fields - _LATER)
-    if isinstance(rings.criteria, RapidCriteria):
-        layer |= criteria.rapid(binary, inner, outer, rings.criteria)
-    else:
-        layer |= spectral.spectral(binary, inner, outer, rings.criteria)
-    candidate = layer["candidate"] & mask
-    response = np.where(candidate, layer["response"], 0)
-    return layer | dict(
-        binary=binary, inner=inner, outer=outer, candidate=candidate, response=response
+        maps=Maps(**maps | dict(score=score, maximum=maximum)),
     )

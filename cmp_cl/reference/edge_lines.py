@@ -6,10 +6,9 @@ from numpy.typing import NDArray
 from cmp_cl.corners import Method, Refusal
 from cmp_cl.reference.edges import (
     EdgePoints,
-    Lines,
-    Meeting,
     both_lines,
     boundary_points,
+    bounded,
     intersect,
     normal_of,
     within,
@@ -36,7 +35,8 @@ def edge_lines(
     first, second = both_lines(points)
     crossing = intersect(first, second)
     near = within(crossing, max_shift)
-    meeting = _straight(near, first, second, scale)
+    largest = (LARGEST_RESIDUAL / scale) ** 2
+    meeting = bounded(near, first.residual + second.residual, largest)
     method = np.where(meeting.accepted, Method.EDGE_LINES, Method.KEPT).astype(np.uint8)
     refusal = np.select(
         [meeting.accepted, near.accepted, crossing.accepted],
@@ -66,15 +66,3 @@ def lines_sigma(points: EdgePoints) -> Floats:
         variance = squares / (2 * (counts - 2)) / counts / sin**2
     result: Floats = np.sqrt(LINES_ERROR**2 + variance)
     return result
-
-
-def _straight(meeting: Meeting, first: Lines, second: Lines, scale: float) -> Meeting:
-    """Return the intersection, accepted only if the points are near both lines."""
-    largest = (LARGEST_RESIDUAL / scale) ** 2
-    residual = first.residual + second.residual
-    near = np.abs(residual - largest) / largest
-    return Meeting(
-        position=meeting.position,
-        accepted=meeting.accepted & (residual <= largest),
-        margin=np.minimum(meeting.margin, np.where(meeting.accepted, near, np.inf)),
-    )

@@ -226,15 +226,19 @@ def intersect(first: Lines, second: Lines) -> Meeting:
     )
 
 
-def within(meeting: Meeting, max_shift: float) -> Meeting:
-    """Return the intersection, accepted only within max_shift of the start."""
-    shift = norm(meeting.position)
-    near = np.abs(shift - max_shift) / max(max_shift, 1e-6)
+def bounded(meeting: Meeting, quantity: Floats, most: float) -> Meeting:
+    """Return the intersections, accepted only if a quantity (N,) is at most a bound."""
+    near = np.abs(quantity - most) / max(most, 1e-6)
     return Meeting(
         position=meeting.position,
-        accepted=meeting.accepted & (shift <= max_shift),
+        accepted=meeting.accepted & (quantity <= most),
         margin=np.minimum(meeting.margin, np.where(meeting.accepted, near, np.inf)),
     )
+
+
+def within(meeting: Meeting, max_shift: float) -> Meeting:
+    """Return the intersections, accepted only within max_shift of the start."""
+    return bounded(meeting, norm(meeting.position), max_shift)
 
 
 def along_of(line: Lines) -> Floats:

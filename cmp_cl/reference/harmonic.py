@@ -97,28 +97,16 @@ class Layer:
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Corners:
-    """The corners of a frame in raster order of their pixels, with their responses and bounds.
+class Corners(nms.Found):
+    """The corners of a frame; their images are the frame, and S3 of each octave.
 
-    x, y: (N,) pixels of the octave in which each was found. halvings: (N,) of that octave.
-    fine: (N,) bool, found by the 3 px ring. response: (N,) of the ring that found them.
-    centroid, rounded: (N, 2), of the positive responses around each, in its octave.
-    images: in which they are refined: the frame, and S3 of each octave.
-    bounds: least responses by noise of the 5 px and of the 3 px ring.
-    reference: W. maps: every intermediate image of the frame.
+    fine: (N,) bool, found by the 3 px ring. bounds: least responses by noise of the 5 px and of the
+    3 px ring. reference: W.
     """
 
-    x: Whole
-    y: Whole
-    halvings: Whole
     fine: NDArray[np.bool_]
-    response: Whole
-    centroid: NDArray[np.float64]
-    rounded: Whole
-    images: list[GreyImage]
     bounds: tuple[int, int]
     reference: int
-    maps: HarmonicMaps
 
 
 def corners(

@@ -17,6 +17,7 @@ from cmp_cl.reference.edges import (
     fit_lines,
     intersect,
     norm,
+    normal_of,
     within,
 )
 
@@ -71,27 +72,21 @@ def _intersect_curves(first: Lines, second: Lines, middle: Floats, begin: Floats
     where the lines meet. Curves that are nearly parallel at one of them are not accepted: where
     they meet depends on every digit.
     """
-    lines = (first, second)
-    along = [along_of(line) for line in lines]
-    across = [np.stack([-each[:, 1], each[:, 0]], axis=1) for each in along]
+    centre = np.stack([first.centre, second.centre])
+    along = np.stack([along_of(first), along_of(second)])
+    across = np.stack([normal_of(first), normal_of(second)])
     with np.errstate(all="ignore"):
-        curves = [
-            _parabola(middle[:, :, k] - lines[k].centre[:, None], along[k], across[k])
-            for k in (0, 1)
-        ]
-        u = [dot(begin - lines[k].centre, along[k]) for k in (0, 1)]
+        points = np.moveaxis(middle, 2, 0) - centre[:, :, None]
+        a, b, c = _parabola(points, along, across)
+        u = dot(begin - centre, along)
         least_sin = np.full(len(begin), np.inf)
         for _ in range(4):
-            point = [_on_curve(lines[k], along[k], across[k], curves[k], u[k]) for k in (0, 1)]
-            tangent = [
-                along[k] + (curves[k][:, 1] + 2 * curves[k][:, 2] * u[k])[:, None] * across[k]
-                for k in (0, 1)
-            ]
-            sine = cross(tangent[0], tangent[1])
-            gap = point[1] - point[0]
-            u = [u[0] + cross(gap, tangent[1]) / sine, u[1] + cross(gap, tangent[0]) / sine]
+            point = _on_curve(centre, along, across, (a, b, c), u)
+            tangent = along + (b + 2 * c * u)[..., None] * across
+            sine = cross(*tangent)
+            u = u + cross(point[1] - point[0], tangent[::-1]) / sine
             least_sin = np.minimum(least_sin, np.abs(sine) / norm(tangent[0]) / norm(tangent[1]))
-        position = _on_curve(first, along[0], across[0], curves[0], u[0])
+        position = _on_curve(centre, along, across, (a, b, c), u)[0]
         accepted = least_sin > LEAST_SIN
         margin = np.nan_to_num(np.abs(least_sin - LEAST_SIN) / LEAST_SIN)
     return Meeting(
@@ -99,17 +94,20 @@ def _intersect_curves(first: Lines, second: Lines, middle: Floats, begin: Floats
     )
 
 
-def _parabola(point: Floats, along: Floats, across: Floats) -> Floats:
-    """Return (N, 3): a, b, c of the parabola through (N, 3, 2) points, by divided differences."""
-    u0, u1, u2 = (point * along[:, None]).sum(axis=2).T
-    v0, v1, v2 = (point * across[:, None]).sum(axis=2).T
+def _parabola(point: Floats, along: Floats, across: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return a, b, c (2, N) of parabolas through (2, N, 3, 2) points, by divided differences."""
+    u0, u1, u2 = np.moveaxis(dot(point, along[:, :, None]), -1, 0)
+    v0, v1, v2 = np.moveaxis(dot(point, across[:, :, None]), -1, 0)
     slope = (v1 - v0) / (u1 - u0)
     c = ((v2 - v1) / (u2 - u1) - slope) / (u2 - u0)
     b = slope - c * (u0 + u1)
-    return np.stack([v0 - b * u0 - c * u0 * u0, b, c], axis=1)
+    return v0 - b * u0 - c * u0 * u0, b, c
 
 
-def _on_curve(line: Lines, along: Floats, across: Floats, curve: Floats, u: Floats) -> Floats:
-    v = curve[:, 0] + curve[:, 1] * u + curve[:, 2] * u * u
-    result: Floats = line.centre + u[:, None] * along + v[:, None] * across
+def _on_curve(
+    centre: Floats, along: Floats, across: Floats, curve: tuple[Floats, Floats, Floats], u: Floats
+) -> Floats:
+    a, b, c = curve
+    v = a + b * u + c * u * u
+    result: Floats = centre + u[..., None] * along + v[..., None] * across
     return result

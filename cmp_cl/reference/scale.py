@@ -90,20 +90,19 @@ def to_full(position: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
     return (position + 0.5) / scale - 0.5
 
 
-def nearest(position: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """Return (N, 2): the pixel (x, y) of an image that is nearest to each position (x, y)."""
-    height, width = shape
-    return np.clip(np.floor(position + 0.5), 0, [width - 1, height - 1]).astype(np.int64)
+def nearest(position: NDArray[np.float64], lengths: tuple[int, ...]) -> NDArray[np.int64]:
+    """Return the nearest pixel to positions (N, A) along axes of these lengths."""
+    return np.clip(np.floor(position + 0.5), 0, np.subtract(lengths, 1)).astype(np.int64)
 
 
 def mask_at_working(mask: NDArray[np.bool_], scale: float) -> NDArray[np.bool_]:
     """Return the mask at working size: its value at the full pixel nearest to each pixel."""
     if scale == 1:
         return mask
-    rows, columns = (_nearest_along(length, scale) for length in mask.shape)
-    return mask[rows[:, None], columns]
-
-
-def _nearest_along(length: int, scale: float) -> NDArray[np.int64]:
-    position = to_full(np.arange(working_length(length, scale)).astype(np.float64), scale)
-    return np.clip(np.floor(position + 0.5), 0, length - 1).astype(np.int64)
+    rows, columns = (
+        nearest(
+            to_full(np.arange(working_length(n, scale))[:, None].astype(np.float64), scale), (n,)
+        )
+        for n in mask.shape
+    )
+    return mask[rows, columns.T]

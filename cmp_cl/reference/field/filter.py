@@ -186,18 +186,18 @@ def _average(values: Floats, counted: Bools, deviation: float) -> Floats:
 
 def _noise(data: Floats, votes: Bools) -> tuple[Floats, Floats, Floats]:
     """Return the pilot's residual (R, C, K), s2 and the pilot's own weights (R, C)."""
-    rows, columns, _ = data.shape
-    shapes = [(3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0) for n in (rows, columns)]
-    down, along = (axis_filter(n, *s) for n, s in zip((rows, columns), shapes, strict=True))
+    pilots = [_pilot(n) for n in votes.shape]
+    down, along = (axis_filter(n, *each) for n, each in zip(votes.shape, pilots, strict=True))
     residual = data - np.einsum("ij,jlk,ml->imk", down, data, along)
     own = np.outer(np.diag(down), np.diag(along))
-    usable = votes & (1 - own > 0.05)
-    usable &= _share(votes, (shapes[0][0], shapes[1][0])) >= 0.75 - 1e-6
-    u = (residual**2).mean(axis=2) / np.maximum(1 - own, 1e-3)
-    size = np.sqrt(u)
-    expected = _expected(residual, np.where(usable, size, 0))
-    s2 = (_average(size, usable, 2.0) / expected) ** 2 + max(1e-10 * (data**2).mean(), 1e-30)
+    measured = _share(votes, (pilots[0][0], pilots[1][0])) >= 0.75 - 1e-6
+    s2 = _variance(residual, own, votes & measured) + max(1e-10 * (data**2).mean(), 1e-30)
     return residual, s2, own
+
+
+def _pilot(n: int) -> tuple[int, int]:
+    """Return the half width and the degree of the pilot along an axis of n nodes, see 4."""
+    return (3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0)
 
 
 def _expected(residual: Floats, size: Floats) -> float:
@@ -266,10 +266,10 @@ def _least_noise(data: Floats, votes: Bools, s2: Floats) -> Floats:
     for axis in (0, 1):
         lines = np.moveaxis(data, axis, 0)
         n = len(lines)
-        filters = axis_filter(n, *((3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0)))
+        filters = axis_filter(n, *_pilot(n))
         residual = np.moveaxis(lines - np.tensordot(filters, lines, 1), 0, axis)
         own = np.expand_dims(np.diag(filters), 1 - axis) * np.ones(votes.shape)
-        least = np.fmin(least, _alone(residual, own, votes))
+        least = np.fmin(least, _variance(residual, own, votes))
     pilot = axis_filter(7, 3, 5)[3]
     for sense in (1, -1):
         residual, own = np.zeros_like(data), np.ones(votes.shape)
@@ -277,17 +277,17 @@ def _least_noise(data: Floats, votes: Bools, s2: Floats) -> Floats:
             for c in range(3, columns - 3):
                 line = np.array([data[r + t, c + sense * t] for t in range(-3, 4)])
                 residual[r, c], own[r, c] = data[r, c] - pilot @ line, pilot[3]
-        least = np.fmin(least, _alone(residual, own, votes))
+        least = np.fmin(least, _variance(residual, own, votes))
     return np.minimum(s2, LEAST_OF_FIVE * least)
 
 
-def _alone(residual: Floats, own: Floats, votes: Bools) -> Floats:
-    """Return s2 of a residual (R, C, K) along one direction, NaN where it is unknown."""
+def _variance(residual: Floats, own: Floats, votes: Bools) -> Floats:
+    """Return the variance of the noise by a residual (R, C, K), NaN where it is unknown."""
     usable = votes & (own < 0.95)
     size = np.sqrt((residual**2).mean(axis=2) / np.maximum(1 - own, 0.05))
     mean = _average(size, usable, 2.0) / _expected(residual, np.where(usable, size, 0))
-    alone: Floats = mean**2
-    return alone
+    variance: Floats = mean**2
+    return variance
 
 
 def _filled(data: Floats, votes: Bools) -> Floats:

@@ -1,9 +1,34 @@
 """Non-maximum suppression and the centroid of the response (section 3.5)."""
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.corners import HarmonicMaps, Maps
+from cmp_cl.image import GreyImage
+
 TENT = (1, 2, 3, 2, 1)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Found:
+    """The corners of a frame before refinement, in raster order of their pixels.
+
+    x, y: (N,) pixels of the octave in which each was found. halvings: (N,) of that octave.
+    response: (N,). centroid, rounded: (N, 2), of the positive responses around each, in its octave.
+    images: in which they are refined: the frame, and one of each octave.
+    maps: every intermediate image of the frame.
+    """
+
+    x: NDArray[np.int64]
+    y: NDArray[np.int64]
+    halvings: NDArray[np.int64]
+    response: NDArray[np.int64]
+    centroid: NDArray[np.float64]
+    rounded: NDArray[np.int64]
+    images: list[GreyImage]
+    maps: Maps | HarmonicMaps
 
 
 def score(response: NDArray[np.int32]) -> NDArray[np.int32]:
