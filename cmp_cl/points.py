@@ -84,3 +84,16 @@ def sides(at: NDArray[Any]) -> NDArray[np.float64]:
     ways = [np.linalg.norm(np.diff(at, axis=axis), axis=2).ravel() for axis in (0, 1)]
     lengths: NDArray[np.float64] = np.concatenate(ways)
     return lengths[np.isfinite(lengths)]
+
+
+def corners_of_cells(values: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return the values (R, C, ...) at the four nodes of each cell, (R - 1, C - 1, ...) each, in
+    turn around it."""
+    return [values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1]]
+
+
+def of_cells(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the mean of the values (R, C, ...) at the four nodes of each cell, (R - 1, C - 1,
+    ...)."""
+    mean: NDArray[np.float64] = np.mean(corners_of_cells(values), axis=0)
+    return mean

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.points import corners_of_cells
+
 Arrays = Mapping[str, NDArray[Any]]
 
 _AXES = "x", "y", "z"
@@ -49,8 +51,7 @@ def quadrilaterals(valid: NDArray[np.bool_]) -> NDArray[np.int32]:
     """Return the cells (Q, 4) whose four nodes are valid, as numbers of the valid nodes."""
     number = np.full(valid.shape, -1, np.int32)
     number[valid] = np.arange(valid.sum())
-    corners = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
-    quads = np.stack(corners, axis=-1).reshape(-1, 4)
+    quads = np.stack(corners_of_cells(number), axis=-1).reshape(-1, 4)
     return quads[(quads >= 0).all(axis=1)]
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.field import DisplacementField, surface_normals
+from cmp_cl.points import of_cells
 
 Array = NDArray[np.float64]
 
@@ -53,16 +54,14 @@ def contact_of(field: DisplacementField, *, deeper_than: float) -> Contact:
     depth = (field.displacement * before).sum(axis=2)
     variance = np.einsum("...i,...ij,...j", before, field.covariance, before)
     inside = np.nan_to_num(depth, nan=-math.inf) > deeper_than
-    cells = _cell_areas(field.position)
-    corners = inside[:-1, :-1], inside[:-1, 1:], inside[1:, 1:], inside[1:, :-1]
-    share = np.sum(corners, axis=0) / 4
+    areas = of_cells(inside) * _cell_areas(field.position)
     known = depth[~np.isnan(depth)]
     return Contact(
         depth=depth,
         sigma=np.sqrt(variance),
         normal=surface_normals(field.position + field.displacement),
         inside=inside,
-        area=float(np.nansum(share * cells)),
+        area=float(np.nansum(areas)),
         deepest=float(known.max()) if len(known) else math.nan,
         unit=field.unit,
     )

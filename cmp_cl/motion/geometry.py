@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from cmp_cl.motion.scale import PlaneScale
 from cmp_cl.space import StereoRig, Window
-from cmp_cl.space.rig import MIN_PARALLAX
+from cmp_cl.space.rig import MAX_ERROR, MIN_PARALLAX
 
-LARGEST_ERROR = 3.0  # px, of the reprojection, as in `StereoRig.triangulate`
 _COEFFICIENTS = 12  # of distortion, in kernels/space.cl
 Array = NDArray[np.float64]
 
@@ -49,7 +48,7 @@ class InSpace:
         left, right = map(_radius, self._radii)
         return {
             "least_sine": real(MIN_PARALLAX / focal),
-            "largest_error": np.float32(LARGEST_ERROR),
+            "largest_error": np.float32(MAX_ERROR),
             "radius_left": left,
             "radius_right": right,
         }

@@ -17,7 +17,7 @@ from cmp_cl.files import check_path, write_text
 from cmp_cl.grid.grid import Grid
 from cmp_cl.space.calibration import Camera
 from cmp_cl.space.lens import Lens
-from cmp_cl.space.storage import save_storage, window_entries
+from cmp_cl.space.storage import last_entries, save_storage
 from cmp_cl.space.window import Window
 
 Array = NDArray[np.float64]
@@ -143,9 +143,7 @@ def _of_opencv(cameras: Cameras, covariance: Array | None, window: Window | None
     *_, last = cameras.values()
     if len(cameras) == 2 and Lens.FISHEYE not in {camera.lens for camera in cameras.values()}:
         entries |= {"R": last.R, "T": last.T[:, None]}
-    if covariance is not None:
-        entries["covariance"] = covariance
-    return entries | window_entries(window) | {"unit": "mm"}
+    return entries | last_entries(covariance, window, "mm")
 
 
 def _of_ros(name: str, camera: Camera) -> dict[str, Any]:

@@ -57,7 +57,7 @@ def distortion_of(camera: Array) -> Array:
 
 
 def rotation_of(camera: Array) -> Array:
-    """Return the rotation matrix (3, 3) of a camera's pose."""
+    """Return the rotation matrix (3, 3) of a camera's pose, or of a pose alone."""
     return np.asarray(cv2.Rodrigues(camera[-POSE:-3])[0], np.float64)
 
 

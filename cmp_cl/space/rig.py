@@ -22,7 +22,7 @@ from cmp_cl.space.lens import (
     rays_of,
     rotation_of,
 )
-from cmp_cl.space.storage import read_rig, save_storage, window_entries
+from cmp_cl.space.storage import last_entries, read_rig, save_storage
 from cmp_cl.space.window import WINDOW, Window
 
 MIN_PARALLAX = 1.0  # px; with less parallax, depth is only noise
@@ -130,9 +130,7 @@ class StereoRig:
         """
         names = ("K1", "D1", "K2", "D2", "R", "T")
         entries = {name: np.atleast_2d(getattr(self, name)) for name in names}
-        if self.covariance is not None:
-            entries["covariance"] = self.covariance
-        save_storage(path, entries | window_entries(self.window) | {"unit": self.unit})
+        save_storage(path, entries | last_entries(self.covariance, self.window, self.unit))
 
     def triangulate(self, left: Grid, right: Grid) -> Points3D:
         """Triangulate the nodes that both grids have, in the frame of the left camera.

@@ -138,17 +138,18 @@ def _read_matrix(
     return np.array([entry.real() for entry in entries]).reshape(rows, cols)
 
 
-def window_entries(window: Window | None) -> dict[str, float | NDArray[Any]]:
-    """Return the entries of a window, lengths in the unit of the rig."""
-    if window is None:
-        return {}
-    layers = {"window_layers": np.array(window.layers)} if window.layers else {}
-    return {
-        "window_normal": window.normal[:, None],
-        "window_distance": window.distance,
-        **layers,
-        "window_index": window.index,
-    }
+def last_entries(
+    covariance: NDArray[np.float64] | None, window: Window | None, unit: str
+) -> dict[str, str | float | NDArray[Any]]:
+    """Return the entries of a rig behind its cameras: what is known beside them, and its unit."""
+    entries: dict[str, str | float | NDArray[Any]] = {}
+    if covariance is not None:
+        entries["covariance"] = covariance
+    if window is not None:
+        entries |= {"window_normal": window.normal[:, None], "window_distance": window.distance}
+        entries |= {"window_layers": np.array(window.layers)} if window.layers else {}
+        entries["window_index"] = window.index
+    return entries | {"unit": unit}
 
 
 def _read_window(storage: cv2.FileStorage, path: str | PathLike[str]) -> Window | None:

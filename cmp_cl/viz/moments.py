@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.field import DisplacementField, green_lagrange
 from cmp_cl.field.strain import principal_of
+from cmp_cl.points import of_cells
 
 Array = NDArray[np.float64]
 
@@ -192,15 +193,3 @@ def plane_of(rest: Array) -> tuple[Array, Array]:
     along /= np.linalg.norm(along)
     across = np.cross(normal, along)
     return np.stack([along, np.copysign(1, across @ down) * across, normal]), origin
-
-
-def of_cells(values: Array) -> Array:
-    """Return the mean of the values (R, C, ...) at the four nodes of each cell, (R - 1, C - 1,
-    ...)."""
-    mean: Array = np.mean(corners_of_cells(values), axis=0)
-    return mean
-
-
-def corners_of_cells(values: Array) -> list[Array]:
-    """Return the values (R, C, ...) at the four nodes of each cell, (R - 1, C - 1, ...) each."""
-    return [values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1]]

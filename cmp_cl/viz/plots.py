@@ -8,15 +8,8 @@ import numpy as np
 
 from cmp_cl.errors import extra
 from cmp_cl.files import whole_file
-from cmp_cl.viz.moments import (
-    Map,
-    Moment,
-    Quantity,
-    Summary,
-    corners_of_cells,
-    of_cells,
-    plane_of,
-)
+from cmp_cl.points import corners_of_cells, of_cells
+from cmp_cl.viz.moments import Map, Moment, Quantity, Summary, plane_of
 from cmp_cl.viz.video import VideoFile
 
 if TYPE_CHECKING:

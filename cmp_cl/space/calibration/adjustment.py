@@ -180,6 +180,5 @@ def _shared_variance(looks: Sequence[Look], state: State, inverse: Array) -> flo
 def _placed(look: Look, state: State) -> Array:
     """Return the nodes in the frame of the first camera, (N, 3)."""
     pose = state.poses[look.moment]
-    turn = np.asarray(cv2.Rodrigues(pose[:3])[0], np.float64)
-    placed: Array = look.nodes @ turn.T + pose[3:]
+    placed: Array = look.nodes @ rotation_of(pose).T + pose[3:]
     return placed

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import CalibrationError
 from cmp_cl.grid.grid import Grid
 from cmp_cl.space.calibration.alone import Alone
+from cmp_cl.space.lens import rotation_of
 
 Array = NDArray[np.float64]
 Seen: TypeAlias = dict[tuple[str, int], Grid]  # by camera and moment
@@ -128,7 +129,7 @@ def _agreed(
 def pose_of(vector: Array) -> Array:
     """Return the (4, 4) of a rotation vector and a translation (6,)."""
     pose = np.eye(4)
-    pose[:3, :3] = cv2.Rodrigues(vector[:3])[0]
+    pose[:3, :3] = rotation_of(vector)
     pose[:3, 3] = vector[3:]
     return pose
 
