@@ -10,31 +10,6 @@ from cmp_cl.config import DetectorConfig, EdgeLines, RingHarmonic
 from cmp_cl.reference import scale
 
 
-@pytest.mark.parametrize("factor", [0.05, 0.3, 0.5, 0.75, 1.1, 2.0, 3.7])
-@pytest.mark.parametrize("length", [1, 2, 7, 100])
-def test_weights_are_of_pixels_in_the_image_and_add_up_to_2048(factor, length):
-    index, weight = scale.weights(length, factor)
-    assert len(index) == max(1, int(length * factor + 0.5))
-    assert (weight >= 0).all()
-    assert (weight.sum(axis=1) == 2048).all()
-    assert index.min() >= 0
-    assert index.max() < length
-
-
-def test_weights_at_three_quarters_are_those_worked_out_by_hand():
-    index, weight = scale.weights(4, 0.75)
-    # Intervals 0..4/3, 4/3..8/3, 8/3..4: shares 3/4 1/4, 1/2 1/2, 1/4 3/4.
-    assert index.tolist() == [[0, 1], [1, 2], [2, 3]]
-    assert weight.tolist() == [[1536, 512], [1024, 1024], [512, 1536]]
-
-
-def test_weights_at_double_scale_are_those_worked_out_by_hand():
-    index, weight = scale.weights(2, 2.0)
-    # Positions -1/4, 1/4, 3/4, 5/4; the border pixel is repeated.
-    assert index.tolist() == [[0, 0], [0, 1], [0, 1], [1, 1]]
-    assert weight.tolist() == [[512, 1536], [1536, 512], [512, 1536], [1536, 512]]
-
-
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("factor", [0.25, 0.5, 1.5, 2.0])
 def test_scaling_agrees_with_opencv(dtype, factor):
