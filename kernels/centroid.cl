@@ -33,16 +33,7 @@ __kernel void centroid(__global const RESPONSE *restrict response,
   if (n >= min(counts[count_offset + p], capacity)) return;
   __global int *corner = corners + p * capacity + n;
   const int x = PAD + corner[0], y = corner[length];
-  int sum = 0, sum_x = 0, sum_y = 0;
-  for (int dy = -2; dy <= 2; ++dy) {
-    if (y + dy < 0 || y + dy >= (int)rows) continue;
-    for (int dx = -2; dx <= 2; ++dx) {
-      const int r = (int)response[ROW(p, y + dy) + x + dx];
-      sum += r;
-      sum_x += r * dx;
-      sum_y += r * dy;
-    }
-  }
+  SUMS_OF_25(response, x, y)
   corner[2 * (size_t)length] = (int)response[ROW(p, y) + x];
   corner[3 * (size_t)length] = sum;
   corner[4 * (size_t)length] = sum_x;

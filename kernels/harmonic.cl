@@ -98,16 +98,7 @@ void append(__global const short *response, const size_t p, const int x, const i
             __global uint *count, __global int *list) {
   const uint n = atomic_inc(count);
   if (n >= capacity) return;
-  int sum = 0, sum_x = 0, sum_y = 0;
-  for (int dy = -2; dy <= 2; ++dy) {
-    if (y + dy < 0 || y + dy >= (int)rows) continue;
-    for (int dx = -2; dx <= 2; ++dx) {
-      const int r = max((int)response[ROW(p, y + dy) + x + dx], 0);
-      sum += r;
-      sum_x += r * dx;
-      sum_y += r * dy;
-    }
-  }
+  SUMS_OF_25(response, x, y)
   list[n] = x - PAD;
   list[capacity + n] = y;
   list[2 * capacity + n] = response[ROW(p, y) + x];

@@ -90,6 +90,12 @@ void turned_to(__global const REAL *camera, const REALS *vector, REALS *turned) 
                 ROTATION[3 * j + 2] * vector[2];
 }
 
+/* A vector (3) of a camera's frame in that of the left camera. */
+void turned_from(__global const REAL *camera, const REALS *vector, REALS *turned) {
+  for (int k = 0; k < 3; ++k)
+    turned[k] = vector[0] * ROTATION[k] + vector[1] * ROTATION[3 + k] + vector[2] * ROTATION[6 + k];
+}
+
 /* The pixel of a point in the frame of its camera, and its two derivatives by the point in that of
  * the left camera. */
 void see(__global const REAL *camera, const REALS *there, REALS *pixel, REALS *by_point) {
@@ -169,10 +175,8 @@ void meet(__global const REAL *camera, const REALS *one, const REALS *two, REALS
   const REALS step = dot_3(line_one, one) / fmax(square, (REALS)TINY);
   const REALS first[3] = {one[0] - step * line_one[0], one[1] - step * line_one[1], one[2]};
   const REALS second[3] = {two[0] - step * line_two[0], two[1] - step * line_two[1], two[2]};
-  for (int k = 0; k < 3; ++k) {
-    moved[k] = second[0] * ROTATION[k] + second[1] * ROTATION[3 + k] + second[2] * ROTATION[6 + k];
-    centre[k] = CENTRE[k];
-  }
+  turned_from(camera, second, moved);
+  for (int k = 0; k < 3; ++k) centre[k] = CENTRE[k];
   between(first, moved, centre, point);
 }
 #endif
@@ -263,10 +267,8 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
   astray_two.all = undistort(right, pixel + 2, two);
   one[2] = two[2] = 1;
 
-  __global const REAL *turn = right + 16;
   REALS turned[3], across[3], point[3];
-  for (int k = 0; k < 3; ++k)
-    turned[k] = two[0] * turn[k] + two[1] * turn[3 + k] + two[2] * turn[6 + k];
+  turned_from(right, two, turned);
   cross_3(one, turned, across);
   sine_2.all = dot_3(across, across) / (dot_3(one, one) * dot_3(turned, turned));
 

@@ -167,7 +167,6 @@ class Measurement(Closing):
                     sizes=[self._detector.shape] * len(self._views),
                     frame=self._plan.frame,
                     octaves=self._detector.layout.octaves,
-                    lists=self._detector.layout.lists,
                 )
                 stack.callback(self._tracker.release)
             self._know_rest(images)

@@ -16,7 +16,7 @@ from cmp_cl.opencl.launches import GROUP, Launch, bound, constant, multiple
 from cmp_cl.opencl.memory import Layout, Memory
 from cmp_cl.opencl.program import Programs
 from cmp_cl.stages import refine
-from cmp_cl.stages.layout import CORNER_COLUMNS
+from cmp_cl.stages.layout import CORNER_COLUMNS, LISTS
 from cmp_cl.stages.plan import Plan
 from cmp_cl.stages.refine import EDGES, METHOD, RESULT_FIELDS, RESULT_HEAD, VARIANCE
 
@@ -84,7 +84,7 @@ class Tracker:
     """Follows the nodes of some views from frame to frame.
 
     views: the grids at rest, and their corners. sizes: (H, W) of each view. frame: the memory of a
-    plan that has the arrays of `layout`; a frame writes them on the device. octaves, lists: of the
+    plan that has the arrays of `layout`; a frame writes them on the device. octaves: of the
     detector's plan.
     """
 
@@ -97,7 +97,6 @@ class Tracker:
         sizes: Sequence[tuple[int, int]],
         frame: Memory,
         octaves: int,
-        lists: int,
     ) -> None:
         self._queue = queue
         self._frame = frame
@@ -110,7 +109,7 @@ class Tracker:
         self._usual: list[tuple[int, ...]] = [(0, 0, 0, 0)] * len(views)
         self.room = multiple(rows * columns, GROUP)  # of second looks
         look_columns = CORNER_COLUMNS + (octaves > 0)
-        self._first_count = len(views) * lists
+        self._first_count = len(views) * LISTS
         self._bin = max(_LEAST_BIN, _BIN * min(_step(grid) for grid, _ in views))
         self._bins = tuple(int(max(size) / self._bin) + 1 for size in zip(*sizes, strict=True))
         nodes, corners = (self._count, rows, columns), (self._count, self.capacity)
@@ -130,7 +129,7 @@ class Tracker:
                 "expected": ((*nodes, 2), np.float32),
                 "look": (nodes, np.int32),
                 "looks": ((look_columns, self._count, self.room), np.int32),
-                "look_counts": ((self._count * (lists + 1),), np.uint32),
+                "look_counts": ((self._count * (LISTS + 1),), np.uint32),
                 "look_result": ((self._count, _stride(self.room)), np.float32),
             },
         )

@@ -22,7 +22,7 @@ WIDEST_OF_EIGHT = 24.0  # px, radius of the discs for which kernels/cpu/edge_ste
 CORNER_COLUMNS = 6  # x, y, response, and the sum and the moments of the responses around it
 LEAST_OCTAVE = 48  # px, the shorter side of a halved frame
 MOST_OCTAVES = 3
-LISTS = 2 + MOST_OCTAVES  # of which a frame has counts, whatever its rule
+LISTS = 2 + MOST_OCTAVES  # of which a frame has counts, whatever its rule; its kinds come first
 OCTAVE_ALIGNMENT = 128  # elements, of the start of an octave in the buffer of the frames
 
 
@@ -35,10 +35,9 @@ class PlanBase:
     octaves: number of halved frames, which lie behind the frames in "image"; compiled_octaves: the
     same for which kernels are compiled, all or none, so that other sizes have the same kernels.
     frames: number of frames; kinds: number of lists of maxima or candidates per frame, with
-    `list_capacity` entries each; lists: of which a frame has counts, the first ones those of its
-    kinds; corner_capacity: entries of the list of a frame's corners. bands: bands of rows that a
-    frame is divided into in the form for CPUs. memory: by name, an array each; arrays: their
-    buffers and parts of them, by name. image: the input of the first stage.
+    `list_capacity` entries each; corner_capacity: entries of the list of a frame's corners. bands:
+    bands of rows that a frame is divided into in the form for CPUs. memory: by name, an array each;
+    arrays: their buffers and parts of them, by name. image: the input of the first stage.
     """
 
     kernels: Kernels
@@ -68,7 +67,6 @@ class PlanBase:
         self.working = shape if self.scale is None else working_shape(shape, self.scale)
         pixels = self.working[0] * self.working[1]
         self.octaves = self.compiled_octaves = 0
-        self.lists = LISTS
         if isinstance(self.rule, BinaryRings):
             self.kinds = 1
             self.pad = multiple(max(LEAST_PAD, self.rule.threshold.window // 2), LEAST_PAD)
@@ -158,7 +156,7 @@ class PlanBase:
             **self.size_of(octave),
             "capacity": np.uint32(self.list_capacity),
             "corner_capacity": np.uint32(self.corner_capacity),
-            "count_offset": np.uint32(self.frames * self.lists),
+            "count_offset": np.uint32(self.frames * LISTS),
             "length": np.uint32(self.frames * self.corner_capacity),
             **arguments,
         }

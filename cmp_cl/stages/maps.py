@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.config import BinaryRings, RapidCriteria, RingHarmonic
 from cmp_cl.corners import HarmonicMaps, Maps
-from cmp_cl.stages.layout import CORNER_COLUMNS
+from cmp_cl.stages.layout import CORNER_COLUMNS, LISTS
 from cmp_cl.stages.paper import spectral
 from cmp_cl.stages.plan import Plan
 
@@ -68,7 +68,7 @@ def _harmonic_maps(plan: Plan) -> dict[str, Any]:
 
 def _at_corners(plan: Plan) -> NDArray[np.bool_]:
     """Return an image that is True at the pixel of the frame nearest to each corner."""
-    counts = np.empty(plan.lists + 1, np.uint32)
+    counts = np.empty(LISTS + 1, np.uint32)
     cl.enqueue_copy(plan.queue, counts, plan.arrays["counts"])
     columns = np.zeros((CORNER_COLUMNS + 1, plan.corner_capacity), np.int32)
     cl.enqueue_copy(

@@ -23,7 +23,7 @@ from cmp_cl.opencl.memory import ALIGNMENT, Memory, copy_rectangle
 from cmp_cl.opencl.program import Kernels, Programs
 from cmp_cl.stages import harmonic, noise, refine, scale
 from cmp_cl.stages.form import Form
-from cmp_cl.stages.layout import CORNER_COLUMNS, LANES, PlanBase
+from cmp_cl.stages.layout import CORNER_COLUMNS, LANES, LISTS, PlanBase
 from cmp_cl.stages.paper import rings
 from cmp_cl.stages.refine import READ_FIELDS, RESULT_HEAD
 from cmp_cl.stages.types import defines_of
@@ -110,7 +110,7 @@ class Plan(PlanBase):
             "scratch": max((sum(sizes) for sizes in parts), default=0),
             "corners": 4 * columns * self.frames * self.corner_capacity,
             "result": self.frames * refine.result_size(self),
-            "counts": 4 * self.frames * (self.lists + 1),  # entries of the lists, corners
+            "counts": 4 * self.frames * (LISTS + 1),  # entries of the lists, corners
             **refine.sizes(self),
         }
         if self.scale is not None:
@@ -315,7 +315,7 @@ class Plan(PlanBase):
         self._frames = None
         result = self.memory["result"].arrays["result"]
         begun = result if listed is None else listed.view(np.uint8)
-        heads = begun[:, : 4 * (1 + self.lists)].view(np.uint32).tolist()
+        heads = begun[:, : 4 * (1 + LISTS)].view(np.uint32).tolist()
         most, longest = max(head[0] for head in heads), max(max(head[1:]) for head in heads)
         if longest > self.list_capacity or most > self.corner_capacity:
             raise Overflow(longest, most)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cmp_cl.config import EdgeLines, EdgeStep, Fit, Midlines
 from cmp_cl.corners import Corners
 from cmp_cl.opencl.launches import GROUP, Launch, multiple
-from cmp_cl.stages.layout import LANES, PlanBase
+from cmp_cl.stages.layout import LANES, LISTS, PlanBase
 from cmp_cl.stages.moments import BLUR, moments, step_radius
 from cmp_cl.stages.resampling import full_pixels
 
@@ -55,7 +55,7 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
     )
     return {
         "LANES": plan.lanes,
-        "LISTS": plan.lists,
+        "LISTS": LISTS,
         "SCALED": int(plan.scale is not None),
         "ANGLES": len(table) - 1,
         "BLUR": f"{BLUR}f",

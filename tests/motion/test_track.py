@@ -101,7 +101,6 @@ def tracker_of(device):
             sizes=[SIZE] * len(rests),
             frame=frame,
             octaves=0,
-            lists=1,
         )
         made.append(tracker)
 
@@ -258,7 +257,6 @@ def test_nodes_without_a_corner_are_looked_at_again(device, every):
             sizes=[SIZE],
             frame=frame,
             octaves=hiding.layout.octaves,
-            lists=hiding.layout.lists,
         )
         put(frame.arrays, 0, grid, corners)
         frame.upload()
