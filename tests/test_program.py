@@ -103,7 +103,7 @@ def test_compilers_give_no_warnings(
     monkeypatch.setattr(program, "_place", lambda *_: None)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", cl.CompilerWarning)
-        Detector(shape=(64, 64), dtype=dtype, config=config, device=device_in_form).close()
+        Detector(shape=(100, 100), dtype=dtype, config=config, device=device_in_form).close()
     assert programs
     logs = [built.get_build_info(device_in_form.handle, LOG) for built in programs]
     assert "warning" not in ("".join(logs) + capfd.readouterr().err).lower()
