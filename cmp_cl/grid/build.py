@@ -44,8 +44,8 @@ def build_grid(
     strict: raise GridError if the result has doubts, see `Grid.doubts`.
     device: as for `Detector`; the lattice is found there.
 
-    Nodes without a corner are NaN and MISSING; where the image seems to show one, the node has the
-    position that its neighbours predict (INTERPOLATED).
+    Nodes without a corner are NaN and MISSING; where the image seems to show one between two others
+    of its row or column, the node has the position that its neighbours predict (INTERPOLATED).
 
     A checkerboard repeats itself, so a frame has many numberings. Each is a hypothesis, to which
     printing errors, borders, the motion from `like` and `previous`, and the known size add their

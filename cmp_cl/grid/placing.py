@@ -5,7 +5,7 @@ import numpy as np
 from cmp_cl.corners import Corners
 from cmp_cl.grid.choice import Asked, Found
 from cmp_cl.grid.grid import Grid, NodeStatus, Rival, Sides, check_size
-from cmp_cl.lattice.arrays import LOOKED, Board
+from cmp_cl.lattice.arrays import LOOKED, Board, Mask
 from cmp_cl.lattice.numbers import Decision, Numbering, seen_lines
 
 
@@ -19,7 +19,9 @@ def placed(found: Found, corners: Corners, asked: Asked, others: int) -> Grid:
     mine = board.owner >= 0
     status = mine.astype(np.uint8) * np.uint8(NodeStatus.DETECTED)
     status[mine & board.torn] = NodeStatus.ATTACHED
-    status[board.owner == LOOKED] = NodeStatus.INTERPOLATED
+    status[(board.owner == LOOKED) & _between(mine)] = NodeStatus.INTERPOLATED
+    xy = np.stack([board.x, board.y], axis=2)
+    xy[status == NodeStatus.MISSING] = np.nan
     corner = board.owner[mine].astype(np.int64)
     index = np.full((len(corners), 2), -1, np.int32)
     index[corner] = np.argwhere(mine)
@@ -30,7 +32,7 @@ def placed(found: Found, corners: Corners, asked: Asked, others: int) -> Grid:
     if asked.like is None and size == asked.shape and found.fits:
         ends = ends | board.border.room  # a further line would be in view
     grid = Grid(
-        xy=np.stack([board.x, board.y], axis=2),
+        xy=xy,
         status=status,
         image_sigma=sigma,
         index=index,
@@ -45,6 +47,13 @@ def placed(found: Found, corners: Corners, asked: Asked, others: int) -> Grid:
         edge_radius=corners.edge_radius,
     )
     return grid.within(first, shape)
+
+
+def _between(there: Mask) -> Mask:
+    """Return which places have a corner on both sides, in their row or in their column, (R, C)."""
+    wide, inner = np.pad(there, 1), np.s_[1:-1]
+    between: Mask = (wide[inner, 2:] & wide[inner, :-2]) | (wide[2:, inner] & wide[:-2, inner])
+    return between
 
 
 def _extent(board: Board, best: Numbering, asked: Asked) -> tuple[tuple[int, int], tuple[int, int]]:

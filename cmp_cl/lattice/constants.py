@@ -72,7 +72,8 @@ class LatticeConstants:
     near_cells: cells, a node farther from its prediction is rough; nodes whose motions differ by
         less moved alike. .08 to .2 do the same.
     reach_cells: cells, a corner so far from a prediction or a place is another; .4 does the same.
-    side_nats: nats, for each whole side (this and the next: regression).
+    side_nats: nats, for each whole side (this and the next: regression). The least side tells
+        nothing more: of 19 522 torn nodes it is not less in the 37 false ones than in the others.
     cells_nats: nats, for the whole contrast of the four cells.
     sd_cells: cells, standard deviation from a prediction; that of a torn corner is half as large.
         With .118 for all, 206 847 corners of torn gels have 360 right nodes fewer; with .118 only
@@ -98,7 +99,10 @@ class LatticeConstants:
     step_sd_cells: cells, the same from one frame to the next.
     turn_sd_degrees: degrees, standard deviation of the rotation since rest.
     motion_nats: nats, the most against any motion and rotation: a motion by more than half a cell
-        between frames is not sure then, and the borders of a board that a hand turned decide.
+        between frames is not sure then, and the borders of a board that a hand turned decide. With
+        as much for each of the two, 85 and not 74 of 112 perfect prints that turn by 8 to 60
+        degrees in a frame are sure; but of 300 that turn about a point up to 10 cells beside the
+        middle, 60 and not 33 are wrong in silence.
     camera_px: px, printing errors as small as that may be the camera's, of nodes that moved alike.
         With 0, 16 of 300 perfect prints that moved by a period were wrong in silence.
     print_clip: times, the median of printing errors, to which larger ones are clipped. Without it 4
