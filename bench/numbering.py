@@ -27,6 +27,7 @@ from patterns import (
     SIDE,
     Open,
     Views,
+    behind_bars,
     clutter,
     corners_in,
     crops,
@@ -186,6 +187,7 @@ FAMILIES: dict[str, Family] = {
     "torn by other objects": Family(torn_otherwise, 40),
     "photographs, cut": Family(photographs, 60),
     "boards in clutter": Family(clutter, 75, alone=True),
+    "boards behind bars": Family(behind_bars, 40),
     "marks in cells": Family(marked, 45),
     "without an end": Family(without_end, 20),
 }

@@ -192,6 +192,21 @@ def before_ground(seed: int) -> View:
     return View(seen.image, seen.corners, cell, seen.shape)
 
 
+def behind_bars(seed: int, count: int) -> Views:
+    """Yield boards with a bar before two rows, of which it hides both or the cells between them."""
+    size, shape = (HIGH, WIDE), (9, 10)
+    for n in range(count):
+        draw = np.random.default_rng(seed + 50_000 + n)
+        cell, turn = draw.uniform(14, 28), draw.uniform(-45, 45)
+        camera = boards.plane(cell=cell, about=(4.5, 4), turn=turn, middle=(WIDE / 2, HIGH / 2))
+        row, half = draw.integers(7) + 0.5, draw.uniform(0.35, 0.75)
+        bar = np.abs(camera(*boards.samples(size, SAMPLES))[1] - row) < half
+        front, noise = np.where(bar, 120.0, np.nan), draw.uniform(1, 5)
+        seen = boards.drawn(camera, size, shape, front=front, noise=noise, seed=n, count=SAMPLES)
+        hidden = np.abs(camera(*seen.corners[:, :2].T)[1] - row) < half
+        yield View(seen.image, seen.corners[~hidden], cell, shape)
+
+
 # boards with marks in their cells
 
 

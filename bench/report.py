@@ -282,8 +282,7 @@ def ablation(folder: Path) -> str:
         "Nodes right / false / wrong; frames told / refused / silently wrong, of the number in the "
         "heading. The first row has all ideas; the others say what changes (=: nothing) if one is "
         "left out. Half-edges that choose each other, closed faces and the second look at places "
-        "without a corner are structure: no constant leaves them out. No family has a bar before "
-        "the pattern, across which links are not seen; tests have.\n",
+        "without a corner are structure: no constant leaves them out.\n",
         markdown(pd.DataFrame(rows.values())),
     )
 
