@@ -39,7 +39,7 @@ class DisplacementField:
     unit: name of the unit of length.
     raw: the field before the lattice filter; None if this one is not filtered.
     strain_of: returns the strain of this field and its covariance, for `with_strain`; None if it
-        was not measured.
+        was not measured, or is before the filter.
 
     strain: (R, C, 3) float64, Green-Lagrange strain E11, E22, E12, see `field.green_lagrange`; None
         if it was not asked for. In the plane, 1 and 2 are x and y; in space, 1 runs along the rows
@@ -133,8 +133,9 @@ class DisplacementField:
             return self
         if self.strain_of is None:
             raise FieldError(
-                "this field was not measured, so the error of its strain is unknown; "
-                "cmp_cl.field.green_lagrange gives a strain without an error"
+                "the error of this field's strain is unknown: it was not measured, or it is before "
+                "the lattice filter (take the filtered field); cmp_cl.field.green_lagrange gives a "
+                "strain without an error"
             )
         strain, covariance = self.strain_of(self)
         return dataclasses.replace(self, strain=strain, strain_covariance=covariance)

@@ -266,10 +266,6 @@ class LatticeFilter:
 
     # What is compiled and allocated
 
-    @property
-    def _pairs(self) -> int:
-        return len(self._down.sides) * len(self._along.sides)
-
     def _inputs(self) -> Layout:
         axes = self._axes
         planes = {"moved": axes, "points": covariances(axes), "bent": axes}
@@ -331,7 +327,8 @@ class LatticeFilter:
         }
 
     def _work_layout(self) -> Layout:
-        axes, pairs, rows = self._axes, self._pairs, self._shape[0]
+        axes, rows = self._axes, self._shape[0]
+        pairs = len(self._down.sides) * len(self._along.sides)
         products = axes * (axes + 1) // 2
         in_line = {
             "data": axes,

@@ -8,7 +8,6 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError
 from cmp_cl.field import DisplacementField
 from cmp_cl.filter import bend_shift
 from cmp_cl.grid.grid import MEASURED, Grid
@@ -216,7 +215,6 @@ def field_of(
         status=status,
         source=source,
         unit=at_rest.moment.unit,
-        strain_of=_no_strain,
     )
     return dataclasses.replace(
         raw,
@@ -226,11 +224,4 @@ def field_of(
         position_covariance=position_covariance,
         raw=raw,
         strain_of=strain_of,
-    )
-
-
-def _no_strain(_: DisplacementField) -> tuple[Array, Array]:
-    raise FieldError(
-        "the error of a strain is known after the lattice filter; take the strain of the filtered "
-        "field, or cmp_cl.field.green_lagrange without an error"
     )

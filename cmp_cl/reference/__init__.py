@@ -47,7 +47,7 @@ def detect_with_margin(
     config = DetectorConfig() if config is None else config
     check_kind("config", config, DetectorConfig, ConfigError)
     factor = 1.0 if config.scale is None else float(config.scale)
-    found = _at_scale(image, config, _checked(mask, image), factor)
+    found = _at_scale(image, config, mask, factor)
     pixel = np.stack([harmonic.in_frame(at, found.halvings) for at in (found.x, found.y)], axis=1)
     centroid, rounded, images = found.centroid, found.rounded, found.images
     if factor != 1:
@@ -85,22 +85,16 @@ def maps(
     """Return every intermediate image of `detect`, with a value at every pixel."""
     image = check_image(image)
     config = config or DetectorConfig()
-    return _at_scale(image, config, _checked(mask, image), float(config.scale or 1)).maps
+    return _at_scale(image, config, mask, float(config.scale or 1)).maps
 
 
-def _checked(mask: Mask, image: GreyImage) -> NDArray[np.bool_]:
-    return np.ones(image.shape, np.bool_) if mask is None else check_mask(mask, image.shape)
-
-
-def _at_scale(
-    image: GreyImage, config: DetectorConfig, mask: NDArray[np.bool_], factor: float
-) -> nms.Found:
+def _at_scale(image: GreyImage, config: DetectorConfig, mask: Mask, factor: float) -> nms.Found:
     full_scale = config.grey_levels(image.dtype)
-    image = scale.to_working(image, factor)
-    mask = scale.mask_at_working(mask, factor)
+    allowed = np.ones(image.shape, np.bool_) if mask is None else check_mask(mask, image.shape)
+    image, allowed = scale.to_working(image, factor), scale.mask_at_working(allowed, factor)
     if isinstance(config.detection, BinaryRings):
-        return _of_rings(image, config.detection, config.nms_radius, full_scale, mask)
-    return harmonic.corners(image, config.detection, config.nms_radius, full_scale, mask)
+        return _of_rings(image, config.detection, config.nms_radius, full_scale, allowed)
+    return harmonic.corners(image, config.detection, config.nms_radius, full_scale, allowed)
 
 
 def _of_rings(

@@ -100,12 +100,14 @@ class Plan(PlanBase):
     @property
     def sizes(self) -> dict[str, int]:
         """Return the bytes of every buffer, by name."""
-        pixel = self.dtype.itemsize
+        pixel, elements = self.dtype.itemsize, self.octave_starts[-1]
+        if self.scale is not None:
+            elements = (self.frames * self.shape[0] + 2) * self.full_step
         layouts = self.detection.scratch(self)
         parts = [[multiple(size, ALIGNMENT) for size in each.values()] for each in layouts]
         columns = CORNER_COLUMNS + (self.octaves > 0)
         sizes = {
-            "image": self._frame_elements * pixel,
+            "image": elements * pixel,
             **self.detection.sizes(self),
             "scratch": max((sum(sizes) for sizes in parts), default=0),
             "corners": 4 * columns * self.frames * self.corner_capacity,
@@ -116,13 +118,6 @@ class Plan(PlanBase):
         if self.scale is not None:
             sizes["working"] = (self.frames * self.working[0] + 2) * self.step * pixel
         return {name: size for name, size in sizes.items() if size}
-
-    @property
-    def _frame_elements(self) -> int:
-        """Return the elements of the buffer of the frames and their octaves."""
-        if self.octaves:
-            return self.octave_starts[-1]
-        return (self.frames * self.shape[0] + 2) * self.full_step
 
     def _allocate(self) -> None:
         needed = sum(self.sizes.values())

@@ -13,7 +13,11 @@ from cmp_cl.stages.paper import spectral
 def launches(plan: PlanBase, rule: BinaryRings) -> list[Launch]:
     """Return the launches from the binary image to the list of candidates."""
     rapid = isinstance(rule.criteria, RapidCriteria)
-    return [(_rapid if rapid else _spectral)(plan, rule), _collect(plan)]
+    items, group = (plan.step // 8, plan.working[0], plan.frames), (plan.width // 8, 1, 1)
+    return [
+        (_rapid if rapid else _spectral)(plan, rule),
+        plan.stage("list_candidates", items, group, **_lists(plan)),
+    ]
 
 
 def _rapid(plan: PlanBase, rule: BinaryRings) -> Launch:
@@ -39,11 +43,6 @@ def _spectral(plan: PlanBase, rule: BinaryRings) -> Launch:
         phase_bound=np.int32(spectral.phase_bound(criteria.phase)),
         corrosion_threshold=np.int8(criteria.corrosion_threshold or 0),
     )
-
-
-def _collect(plan: PlanBase) -> Launch:
-    items, group = (plan.step // 8, plan.working[0], plan.frames), (plan.width // 8, 1, 1)
-    return plan.stage("list_candidates", items, group, **_lists(plan))
 
 
 def of_candidates(plan: PlanBase, name: str) -> Launch:

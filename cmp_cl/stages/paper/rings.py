@@ -77,25 +77,20 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
 def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the image to the list of corners."""
     rule = _rule(plan)
-    stages = [
+    gated = [] if rule.contrast is None else gate.launches(plan, rule.contrast)
+    kept = {
+        "capacity": np.uint32(plan.corner_capacity),
+        "maxima": plan.arrays["passed" if gated else "maxima"],
+    }
+    return [
         *binarize.launches(plan, rule),
         *criteria.launches(plan, rule),
         *nms.launches(plan),
+        *gated,
+        plan.few("list_maxima", plan.working[0], plan.frames, **kept),
+        plan.of_corners("centroid"),
     ]
-    if rule.contrast is not None:
-        stages += gate.launches(plan, rule.contrast)
-    return stages + _corners(plan, "maxima" if rule.contrast is None else "passed")
 
 
 def _rule(plan: PlanBase) -> BinaryRings:
     return cast(BinaryRings, plan.rule)
-
-
-def _corners(plan: PlanBase, kept: str) -> list[Launch]:
-    """Return the launches from the bits of the maxima to the corners in (y, x) order."""
-    capacity, maxima = np.uint32(plan.corner_capacity), plan.arrays[kept]
-    rows, frames = plan.working[0], plan.frames
-    return [
-        plan.few("list_maxima", rows, frames, capacity=capacity, maxima=maxima),
-        plan.of_corners("centroid"),
-    ]
