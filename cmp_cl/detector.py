@@ -18,6 +18,7 @@ from cmp_cl.errors import (
     ConfigError,
     DeviceError,
     ImageError,
+    check_kind,
     check_shape,
     errors_last,
 )
@@ -62,13 +63,11 @@ class Detector(Closing):
         mask: NDArray[np.bool_] | None = None,
         profile: bool = False,
     ) -> None:
-        check_process()
         check_shape(shape, ImageError)
         self.shape = int(shape[0]), int(shape[1])
         self.dtype = check_dtype(dtype)
         self.config = DetectorConfig() if config is None else config
-        if not isinstance(self.config, DetectorConfig):
-            raise ConfigError(f"config must be a DetectorConfig, not {config!r}")
+        check_kind("config", self.config, DetectorConfig, ConfigError)
         mask = None if mask is None else check_mask(mask, self.shape)
         if queue is not None and not isinstance(queue, cl.CommandQueue):
             raise DeviceError(f"queue must be a pyopencl.CommandQueue, not {queue!r}")

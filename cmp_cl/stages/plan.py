@@ -26,6 +26,7 @@ from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import CORNER_COLUMNS, LANES, LISTS, PlanBase
 from cmp_cl.stages.paper import rings
 from cmp_cl.stages.refine import READ_FIELDS, RESULT_HEAD
+from cmp_cl.stages.resampling import full_pixels
 from cmp_cl.stages.types import defines_of
 
 SPREAD = 4  # times their pixels: frames that lie in more memory are copied
@@ -172,10 +173,10 @@ class Plan(PlanBase):
         allowed = np.ones(self.working, np.bool_)
         if self._mask is not None:
             nearest = [
-                np.minimum(((np.arange(size) + 0.5) / (self.scale or 1)).astype(int), whole - 1)
+                full_pixels(np.arange(size, dtype=np.int32)[:, None], (whole,), self.scale or 1)
                 for size, whole in zip(self.working, self.shape, strict=True)
             ]
-            allowed = self._mask[np.ix_(*nearest)]
+            allowed = self._mask[nearest[0], nearest[1].T]
         after = self.step - self.pad - self.working[1]
         padded = np.pad(allowed, ((0, 0), (self.pad, after)))
         area = self.memory["area"]

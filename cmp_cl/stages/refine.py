@@ -177,7 +177,7 @@ class Found:
             )
             pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
             if plan.scale is not None:
-                pixel = full_pixels(pixel, plan.shape, plan.scale)
+                pixel = full_pixels(pixel, plan.shape[::-1], plan.scale)
             found.append(
                 Corners(
                     xy=fields[POSITION].reshape(-1, 2)[:count],

@@ -21,11 +21,12 @@ def working_shape(shape: tuple[int, int], scale: float) -> tuple[int, int]:
 
 
 def full_pixels(
-    pixel: NDArray[np.int32], shape: tuple[int, int], scale: float
+    pixel: NDArray[np.int32], lengths: tuple[int, ...], scale: float
 ) -> NDArray[np.int32]:
-    """Return the pixels (x, y) of a full image nearest to those of the scaled one, (N, 2)."""
+    """Return the pixels of a full image nearest to those of the scaled one, (N, A), along axes of
+    these lengths."""
     nearest = np.floor((pixel + 0.5) / scale)
-    held: NDArray[np.float64] = np.clip(nearest, 0, [shape[1] - 1, shape[0] - 1])
+    held: NDArray[np.float64] = np.clip(nearest, 0, np.subtract(lengths, 1))
     return held.astype(np.int32)
 
 
