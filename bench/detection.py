@@ -17,13 +17,12 @@ import methods
 import numpy as np
 from environment import run
 from peers import PEERS, Pattern, available
-from scenes import DENSITIES, INDENTERS, TEST_SEED, rendered
+from scenes import DENSITIES, INDENTERS, SEVERITIES, TEST_SEED, rendered
 from tqdm import tqdm
 
 from cmp_cl.synthetic import Mode, Scene, random_scene
 from cmp_cl.synthetic.scoring import Score, total
 
-SEVERITIES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 REPEATS = 3  # scenes of each object and severity, of which FEWER sees one
 FEWER = PEERS["find_chessboard"].label
 
@@ -70,8 +69,7 @@ def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
         for number, some in enumerate(kinds):
             frames = [rendered(scene) for scene in some]
             if not used:
-                used = methods.own(pattern, frames[0].image.shape)
-                used += [methods.peer(name, pattern) for name in names]
+                used = methods.used(pattern, frames[0].image.shape, names)
                 for method in used:  # some compile or allocate only now
                     method.detect(frames[0].image)
             for method in used:

@@ -82,9 +82,7 @@ def breaking(arguments: argparse.Namespace) -> Iterator[Row]:
             continue
         pattern = Pattern(frames[0].whole[0])
         density = min((20, 30, 40), key=lambda known: abs(known - pattern.markers))
-        used = methods.own(pattern, frames[0].image.shape)
-        used += [methods.peer(name, pattern, density) for name in names]
-        for method in used:
+        for method in methods.used(pattern, frames[0].image.shape, names, density):
             score = total(frame.score(method.detect(frame.image)) for frame in frames)
             yield {
                 "difficulty": what,

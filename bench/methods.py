@@ -2,6 +2,7 @@
 
 import contextlib
 import time
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -33,15 +34,22 @@ class Method(NamedTuple):
         return xy, 1e3 * getattr(self.detect, "seconds", spent)
 
 
-def own(pattern: Pattern, shape: tuple[int, int]) -> list[Method]:
-    """Return our rows for images of that shape; the grid is told the size of a single pattern."""
+def used(
+    pattern: Pattern, shape: tuple[int, int], names: Sequence[str], density: int | None = None
+) -> list[Method]:
+    """Return our rows for images of that shape, and those of the peers of these names.
+
+    The grid is told the size of a single pattern. density: as for `peer`.
+    """
     configs = {
         DEFAULT: DetectorConfig(),
         LINES: DetectorConfig(refinement=EdgeLines()),
         PAPER: DetectorConfig.paper(min((20, 30, 40), key=lambda n: abs(n - pattern.markers))),
     }
-    rows = [_corners(name, config, shape) for name, config in configs.items()]
-    return [*rows, _gridded(pattern, shape)] if pattern.views == 1 else rows
+    detectors = {name: Detector(shape=shape, config=config) for name, config in configs.items()}
+    rows = [Method(name, lambda image, own=own: own(image).xy) for name, own in detectors.items()]
+    rows += [_gridded(pattern, shape)] * (pattern.views == 1)
+    return rows + [peer(name, pattern, density) for name in names]
 
 
 def peer(name: str, pattern: Pattern, density: int | None = None) -> Method:
@@ -52,11 +60,6 @@ def peer(name: str, pattern: Pattern, density: int | None = None) -> Method:
     entry = PEERS[name]
     detect = entry.make(entry.settings(density or pattern.markers), pattern)
     return Method(entry.label, detect, entry.slow)
-
-
-def _corners(name: str, config: DetectorConfig, shape: tuple[int, int]) -> Method:
-    detector = Detector(shape=shape, config=config)
-    return Method(name, lambda image: detector(image).xy)
 
 
 def _gridded(pattern: Pattern, shape: tuple[int, int]) -> Method:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from environment import DATA
-from scenes import View, photograph, rendered
+from scenes import SEVERITIES, View, photograph, rendered
 
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic import Indenter, boards, random_scene
@@ -59,7 +59,7 @@ def gels(seed: int, count: int) -> Views:
             random_scene(
                 seed + n,
                 markers=int(draw.integers(30, 45)),
-                severity=(0.25, 0.5, 0.75, 1.0, 1.25, 1.5)[n % 6],
+                severity=SEVERITIES[n % len(SEVERITIES)],
                 corrosion=(0.3, 1.0, 2.0)[n // 6 % 3],
             )
         )
@@ -155,8 +155,7 @@ def background(kind: str, draw: np.random.Generator) -> np.ndarray:
 
 
 def clutter(seed: int, count: int) -> Views:
-    for n in range(seed + 40_000, seed + 40_000 + count):
-        yield before_ground(n)
+    return map(before_ground, range(seed + 40_000, seed + 40_000 + count))
 
 
 def before_ground(seed: int) -> View:
@@ -212,8 +211,7 @@ def behind_bars(seed: int, count: int) -> Views:
 
 def marked(seed: int, count: int) -> Views:
     """Yield boards that fill most of the image, seen at an angle, with a mark in most cells."""
-    for n in range(count):
-        yield with_marks(MARKS[n % 5], CELLS[n // 5 % 3], seed + 900_000 + n)
+    return (with_marks(MARKS[n % 5], CELLS[n // 5 % 3], seed + 900_000 + n) for n in range(count))
 
 
 def inked(mark: str, texels: int, draw: np.random.Generator) -> np.ndarray:

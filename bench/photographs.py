@@ -96,7 +96,7 @@ def rows_of(name: str, views: Sequence[View], names: Sequence[str]) -> Iterator[
     """Run every method on some photographs of one size."""
     cell = float(np.median([view.cell for view in views]))
     nearest = min(CELLS, key=lambda markers: abs(CELLS[markers] - cell))
-    used = methods.own(Pattern(nearest, views=2), views[0].image.shape)  # without a grid
+    used = methods.used(Pattern(nearest, views=2), views[0].image.shape, ())  # without a grid
     pattern = Pattern(round(len(views[0].truth) ** 0.5))
     used += [methods.peer(each, pattern, nearest) for each in names]
     for method in used:

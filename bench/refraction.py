@@ -76,35 +76,36 @@ def nodes(scene: Scene) -> np.ndarray:
     return pose.place(surface(scene, nodes_at_rest(scene)))
 
 
-def measured(rig: StereoRig, views: list[list[Grid]], truth: list[np.ndarray]) -> Row:
+TRUTH = nodes(PRESS.at_rest()), nodes(PRESS)
+DEPTH = np.linalg.norm(TRUTH[1] - TRUTH[0], axis=2)
+DEEPEST = np.unravel_index(np.argmax(DEPTH), DEPTH.shape)
+
+
+def measured(rig: StereoRig, views: list[list[Grid]]) -> Row:
     """Return what a rig makes of the views at rest and now."""
     field = displacement(*(rig.triangulate(*pair) for pair in views)).raw
-    true = truth[1] - truth[0]
-    deepest = np.unravel_index(np.argmax(np.linalg.norm(true, axis=2)), true.shape[:2])
-    pressed = np.linalg.norm(true, axis=2) > 0.3
+    true = TRUTH[1] - TRUTH[0]
     off = np.linalg.norm(field.displacement - true, axis=2)
     return {
-        "reads_mm": float(field.displacement[deepest] @ NORMAL / (true[deepest] @ NORMAL)),
-        "error_um": 1e3 * float(np.sqrt(np.nanmean(np.square(off[pressed])))),
-        "position_mm": float(np.nanmean(np.linalg.norm(field.position - truth[0], axis=2))),
+        "reads_mm": float(field.displacement[DEEPEST] @ NORMAL / (true[DEEPEST] @ NORMAL)),
+        "error_um": 1e3 * float(np.sqrt(np.nanmean(np.square(off[DEPTH > 0.3])))),
+        "position_mm": float(np.nanmean(np.linalg.norm(field.position - TRUTH[0], axis=2))),
     }
 
 
 def without_the_model(*, quick: bool) -> Iterator[Row]:
-    truth = [nodes(PRESS.at_rest()), nodes(PRESS)]
     for gel in (5.0, 20.0) if quick else (5.0, 10.0, 20.0):
         for index in (1.33, 1.41, 1.5):
-            views = [seen(behind(gel, index), xyz) for xyz in truth]
-            found = measured(AIR, views, truth)
+            views = [seen(behind(gel, index), xyz) for xyz in TRUTH]
+            found = measured(AIR, views)
             yield {"part": "as air", "gel_mm": gel, "index": index, **found}
 
 
 def wrong_parameters(*, quick: bool) -> Iterator[Row]:
-    truth = [nodes(PRESS.at_rest()), nodes(PRESS)]
     for gel in (20.0,) if quick else (5.0, 10.0, 20.0):
         rig = behind(gel)
         window = rig.window
-        views = [seen(rig, xyz) for xyz in truth]
+        views = [seen(rig, xyz) for xyz in TRUTH]
         one, two = np.radians(1) * np.eye(4)[:2]
         changed = {
             "nothing": window,
@@ -116,7 +117,7 @@ def wrong_parameters(*, quick: bool) -> Iterator[Row]:
             "tilt of 1 degree, across the baseline": window.moved(two),
         }
         for what, other in changed.items():
-            found = measured(dataclasses.replace(rig, window=other), views, truth)
+            found = measured(dataclasses.replace(rig, window=other), views)
             yield {"part": "parameters", "gel_mm": gel, "index": 1.41, "changed": what, **found}
         for what, media in (
             ("nothing, window found at rest", (ACRYLIC, (gel, 1.41))),
@@ -124,13 +125,13 @@ def wrong_parameters(*, quick: bool) -> Iterator[Row]:
             ("acrylic +.1 mm, window found at rest", ((5.1, 1.49), (gel, 1.41))),
         ):
             fitted = calibrate_window(AIR, views[0], pitch=PITCH, media=media, index_sigma=0.0)
-            found = measured(fitted, views, truth)
+            found = measured(fitted, views)
             yield {"part": "parameters", "gel_mm": gel, "index": 1.41, "changed": what, **found}
 
 
 def images(*, quick: bool) -> Iterator[Row]:
     for gel in (0.0, 20.0) if quick else (0.0, 5.0, 10.0, 20.0):
-        rig, views, truth, like = behind(gel) if gel else AIR, [], [], (None, None)
+        rig, views, like = behind(gel) if gel else AIR, [], (None, None)
         for scene in (PRESS.at_rest(), PRESS):
             *pair, xyz = render_stereo(scene, rig)
             like = [
@@ -138,8 +139,7 @@ def images(*, quick: bool) -> Iterator[Row]:
                 for each, known in zip(pair, like, strict=True)
             ]
             views.append(like)
-            truth.append(xyz)
-        yield {"part": "images", "gel_mm": gel, "index": 1.41, **measured(rig, views, truth)}
+        yield {"part": "images", "gel_mm": gel, "index": 1.41, **measured(rig, views)}
 
 
 def drawn(*, quick: bool) -> Iterator[Row]:
@@ -157,21 +157,19 @@ def drawn(*, quick: bool) -> Iterator[Row]:
         tilt = [*rng.normal(0, 0.02, 2), rng.normal(0, 0.5) - 1]
         move = np.array([*tilt, rng.normal(0, 1) * index_sigma])
         true = dataclasses.replace(true, window=true.window.moved(move))
-        rest, now = nodes(PRESS.at_rest()), nodes(PRESS)
         media = ACRYLIC, (gel + rng.normal(0, 1), 1.41)
-        still = seen(true, rest, rng)
+        still = seen(true, TRUTH[0], rng)
         fitted = calibrate_window(rig, still, pitch=PITCH, media=media, index_sigma=index_sigma)
-        pair = [fitted.triangulate(*seen(true, xyz)) for xyz in (rest, now)]
+        pair = [fitted.triangulate(*seen(true, xyz)) for xyz in TRUTH]
         field = displacement(*pair).raw
-        off = (field.displacement - (now - rest)) @ NORMAL
-        deepest = np.unravel_index(np.argmax(np.linalg.norm(now - rest, axis=2)), off.shape)
-        shared = Bias(fitted, field.position).covariance(field.displacement)[deepest]
+        off = (field.displacement - (TRUTH[1] - TRUTH[0])) @ NORMAL
+        shared = Bias(fitted, field.position).covariance(field.displacement)[DEEPEST]
         yield {
             "part": "drawn",
             "gel_mm": gel,
             "index": 1.41,
             "changed": f"index +-{index_sigma:g}",
-            "error_um": 1e3 * float(abs(off[deepest])),
+            "error_um": 1e3 * float(abs(off[DEEPEST])),
             "sigma_um": 1e3 * float(np.sqrt(NORMAL @ shared @ NORMAL)),
         }
 

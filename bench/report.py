@@ -108,6 +108,7 @@ def summed(table: pd.DataFrame, *by: str) -> pd.DataFrame:
     whole["rmse"] = np.sqrt(whole["squares"] / whole["found"])
     whole["wrong"] = 1000 * (whole["missed"] + whole["false"]) / whole["corners"]
     whole["ms"] = groups["ms"].median()
+    whole["share"] = 100 * whole["right"] / whole["frames"]
     return whole.reset_index()
 
 
@@ -134,8 +135,7 @@ def detection(folder: Path) -> str:
     whole["missed a frame"] = whole["missed"] / whole["frames"]
     whole["false a frame"] = whole["false"] / whole["frames"]
     error_against_time(whole, folder / "error.png")
-    by = summed(table, "severity").assign(share=lambda rows: 100 * rows["right"] / rows["frames"])
-    right = by.pivot(index="severity", columns="method", values="share")
+    right = summed(table, "severity").pivot(index="severity", columns="method", values="share")
     by_severity(right, folder / "severity.png", "frames right, %")
     counted = ["frames", "frames right, %", "missed a frame", "false a frame", "rmse", "ms"]
     return headed(
@@ -185,16 +185,13 @@ def by_severity(columns: pd.DataFrame, path: Path, said: str) -> None:
 
 def shares(table: pd.DataFrame, by: str) -> pd.DataFrame:
     """Return the share of right frames, %, a column for each value."""
-    rows = summed(table, by)
-    rows["share"] = (100 * rows["right"] / rows["frames"]).round()
-    wide = rows.pivot(index="method", columns=by, values="share")
+    wide = summed(table, by).pivot(index="method", columns=by, values="share").round()
     return wide.rename(columns=lambda value: f"{by} {value:g}").reset_index()
 
 
 def shortfalls(folder: Path) -> str:
     """List where a peer finds more frames right than our best row, with our grid or not."""
     rows = summed(read(folder, "detection"), "markers", "severity")
-    rows["share"] = rows["right"] / rows["frames"]
     found = []
     for (markers, severity), group in rows.groupby(["markers", "severity"]):
         own = group["method"].isin(OURS)

@@ -22,6 +22,7 @@ from cmp_cl.synthetic.scoring import Score, match, reach, score
 TEST_SEED = 1000  # scenes of the report: 1000 and up
 SEARCH_SEED = 900_000  # scenes that peer settings are searched on: never those of the report
 DENSITIES = (20, 30, 40, 44)  # corners a side
+SEVERITIES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 INDENTERS = [kind for kind in Indenter if kind is not Indenter.NONE]
 MILD = {"severity": 0.25, "corrosion": 0.3}  # hardly pressed, the print nearly new
 

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from environment import run
-from scenes import DENSITIES, INDENTERS, TEST_SEED, rendered
+from scenes import DENSITIES, INDENTERS, SEVERITIES, TEST_SEED, rendered
 from tqdm import tqdm
 
 from cmp_cl import Detector, Grid, GridError
@@ -26,7 +26,6 @@ from cmp_cl.grid.grid import MEASURED
 from cmp_cl.motion import displacement
 from cmp_cl.synthetic import Scene, random_scene
 
-SEVERITIES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 CORROSIONS = (0.0, 0.3, 1.0, 2.0)
 NOISES = (0.5, 8.0)  # grey levels, beside the 2 to 4.5 of other scenes
 FIRST_SEED = TEST_SEED + 700_000

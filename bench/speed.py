@@ -94,8 +94,7 @@ def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     for scene, draw in SCENES.items():
         frames = [draw(TEST_SEED + k) for k in range(count)]
         pattern = Pattern(frames[0].whole[0], frames[0].pictures)
-        used = methods.own(pattern, frames[0].image.shape)
-        used += [methods.peer(name, pattern) for name in names]
+        used = methods.used(pattern, frames[0].image.shape, names)
         for row in [*measure(used, frames, rounds), *many(frames, rounds)]:
             yield {"scene": scene, **row}
 

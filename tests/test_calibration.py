@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cameras import SIZE, camera
 from cases import some
-from stereo_data import gel, grid_of, opencv_pairs, project, toed_in_rig
+from stereo_data import gel, grid_of, opencv_pairs, project, toed_in_rig, views_of
 
 from cmp_cl import CalibrationError, calibrate
 from cmp_cl.points import sides
@@ -57,11 +57,9 @@ def rig_views(count=12, noise=0.05, seed=3, tilt=0.5, shared=False):
     for _ in range(count):
         rotation = cv2.Rodrigues(rng.uniform(-tilt, tilt, 3))[0]
         place = board @ rotation.T + [*rng.uniform(-3, 3, 2), 50 + rng.uniform(-6, 6)]
-        for name, xy in zip(seen, project(toed_in_rig(), place), strict=True):
-            error = rng.normal(0, noise, xy.shape)
-            seen[name].append(
-                grid_of(xy + (3 * cv2.blur(error, (3, 3)) if shared else error), noise)
-            )
+        pair = views_of(toed_in_rig(), place, rng, noise, shared=shared)
+        for name, grid in zip(seen, pair, strict=True):
+            seen[name].append(grid)
     return seen
 
 

@@ -65,12 +65,9 @@ def test_examples_of_the_reference_give_what_they_show(page, folder):
     assert not result.failed, "".join(said)
 
 
-def test_the_reference_has_every_public_name():
-    shown = {name for page in API for name in FOUND.findall(page.read_text(encoding="utf-8"))}
-    assert set(cmp_cl.__all__) - shown == set()
-
-
-@pytest.mark.parametrize("module", [field, grid, measure, motion, series, space, synthetic, viz])
+@pytest.mark.parametrize(
+    "module", [cmp_cl, field, grid, measure, motion, series, space, synthetic, viz]
+)
 def test_the_reference_has_every_public_name_of_a_package(module):
     text = "".join(page.read_text(encoding="utf-8") for page in API)
     shown = {name.rpartition(".")[2] for name in FOUND.findall(text)}

@@ -5,7 +5,7 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
-from stereo_data import grid_of
+from stereo_data import grid_of, views_of
 
 from cmp_cl import CalibrationError, StereoRig, Window
 from cmp_cl.space import Bias, calibrate_window
@@ -35,15 +35,8 @@ def pattern(tilt=(0.0, 0.0), dome=0.0):
     return flat @ (axes @ turn).T + 45.7 * NORMAL * [0, 0, 1] / NORMAL[2]
 
 
-def views(xyz, rng, noise=0.05, shared=False):
-    """Return the grids of both views of nodes; shared: neighbours have nearly the same noise."""
-    found = []
-    for seen in BEHIND.project(xyz.reshape(-1, 3)):
-        error = rng.normal(0, noise, (*xyz.shape[:2], 2))
-        if shared:
-            error = 3 * cv2.blur(error, (3, 3))
-        found.append(grid_of(seen.reshape(*xyz.shape[:2], 2) + error, noise))
-    return tuple(found)
+def views(xyz, rng, noise=0.05, **how):
+    return tuple(views_of(BEHIND, xyz, rng, noise, **how))
 
 
 def drawn(rng):

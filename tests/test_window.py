@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stereo_data import gel, grid_of, toed_in_rig
+from stereo_data import gel, toed_in_rig, views_of
 
 from cmp_cl import CalibrationError, StereoRig, Window
 from cmp_cl.space import Bias, PointStatus
@@ -50,21 +50,6 @@ def test_a_point_on_the_ray_of_a_pixel_is_seen_at_that_pixel(window, angle, azim
         assert 1000 * np.linalg.norm(off) < 1e-6
 
 
-def test_points_behind_a_window_are_found_and_their_sigma_is_that_of_the_errors():
-    rig, truth = rig_behind(GEL), gel(40, 40)
-    views = [view.reshape(40, 40, 2) for view in rig.project(truth.reshape(-1, 3))]
-    exact = rig.triangulate(*map(grid_of, views))
-    np.testing.assert_allclose(exact.xyz, truth, rtol=0, atol=4e-5)  # float32 pixels
-    assert exact.error.max() < 1e-4
-    rng = np.random.default_rng(1)
-    noisy = [grid_of(xy + rng.normal(0, 0.05, xy.shape), 0.05) for xy in views]
-    points = rig.triangulate(*noisy)
-    miss = (points.xyz - truth).reshape(-1, 3)
-    inverse = np.linalg.inv(points.covariance.reshape(-1, 3, 3))
-    chi2 = np.einsum("ni,nij,nj->n", miss, inverse, miss)
-    assert chi2.mean() == pytest.approx(3, rel=0.08)
-
-
 def test_points_in_front_of_the_last_face_and_rays_that_miss_the_window_are_nan():
     seen, _ = GEL.apparent(np.zeros(3), np.array([[0, 0, 24.9], [0, 0, 25.1]]))
     assert np.isnan(seen).all(axis=1).tolist() == [True, False]
@@ -72,9 +57,8 @@ def test_points_in_front_of_the_last_face_and_rays_that_miss_the_window_are_nan(
     for values in (at, ahead):
         assert np.isnan(values).all(axis=1).tolist() == [True, True, False]
     rig = rig_behind(GEL)
-    views = (grid_of(view.reshape(20, 20, 2)) for view in rig.project(gel().reshape(-1, 3)))
     beyond = dataclasses.replace(rig, window=dataclasses.replace(GEL, distance=80.0))
-    points = beyond.triangulate(*views)
+    points = beyond.triangulate(*views_of(rig, gel()))
     assert (points.status == PointStatus.BEHIND).all()
     assert np.isnan(points.xyz).all()
 
@@ -117,10 +101,7 @@ def test_the_bias_of_a_field_is_what_an_error_of_the_rig_does_to_it():
     """For each parameter alone: a wrong one, in pixels of the right rig."""
     rest, press = gel(), gel() - np.array([0, 0, 1.0])
     rig = rig_behind(GEL)
-    views = [
-        [grid_of(view.reshape(20, 20, 2)) for view in rig.project(xyz.reshape(-1, 3))]
-        for xyz in (rest, press)
-    ]
+    views = [views_of(rig, xyz) for xyz in (rest, press)]
     before, now = (rig.triangulate(*pair).xyz for pair in views)
     steps = {16: 1e-4, 17: 1e-4, 19: 0.02, 22: 1e-3, 23: 1e-3, 24: 0.05, 25: 1e-3}
     for number, step in steps.items():

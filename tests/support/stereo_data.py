@@ -73,13 +73,38 @@ def toed_in_rig(unit: str = "mm") -> StereoRig:
 
 
 def project(rig: StereoRig, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the projections of the points (..., 3) in both cameras: two arrays (..., 2), px."""
+    """Return the projections of the points (..., 3) in both cameras: two arrays (..., 2), px.
+
+    They are OpenCV's, which knows no window.
+    """
     rotation = cv2.Rodrigues(rig.R)[0]
-    flat = np.ascontiguousarray(xyz, np.float64).reshape(-1, 1, 3)
-    left, _ = cv2.projectPoints(flat, np.zeros(3), np.zeros(3), rig.K1, rig.D1)
-    right, _ = cv2.projectPoints(flat, rotation, rig.T, rig.K2, rig.D2)
+    flat = np.ascontiguousarray(xyz, np.float64).reshape(-1, 3)
+    if rig.window is None:
+        left, _ = cv2.projectPoints(flat, np.zeros(3), np.zeros(3), rig.K1, rig.D1)
+        right, _ = cv2.projectPoints(flat, rotation, rig.T, rig.K2, rig.D2)
+    else:
+        left, right = rig.project(flat)
     shape = (*xyz.shape[:-1], 2)
     return left.reshape(shape), right.reshape(shape)
+
+
+def views_of(
+    rig: StereoRig,
+    xyz: np.ndarray,
+    rng: np.random.Generator | None = None,
+    noise: float = 0.05,
+    *,
+    shared: bool = False,
+) -> list[Grid]:
+    """Return the grids of both views of points (R, C, 3), exact, or with noise, px, that sigma
+    knows. shared: neighbours have nearly the same noise."""
+    if rng is None:
+        return [grid_of(xy) for xy in project(rig, xyz)]
+    grids = []
+    for xy in project(rig, xyz):
+        error = rng.normal(0, noise, xy.shape)
+        grids.append(grid_of(xy + (3 * cv2.blur(error, (3, 3)) if shared else error), noise))
+    return grids
 
 
 def gel(rows: int = 20, columns: int = 20, depth: float = 2.0) -> np.ndarray:
