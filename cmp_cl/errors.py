@@ -3,7 +3,7 @@
 import contextlib
 import math
 from collections.abc import Iterable, Iterator
-from numbers import Integral, Real
+from numbers import Real
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -103,15 +103,6 @@ def check_shape(shape: Any, error: type[CmpClError]) -> None:
     whole = [isinstance(n, int | np.integer) and type(n) is not bool and n >= 1 for n in sides]
     if whole != [True, True]:
         raise error(f"shape must be (rows, columns), each at least 1, not {shape!r}")
-
-
-def as_size(name: str, value: Any, error: type[CmpClError]) -> tuple[int, int]:
-    """Return an argument of that name as (width, height); raise the error if it is not two whole
-    numbers above 0."""
-    found = listed(name, value, Integral, error)
-    if len(found) != 2 or min(found) < 1:
-        raise error(f"{name} must be (width, height), px, not {value!r}")
-    return int(found[0]), int(found[1])
 
 
 def check_positive(name: str, value: object, error: type[CmpClError]) -> None:

@@ -66,8 +66,8 @@ def _counters(plan: PlanBase) -> int:
     """Return the counters of a frame: of its lists, and of the work that CPUs share."""
     if plan.form is not Form.CPU:
         return plan.kinds
-    halving = 2 * (plan.octaves > 0)
-    return plan.kinds + 1 + plan.segments * (1 + plan.octaves) + halving
+    segments, halving = -(-plan.bands // 2), 2 * (plan.octaves > 0)  # two bands share a segment
+    return plan.kinds + 1 + segments * (1 + plan.octaves) + halving
 
 
 def launches(plan: PlanBase) -> list[Launch]:

@@ -119,11 +119,6 @@ class PlanBase:
         return max(min(units, self.working[0] // 32), 1)
 
     @property
-    def segments(self) -> int:
-        """Return the number of segments, whose rows two bands share."""
-        return -(-self.bands // 2)
-
-    @property
     def lanes(self) -> int:
         """Return the number of corners that a work-item of refinement processes at a time."""
         refinement = self.config.refinement

@@ -3,11 +3,12 @@
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
+from numbers import Integral
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError, as_size, check_kind, check_positive, listed
+from cmp_cl.errors import CalibrationError, check_kind, check_positive, listed
 from cmp_cl.grid.grid import Grid
 from cmp_cl.space.calibration.adjustment import (
     Look,
@@ -226,7 +227,14 @@ def _checked(
         raise CalibrationError(
             f"sizes must be of the cameras in views, at least one: {list(views)}, not {list(sizes)}"
         )
-    known = {name: as_size(f"sizes[{name!r}]", sizes[name], CalibrationError) for name in views}
+    known: dict[str, tuple[int, int]] = {}
+    for name in views:
+        size = listed(f"sizes[{name!r}]", sizes[name], Integral, CalibrationError)
+        if len(size) != 2 or min(size) < 1:
+            raise CalibrationError(
+                f"sizes[{name!r}] must be (width, height), px, not {sizes[name]!r}"
+            )
+        known[name] = int(size[0]), int(size[1])
     for name, grids in every.items():
         for grid in filter(None, grids):
             far = np.abs(grid.xy) > 2 * np.array(known[name])
