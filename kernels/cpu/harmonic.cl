@@ -43,10 +43,15 @@
 #define ROW_LOOP __attribute__((noinline))
 
 /* Call a row of a frame into the cache, lines of 64 bytes at a time. OpenCL's own function for this
- * does nothing on PoCL. */
+ * does nothing on PoCL, and what stands in its place is not known where a program is first
+ * compiled to SPIR. */
 void call_row(__global const PIXEL *row, const int width) {
+#ifdef __SPIR__
+  prefetch(row, width);
+#else
   for (int x = 0; x < width; x += 64 / (int)sizeof(PIXEL))
     __builtin_prefetch((const void *)(size_t)(row + x));
+#endif
 }
 
 /* Grey levels in sixteenths of 1/255 of full scale: floor((4080 g + F div 2) / F). */
