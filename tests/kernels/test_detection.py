@@ -267,22 +267,6 @@ def test_frames_of_a_batch_do_not_see_each_other(detector_in_form, config):
         assert_same_bytes(one, assert_corners_equal(detector, frame))
 
 
-def test_more_maxima_than_the_capacity_are_counted_and_found_all_the_same(device_in_form):
-    """Noise has more maxima in windows of 3 x 3 than the list can hold."""
-    image = noise((1300, 90), seed=3)
-    config = DENSE.replace(max_corners=1)
-    with Detector(shape=image.shape, config=config, device=device_in_form) as detector:
-        capacity, memory = detector._plans.lend().list_capacity, detector.memory
-        corners = assert_corners_equal(detector, image)
-        assert detector.regrown > 0
-        assert detector.memory > memory
-        assert len(corners) > capacity
-        assert_same_bytes(detector(image), corners)
-        assert_same_bytes(detector.batch([image, image[::-1].copy()])[0], corners)
-        assert len(detector(np.zeros_like(image))) == 0
-        assert_same_bytes(detector(image), corners)
-
-
 @pytest.mark.parametrize(("count", "regrown"), [(64, False), (65, True)])
 @pytest.mark.parametrize("config", [harmonic(1, noise=0, relative=0, fine=False), DENSE_RINGS])
 def test_a_list_that_overflows_is_made_again_and_holds_every_maximum(
