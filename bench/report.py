@@ -109,6 +109,8 @@ def summed(table: pd.DataFrame, *by: str) -> pd.DataFrame:
     whole["wrong"] = 1000 * (whole["missed"] + whole["false"]) / whole["corners"]
     whole["ms"] = groups["ms"].median()
     whole["share"] = 100 * whole["right"] / whole["frames"]
+    of_frames = zip(whole["right"], whole["frames"], strict=True)
+    whole["frames right, %"] = [percent(*each) for each in of_frames]
     return whole.reset_index()
 
 
@@ -131,7 +133,6 @@ def speed(folder: Path) -> str:
 def detection(folder: Path) -> str:
     table = read(folder, "detection")
     whole = summed(table).sort_values("ms")
-    whole["frames right, %"] = whole.apply(lambda row: percent(row["right"], row["frames"]), axis=1)
     whole["missed a frame"] = whole["missed"] / whole["frames"]
     whole["false a frame"] = whole["false"] / whole["frames"]
     error_against_time(whole, folder / "error.png")
@@ -369,31 +370,26 @@ def figures(folder: Path) -> str:
     value = field.set_index(["what", "case", "unit"])["value"]
     rate = field.loc[field["what"].str.startswith("cmp-cl run"), "value"].iloc[0]
     small, large = (timed[timed["scene"] == scene].set_index("method") for scene in ("vga", "wide"))
-    rows: list[dict[str, Any]] = [
-        {
-            "method": f"cmp_cl, two views to their field (`run` from MJPG: {rate:.3g} a second)",
-            "640 x 480, ms": np.nan,
-            "1600 x 1200, ms": value["frame to field, two views", "severity to 0.5", "ms"],
-        }
+    rows = small.loc[list(IN_README)].sort_values("ms")
+    own = {
+        "640 x 480, ms": rows["ms"],
+        "1600 x 1200, ms": large["ms"],
+        "RMSE px": rows["rmse"],
+        "missed / false": rows[["missed", "false"]].astype(str).agg(" / ".join, axis=1),
+        "frames right, %": errors["frames right, %"],
+    }
+    first = f"cmp_cl, two views to their field (`run` from MJPG: {rate:.3g} a second)"
+    whole = pd.DataFrame(own).reindex([first, *rows.index])
+    whole.loc[first, "1600 x 1200, ms"] = value[
+        "frame to field, two views", "severity to 0.5", "ms"
     ]
-    for name, row in small[small.index.isin(IN_README)].sort_values("ms").iterrows():
-        rows.append(
-            {
-                "method": name,
-                "640 x 480, ms": row["ms"],
-                "1600 x 1200, ms": large["ms"].get(name, np.nan),
-                "RMSE px": row["rmse"],
-                "missed / false": f"{row['missed']} / {row['false']}",
-                "frames right, %": percent(errors["right"][name], errors["frames"][name]),
-            }
-        )
     text = (
         f"{conditions(timed).strip()} Medians of one run, from an image in host memory to "
         f"positions in host memory, for {small['corners'].iloc[0]} and {large['corners'].iloc[0]} "
         f"corners. The last column is over {errors['frames'].max()} rendered frames, slightly to "
         "severely deformed.\n\n"
     )
-    return text + markdown(pd.DataFrame(rows))
+    return text + markdown(whole.rename_axis("method").reset_index())
 
 
 def insert(page: Path, text: str) -> None:
