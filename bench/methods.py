@@ -48,7 +48,8 @@ def used(
     }
     detectors = {name: Detector(shape=shape, config=config) for name, config in configs.items()}
     rows = [Method(name, lambda image, own=own: own(image).xy) for name, own in detectors.items()]
-    rows += [_gridded(pattern, shape)] * (pattern.views == 1)
+    if pattern.views == 1:
+        rows.append(_gridded(pattern, shape))
     return rows + [peer(name, pattern, density) for name in names]
 
 

@@ -472,8 +472,8 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
 }
 
 /* exp(x) for x <= 0 within 2e-7: 2 to a whole number, which the sum with 1.5 * 2^23 rounds to,
- * times a polynomial. Below 2^-60 it is 0: products of such weights would be subnormal, and an Intel
- * core takes a hundred times as long over those. */
+ * times a polynomial. Below 2^-60 it is 0: products of such weights would be subnormal, and take
+ * an Intel core a hundred times as long. */
 float8 exp_below(const float8 x) {
   const float8 y = x * 1.44269504f, most = y > -60.0f ? y : (float8)(-60);
   const float8 rounded = most + 12582912.0f, t = most - (rounded - 12582912.0f);

@@ -43,8 +43,7 @@
 #define ROW_LOOP __attribute__((noinline))
 
 /* Call a row of a frame into the cache, lines of 64 bytes at a time. OpenCL's own function for this
- * does nothing on PoCL, and what stands in its place is not known where a program is first
- * compiled to SPIR. */
+ * does nothing on PoCL, and a compiler to SPIR has no other. */
 void call_row(__global const PIXEL *row, const int width) {
 #ifdef __SPIR__
   prefetch(row, width);
