@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from cases import some
+from corner_images import noise
 from scenes import (
     BOARD,
     SCENES,
@@ -158,15 +159,6 @@ def test_the_order_of_the_corners_changes_no_number(name):
     np.testing.assert_array_equal(again.status, grid.status)
     np.testing.assert_array_equal(again.index, grid.index[order])
     assert again.doubts == grid.doubts
-
-
-def test_positions_are_nearer_to_the_truth_than_sigma_says_in_most_nodes():
-    for name in ("gel, severity 0.0", "board", "board with dots"):
-        view, corners = seen(name)
-        grid = build_grid(corners, view.image)
-        xy = grid.xy[grid.valid & np.isfinite(grid.sigma)]
-        off = np.linalg.norm(xy[:, None] - view.corners[None, :, :2], axis=2).min(axis=1)
-        assert np.quantile(off, 0.95) < 0.5, name
 
 
 def test_lost_corners_leave_holes_and_false_ones_no_nodes():
@@ -472,16 +464,9 @@ def pose(frame: int) -> Camera:
     turn = draw.uniform(-np.pi, np.pi)
     far = draw.uniform(10, 14)
     place = np.array([*draw.uniform(-0.25, 0.25, 2) * far, far])
-    one, other = (_matrix(each) for each in ((*lean, 0), (0, 0, turn)))
-    return fisheye(336.0, _vector(one @ other), place, (4, 2.5), (480, 640))
-
-
-def _matrix(vector: tuple[float, ...]) -> np.ndarray:
-    return cv2.Rodrigues(np.array(vector, np.float64))[0]
-
-
-def _vector(matrix: np.ndarray) -> np.ndarray:
-    return cv2.Rodrigues(matrix)[0].ravel()
+    still = np.zeros(3)
+    rotation, *_ = cv2.composeRT(np.array([0, 0, turn]), still, np.array([*lean, 0]), still)
+    return fisheye(336.0, rotation.ravel(), place, (4, 2.5), (480, 640))
 
 
 @pytest.mark.parametrize("frame", [44, 45, 46, 47])
@@ -592,11 +577,7 @@ def stripes() -> np.ndarray:
     return np.where((x * 0.8 + y * 0.3) // 6 % 2 == 0, 30, 220).astype(np.uint8)
 
 
-def noise() -> np.ndarray:
-    return np.random.default_rng(0).integers(0, 256, SIZE).astype(np.uint8)
-
-
-@pytest.mark.parametrize("image", [noise(), stripes(), np.zeros(SIZE, np.uint8)])
+@pytest.mark.parametrize("image", [noise(SIZE), stripes(), np.zeros(SIZE, np.uint8)])
 def test_an_image_without_a_pattern_has_no_nodes_in_silence(image):
     corners = detect(image)
     start = time.perf_counter()
@@ -623,7 +604,6 @@ def test_requests_that_make_no_sense_are_refused_in_one_line():
     view, corners = seen("board")
     rest = build_grid(corners, view.image)
     empty = build_grid(reordered(corners, np.arange(2)), view.image)
-    other = build_grid(*seen("board, cut at left")[::-1][:1], seen("board, cut at left")[0].image)
     nan, blind = (reordered(corners, np.arange(len(corners))) for _ in range(2))
     nan.xy[3, 1] = np.nan
     blind.edges[:] = np.nan
@@ -645,7 +625,6 @@ def test_requests_that_make_no_sense_are_refused_in_one_line():
             build_grid(**({"corners": corners, "image": view.image} | given))
         assert said in str(caught.value)
         assert "\n" not in str(caught.value)
-    assert other.shape[0] == 6
 
 
 @pytest.mark.parametrize("name", ["gel, severity 0.5", "torn gel 61"])

@@ -8,11 +8,10 @@ import pytest
 from lattices import drawn
 from scenes import board, corners_of
 
-from cmp_cl import Grid, GridError, NodeStatus, build_grid, detect
+from cmp_cl import Grid, GridError, build_grid, detect
 from cmp_cl.grid import Rival, Sides, align
-from cmp_cl.grid.choice import Asked, Found
-from cmp_cl.grid.placing import placed
-from cmp_cl.lattice.arrays import LOOKED, Board
+from cmp_cl.grid.choice import Asked, Found, chosen_of
+from cmp_cl.lattice.arrays import Board
 from cmp_cl.lattice.numbers import Decision, Numbering
 
 
@@ -135,19 +134,15 @@ def test_a_pattern_without_nine_corners_is_no_board_and_says_so():
         build_grid(corners, image, shape=(2, 2), strict=True)
 
 
-@pytest.mark.parametrize("quarters", range(4))
-def test_a_place_without_a_corner_is_interpolated_only_between_two_corners(quarters):
-    """Beyond corners, or beside another such place, it is a guess."""
-    corners = detect(drawn(6, 9)[0])
-    owner = np.arange(54).reshape(6, 9)
-    between, guesses = ([2, 4, 0], [2, 0, 6]), ([0, 0, 3, 3, 4, 4], [0, 8, 4, 5, 4, 5])
-    owner[between] = owner[guesses] = LOOKED
-    y, x = np.indices(owner.shape, np.float32)
-    board = Board(x=x, y=y, owner=owner, torn=owner < 0, sign=1).turned(quarters)
-    found = Found(board, Decision(Numbering(0, 0, 0, 0, 0), None, np.inf), 0)
-    wanted = np.full(owner.shape, NodeStatus.DETECTED)
-    wanted[between], wanted[guesses] = NodeStatus.INTERPOLATED, NodeStatus.MISSING
-    grid = placed(found, corners, Asked(), 0)
-    np.testing.assert_array_equal(grid.status, np.rot90(wanted, quarters))
-    np.testing.assert_array_equal(np.isnan(grid.xy[..., 0]), grid.status == NodeStatus.MISSING)
-    assert not np.isnan(board.x).any()
+@pytest.mark.parametrize(("second", "counted"), [(0, 0), (2, 0), (3, 9), (5, 15)])
+@pytest.mark.parametrize("first", [5, 6])
+def test_regions_are_of_cells_with_firm_nodes_that_share_sides(first, second, counted):
+    """The second region has three rows, and touches the first by one side or by none."""
+    firm = np.zeros((12, 20), np.bool_)
+    firm[:6, :10] = True
+    firm[first : first + 3, 10 : 10 + second] = True
+    nodes = np.zeros(firm.shape, np.float32)
+    board = Board(x=nodes, y=nodes, owner=nodes.astype(int), torn=~firm, firm=firm, sign=1)
+    for each in (board, board.turned(1)):
+        found = Found(each, Decision(Numbering(0, 0, 0, 0, 0), None, np.inf), 0)
+        assert chosen_of([found], Asked(), firm.size) == (found, counted)

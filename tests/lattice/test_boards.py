@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from lattice_plans import K, gel, plan_for
+from lattice_plans import K, gel, started
 
 from cmp_cl import Detector, DetectorConfig, detect
 from cmp_cl.lattice.boards import boards
@@ -16,10 +16,7 @@ def found(device, image, **changed):
     """Return the corners, and the boards of an image, the largest part's first; changed: constants
     of the lattice."""
     corners = detect(image, device=device)
-    constants = dataclasses.replace(K, **changed)
-    plan = plan_for(device, image, len(corners), constants=constants)
-    plan.take(image, corners.xy, corners.edges, corners.refusal)
-    plan.start()
+    plan = started(device, image, corners, constants=dataclasses.replace(K, **changed))
     return corners, list(boards(plan, corners.xy))
 
 

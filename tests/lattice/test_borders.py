@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from cases import some
-from lattice_plans import K, gel, plan_for
+from lattice_plans import K, gel, plan_for, started
 
 from cmp_cl import detect
 from cmp_cl.lattice.arrays import NONE, UNSEEN, Board, Border
@@ -14,9 +14,7 @@ from cmp_cl.reference.lattice.borders import Sides, trimmed
 
 
 def settled(device, image, corners, full_scale=255):
-    plan = plan_for(device, image, len(corners), full_scale)
-    plan.take(image, corners.xy, corners.edges, corners.refusal)
-    plan.start()
+    plan = started(device, image, corners, full_scale=full_scale)
     return plan, plan.alone()
 
 

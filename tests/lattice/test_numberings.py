@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Border
+from cmp_cl.lattice.arrays import NOT_SEEN, Board, Border
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.numbers import Reference, in_shape, like_rest
 from cmp_cl.lattice.printing import Prints, agreement, prints_of
@@ -50,30 +50,6 @@ def test_an_end_in_view_that_shows_no_border_may_be_none(bottom):
     part = dataclasses.replace(whole, **seen, border=border)
     decision = in_shape(part, (6, 4), K)
     assert (decision.margin > K.sure_nats) == np.isfinite(bottom), decision
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_few_large_printing_errors_in_common_prove_nothing(seed):
-    """Errors are larger in one corner of each print, and none belong together."""
-    draw = np.random.default_rng(seed)
-    errors = draw.normal(0, 0.02, (2, SIDE, SIDE, 2)) @ [1, 1j]
-    errors[0, :6, :6] *= 4
-    errors[1, -6:, -6:] *= 4
-    one, other = (Prints(each, np.ones((SIDE, SIDE), np.bool_), 20.0) for each in errors)
-    shifts = np.arange(1 - SIDE, SIDE)
-    assert agreement(one, other, shifts, shifts, 1.0, K).max() < K.sure_nats
-    nats = agreement(one, one, shifts, shifts, 1.0, K)
-    assert np.unravel_index(nats.argmax(), nats.shape) == (SIDE - 1, SIDE - 1)
-
-
-def test_a_pattern_without_an_end_that_turns_behind_an_object_has_not_moved():
-    """Nodes far from the middle move by cells, and fewer of them are seen on one side."""
-    rest, now = whole_board(0, np.nan), whole_board(15, np.nan)
-    now.owner[np.hypot(now.x - 300, now.y - 200) < 40] = NONE
-    reference = Reference(rest, prints_of(rest.at, K.print_clip), (0, 0))
-    decision = like_rest(now, reference, reference, K)
-    assert decision.best[2:] == (0, 0, 0)
-    assert decision.margin > K.sure_nats
 
 
 def test_numbers_that_nothing_tells_are_those_of_the_least_motion():

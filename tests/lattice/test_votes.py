@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from lattice_plans import K, gel, plan_for
+from lattice_plans import K, gel, started
 
 from cmp_cl import detect
 from cmp_cl.lattice import kernels
@@ -12,12 +12,10 @@ from cmp_cl.reference.lattice import votes as lattice_votes
 from cmp_cl.synthetic import Indenter
 
 
-def started(device, image):
+def linked(device, image):
     """Return a plan whose parts have been found, the corners, and the same from the oracle."""
     corners = detect(image)
-    plan = plan_for(device, image, len(corners))
-    plan.take(image, corners.xy, corners.edges, corners.refusal)
-    plan.start()
+    plan = started(device, image, corners)
     plane = harmonic.smoothed(image, 255)[0]
     directed = lattice.directed(plane, corners.xy, corners.edges, K)
     twin = lattice.links(plane, directed, K)
@@ -41,7 +39,7 @@ def test_gels(device, seed, holes):
         (30, 100, 170)[:holes],
         14,
     )
-    plan, corners, plane, directed, twin = started(device, image)
+    plan, corners, plane, directed, twin = linked(device, image)
     plan.alone()
     units, got = plan.parts(corners.xy)
     wanted = lattice_votes.votes(plane, directed, twin, units, K)
@@ -55,7 +53,7 @@ def test_gels(device, seed, holes):
 def test_the_nodes_of_parts_are_those_of_the_oracle(device):
     """Of every corner in a part: its number, its rotation, and how many of its faces are there."""
     image = gel(2.0, seed=8, indenter=Indenter.TORUS)
-    plan, corners, _, directed, twin = started(device, image)
+    plan, corners, _, directed, twin = linked(device, image)
     parts = lattice.parts_of(directed, corners.refusal != 0, twin, K)
     wanted: dict[tuple[int, int], list[tuple[complex, int]]] = {}
     for h in np.flatnonzero((parts.root >= 0) & ~parts.contradicted):
@@ -78,11 +76,11 @@ def test_the_nodes_of_parts_are_those_of_the_oracle(device):
 
 def test_a_list_of_votes_that_is_too_short_grows(device, monkeypatch):
     image = striped(gel(0.5, seed=8), range(40, 220, 30), 8)
-    plan, corners, *_ = started(device, image)
+    plan, corners, *_ = linked(device, image)
     plan.alone()
     wanted = plan.parts(corners.xy)[1]
     monkeypatch.setattr(kernels, "ROOM", 1)
-    plan, *_ = started(device, image)
+    plan, *_ = linked(device, image)
     room = plan.capacity
     for _ in range(2):
         plan.start()

@@ -1,9 +1,11 @@
 """Plans of the lattice, and gels for them."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl import Device
+from cmp_cl import Corners, Device
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.plan import LatticePlan
 from cmp_cl.synthetic import Indenter, random_scene, render
@@ -20,6 +22,16 @@ def plan_for(
 ) -> LatticePlan:
     """Return a plan for images like this one, with so many corners."""
     return LatticePlan(device, image.shape, image.dtype, full_scale, count, constants)
+
+
+def started(
+    device: Device, image: NDArray[np.integer], corners: Corners, **given: Any
+) -> LatticePlan:
+    """Return a plan that has found the parts of an image; given: as for `plan_for`."""
+    plan = plan_for(device, image, len(corners), **given)
+    plan.take(image, corners.xy, corners.edges, corners.refusal)
+    plan.start()
+    return plan
 
 
 def gel(
