@@ -1,4 +1,4 @@
-"""Which module may import which: only those of the layers below it, and none in a circle."""
+"""Which module may import which: only those of its own layer and of those below it."""
 
 import ast
 import dataclasses
@@ -42,8 +42,8 @@ def modules():
     }
 
 
-def imported(path, *, everywhere):
-    """Return the modules of cmp_cl that a file imports, when it is imported or in functions too."""
+def imported(path):
+    """Return the modules of cmp_cl that a file imports, in functions too."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     waiting, names = list(tree.body), set()
     while waiting:
@@ -51,9 +51,8 @@ def imported(path, *, everywhere):
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "cmp_cl":
             inner = node.module.split(".")[1:]
             names |= {".".join([*inner, alias.name]) for alias in node.names}
-        inside = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
         typing = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
-        if not typing and (everywhere or not inside):
+        if not typing:
             waiting += ast.iter_child_nodes(node)
     known = modules()
 
@@ -78,16 +77,14 @@ def test_a_module_imports_only_what_stands_below_it():
     wrong = [
         (name, other)
         for name, path in modules().items()
-        for other in imported(path, everywhere=True)
+        for other in imported(path)
         if None not in (layer_of(name), layer_of(other)) and layer_of(other) > layer_of(name)
     ]
     assert wrong == []
 
 
 def test_no_module_imports_what_imports_everything():
-    assert {
-        name for name, path in modules().items() if ASIDE & imported(path, everywhere=True)
-    } == set()
+    assert {name for name, path in modules().items() if ASIDE & imported(path)} == set()
 
 
 def test_every_module_has_a_layer():
@@ -95,21 +92,12 @@ def test_every_module_has_a_layer():
     assert set().union(*LAYERS) == tops - ASIDE
 
 
-def test_modules_do_not_import_each_other_in_a_circle():
-    needs = {name: imported(path, everywhere=False) for name, path in modules().items()}
-    left = dict(needs)
-    while ready := [name for name, others in left.items() if not others & left.keys() - {name}]:
-        for name in ready:
-            del left[name]
-    assert left == {}
-
-
 def test_nothing_but_tests_and_benches_imports_the_oracle():
     importing = {
         name
         for name, path in modules().items()
         if not name.startswith("reference")
-        and any(other.startswith("reference") for other in imported(path, everywhere=True))
+        and any(other.startswith("reference") for other in imported(path))
     }
     assert importing == set()
 

@@ -11,7 +11,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-import threading
 import time
 import tracemalloc
 import warnings
@@ -144,21 +143,6 @@ def test_what_is_written_is_read_again(tmp_path, suffix):
     assert str(found["unit"]) == "mm"
     assert json.loads(str(found["about"]))["units"]["sigma"] == "mm"
     assert sorted(read_series(tmp_path / f"press{suffix}", ["rest", "none"])) == ["index", "rest"]
-
-
-def test_a_part_that_grows_can_be_read_at_any_moment(tmp_path):
-    with SeriesWriter(tmp_path / "a.npz", rest=rest(), unit="mm") as series:
-
-        def append(*numbers):
-            for number in numbers:
-                series.append(index=number, time_ms=0.0, **frame(number))
-
-        append(0)
-        growing = threading.Thread(target=append, args=range(1, 500))
-        growing.start()
-        while growing.is_alive():
-            found = read_series(tmp_path / "a.npz.part")
-            assert len({len(found[name]) for name in (*frame(0), "index", "time_ms")}) == 1
 
 
 def test_hdf5_holds_units_version_time_and_configuration(tmp_path):

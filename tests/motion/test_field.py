@@ -291,14 +291,6 @@ def test_points_that_no_rig_can_see_say_why(run, window):
     assert field.status[8, 9] == (PointStatus.VALID if rig.window is None else PointStatus.BEHIND)
 
 
-def test_the_same_nodes_give_the_same_bytes(run):
-    rng, rig = np.random.default_rng(7), rig_with()
-    rest, now = (views_of(rig, surface(*USUAL, press), rng) for press in (0.0, 1.0))
-    first, again = (run(rig, rest, now)[1] for _ in range(2))
-    for name, values in first.items():
-        assert values.tobytes() == again[name].tobytes(), name
-
-
 @pytest.mark.parametrize(
     ("views", "window"), [(1, "no window"), (2, "no window"), (2, "acrylic and gel")]
 )

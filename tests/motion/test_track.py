@@ -8,8 +8,7 @@ import pytest
 from lattices import corners_at, keep
 from stereo_data import grid_of
 
-from cmp_cl import Detector, DetectorConfig
-from cmp_cl.grid.grid import NodeStatus, Sides
+from cmp_cl.grid.grid import Sides
 from cmp_cl.motion.nodes import put
 from cmp_cl.motion.track import Tracker, colour_of
 from cmp_cl.opencl.launches import enqueue
@@ -24,7 +23,6 @@ from cmp_cl.stages.refine import (
     RESULT_HEAD,
     VARIANCE,
 )
-from cmp_cl.synthetic import boards
 
 SIZE = 420, 460
 SHAPE = 18, 22  # nodes; each other shape is compiled anew
@@ -233,44 +231,3 @@ def test_random_jumps_are_refused_or_numbered_right(tracker_of):
         assert (away[owner >= 0] < 0.2 * CELL).all(), trial
     assert accepted > 40
     assert refused > 150
-
-
-@pytest.mark.parametrize("every", [13, 3], ids=["a few nodes", "a third of them"])
-def test_nodes_without_a_corner_are_looked_at_again(device, every):
-    rest, again = lattice(*SHAPE, bend=0.0), np.indices(SHAPE).sum(axis=0) % every == 0
-    again[[0, -1]] = again[:, [0, -1]] = False
-    camera = boards.plane(cell=CELL, middle=(40, 50), turn=np.degrees(0.05))
-    picture = boards.drawn(camera, SIZE, SHAPE, blur=0.8, noise=1.5, count=4).image
-    y, x = np.indices(SIZE)
-    free = np.ones(SIZE, np.bool_)
-    for at in rest[again]:
-        free &= np.hypot(x - at[0], y - at[1]) > 6
-    config = DetectorConfig.for_cell(CELL)
-    with Detector(shape=SIZE, config=config, device=device) as detector:
-        corners, grid = detector.grid(picture, shape=SHAPE)
-    with Detector(shape=SIZE, config=config, device=device, mask=free) as hiding:
-        frame = Memory(hiding.queue, Tracker.layout(1, SHAPE))
-        tracker = Tracker(
-            hiding.queue,
-            programs_of(device.handle),
-            views=[(grid, corners)],
-            sizes=[SIZE],
-            frame=frame,
-            octaves=hiding.layout.octaves,
-        )
-        put(frame.arrays, 0, grid, corners)
-        frame.upload()
-        tracker.begin([grid])
-        plan = hiding.begin([picture])
-        enqueue(hiding.queue, tracker.launches(plan))
-        frame.download()
-        (seen,) = hiding.finish(plan)[0].corners
-        hiding.queue.finish()
-        status, nodes = frame.arrays["seen_status"][0].copy(), frame.arrays["nodes"][0].copy()
-        (found,) = tracker.found(frame.arrays)
-        tracker.release()
-    assert len(seen) == len(corners) - again.sum()
-    assert (found.lost, found.adrift) == (again.sum(), 0)
-    assert found.holds(SHAPE) == (again.mean() < 0.1)
-    np.testing.assert_array_equal(status == NodeStatus.SECOND_LOOK, again)
-    np.testing.assert_allclose(nodes, grid.xy, rtol=0, atol=0.05)
