@@ -19,7 +19,10 @@ def corner(x: float, y: float, angle: float, *, opening: float = math.pi / 2) ->
         (u[:, None] - y) * math.cos(a) - (u[None] - x) * math.sin(a)
         for a in (angle, angle + opening)
     ]
-    return _pixels(np.where(sides[0] * sides[1] > 0, 40.0, 200.0), 0.7)
+    fine = np.where(sides[0] * sides[1] > 0, 40.0, 200.0)
+    fine = cv2.GaussianBlur(fine, (0, 0), 0.7 * OVERSAMPLING, borderType=cv2.BORDER_REPLICATE)
+    grey = fine.reshape(41, OVERSAMPLING, 41, OVERSAMPLING).mean(axis=(1, 3))
+    return np.rint(grey).astype(np.uint8)
 
 
 def board(
@@ -36,25 +39,10 @@ def board(
 
     cell, blur: px. angle: rad. samples: of a pixel, along each axis.
     """
-    cos, sin = math.cos(angle) / cell, math.sin(angle) / cell
-
-    def camera(x: NDArray, y: NDArray) -> tuple[NDArray, NDArray]:
-        return cos * x + sin * y + 0.37, cos * y - sin * x + 0.21
-
-    u, v = camera(*boards.samples((rows, columns), samples))
-    grey = np.where((np.floor(u) + np.floor(v)) % 2 == 0, 40.0, 200.0)
-    corners = boards.corners_in(camera, (rows, columns))
-    seen = corners[boards.inside(corners, (rows, columns), 6), :2]
-    return _pixels(grey, blur, samples), seen
-
-
-def _pixels(
-    fine: NDArray[np.float64], blur: float, samples: int = OVERSAMPLING
-) -> NDArray[np.uint8]:
-    fine = cv2.GaussianBlur(fine, (0, 0), blur * samples, borderType=cv2.BORDER_REPLICATE)
-    height, width = (n // samples for n in fine.shape)
-    grey = fine.reshape(height, samples, width, samples).mean(axis=(1, 3))
-    return np.rint(grey).astype(np.uint8)
+    camera = boards.plane(cell=cell, middle=(0, 0), about=(0.37, 0.21), turn=math.degrees(angle))
+    size = rows, columns
+    view = boards.drawn(camera, size, levels=(40, 200), blur=blur, noise=0, count=samples)
+    return view.image, view.corners[boards.inside(view.corners, size, 6), :2]
 
 
 def to_nearest(points: NDArray, others: NDArray) -> NDArray[np.float64]:
