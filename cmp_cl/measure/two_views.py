@@ -17,6 +17,7 @@ from cmp_cl.motion.geometry import InSpace
 from cmp_cl.motion.moments import Moment
 from cmp_cl.space import Bias, BinocularSplit, Points3D, PointStatus, StereoRig
 
+Ends = tuple[bool, bool]  # whether the first and the last line are seen to be the pattern's
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
 _LEAST_FITTING = 0.75  # share of the nodes at rest that must fit
 _FLIP = np.array([-1, 1], np.float32)
@@ -36,9 +37,10 @@ class TwoViews(Measurement):
     at most .015 um, behind a window by .05 um (measured).
 
     Raises GridError if a view of the frame at rest shows no such pattern, or the rig does not fit
-    three quarters of its nodes to 1 px, or it fits other pairs of nodes as well and the two views
-    do not show the pattern's border on the same side; ImageError if a view extends past the frame;
-    ConfigError if rig or split is of another type; and the errors of `Detector`.
+    three quarters of its nodes to 1 px, or it fits other pairs of nodes as well and no border of
+    the pattern decides: on the same side of both views, or with a shape on any side of each;
+    ImageError if a view extends past the frame; ConfigError if rig or split is of another type; and
+    the errors of `Detector`.
     """
 
     def __init__(
@@ -51,6 +53,7 @@ class TwoViews(Measurement):
         check_kind("rig", rig, StereoRig, ConfigError)
         check_kind("split", split, BinocularSplit, ConfigError)
         self._rig, self._split = rig, split
+        self._knows_size = settings.get("shape") is not None
         super().__init__(rest, split, **settings)
         if rig.window is not None and rig.covariance is not None:
             self._bias = Bias(rig, self.rest.xyz)
@@ -91,14 +94,15 @@ class TwoViews(Measurement):
         return points
 
     def _check_pairs(self, left: Grid, right: Grid) -> None:
-        """Raise GridError if the rig fits as well with the numbers of one view shifted, and no side
-        at which both views show the border of the pattern decides.
+        """Raise GridError if the rig fits as well with the numbers of one view shifted, and no
+        border of the pattern decides: of the same side in both views, or with a known size of
+        either side.
 
         Along the epipolar lines another pair of nodes is a point at another depth.
         """
-        borders = zip(left.border or NO_SIDES, right.border or NO_SIDES, strict=True)
-        both = [here and there for here, there in borders]
-        rows_known, columns_known = any(both[:2]), any(both[2:])
+        sides = left.border or NO_SIDES, right.border or NO_SIDES
+        rows_known = self._decided(*(view[:2] for view in sides))
+        columns_known = self._decided(*(view[2:] for view in sides))
         for rows, columns in _SHIFTS:
             if (rows and rows_known) or (columns and columns_known):
                 continue
@@ -109,9 +113,15 @@ class TwoViews(Measurement):
                 raise GridError(
                     f"the two views may show different parts of the pattern: the rig fits as well "
                     f"with the right view's numbers shifted by {rows} rows and {columns} columns; "
-                    "give the pattern's rows and columns, or show its border on the same side of "
-                    "both views"
+                    "show its border on the same side of both views, or give its rows and columns "
+                    "and show a border of each in both"
                 )
+
+    def _decided(self, left: Ends, right: Ends) -> bool:
+        """Return whether the ends of the lines that each view shows decide their numbers."""
+        if self._knows_size:
+            return any(left) and any(right)
+        return any(here and there for here, there in zip(left, right, strict=True))
 
     def _check_order(self, left: Grid, right: Grid, error: float) -> None:
         """Raise GridError if the rig fits far better to views that are swapped or mirrored.
