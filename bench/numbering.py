@@ -46,6 +46,7 @@ from scenes import View, photograph
 from cmp_cl import Corners, Detector, DetectorConfig, Grid, NodeStatus, build_grid
 from cmp_cl.errors import GridError
 from cmp_cl.grid import build, choice
+from cmp_cl.lattice import joins
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.plan import LatticePlan
 from cmp_cl.synthetic.scoring import agreeing
@@ -64,7 +65,7 @@ ABLATION: dict[str, dict[str, Any]] = {
     "faces of torn corners agree as others": {"torn_corners": 4},
     "no joins across tears": {"join_votes": 1e9},
     "joins whatever the colours": {"join_votes": 0.0},
-    "joins whatever the surface": {"join_bend": 0.0},
+    "joins whatever the surface": {"bends_more": lambda *_: 2.0},
     "torn corners count as whole ones": {"rough_weight_per_px2": 1e9},
     "no test of nodes": {"prior_nats": 1e6},
     "nodes whatever their sides": {"side_nats": 0.0, "prior_nats": K.prior_nats + 4 * K.side_nats},
@@ -113,10 +114,15 @@ def of_grid_sized(view: View, corners: Corners) -> Answer | None:
 
 @contextlib.contextmanager
 def changed(constants: dict[str, Any]) -> Iterator[None]:
-    """Let `build_grid` use other constants."""
-    values = dataclasses.replace(K, **constants)
+    """Let `build_grid` use other constants, and another factor of the surface's bends at joins."""
+    values = dataclasses.replace(K, **{k: v for k, v in constants.items() if k != "bends_more"})
     plan = functools.partial(LatticePlan, constants=values)
-    with mock.patch.object(choice, "K", values), mock.patch.object(build, "lattice_plan", plan):
+    bends = constants.get("bends_more", joins.bends_more)
+    with (
+        mock.patch.object(choice, "K", values),
+        mock.patch.object(build, "lattice_plan", plan),
+        mock.patch.object(joins, "bends_more", bends),
+    ):
         yield
 
 

@@ -12,8 +12,9 @@ import numpy as np
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
-from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Mask
+from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Mask, Whole
 from cmp_cl.lattice.constants import LatticeConstants
+from cmp_cl.lattice.joins import Side, bends_more
 from cmp_cl.lattice.numbers import (
     Decision,
     Numbering,
@@ -61,16 +62,54 @@ class Found:
         own, its = (np.subtract(each.box[2:], each.box[:2]) for each in (self, other))
         return 2 * self.size >= other.size and bool((2 * own >= its).any())
 
+    @functools.cached_property
+    def lines(self) -> tuple[Mask, Mask]:
+        """Return which of its rows, and which of its columns, hold a node."""
+        mine = self.board.owner >= 0
+        rows, columns = (np.logical_or.reduce(mine, axis=axis) for axis in (1, 0))
+        return rows, columns
+
+    @property
+    def across(self) -> int:
+        """Return the nodes on the smaller side of lines without a node, as behind a bar, if the
+        surface through both sides does not bend far more at any other place; 0 if it does."""
+        board, unsure = self.board, 0
+        number = np.indices(board.owner.shape)
+        for lines, line in zip(self.lines, number, strict=True):
+            held = np.flatnonzero(lines)
+            for last in held[:-1][np.diff(held) > 1]:
+                sides = (_side(board, each) for each in (line <= last, line > last))
+                smaller, larger = sorted(sides, key=lambda each: len(each.at))
+                if bends_more(larger, smaller, 0j, K) < math.exp(K.sure_nats):
+                    unsure = max(unsure, len(smaller.at))
+        return unsure
+
     @property
     def gap(self) -> int:
         """Return the number of places between nodes of its rows and of its columns that show no
-        corner, 0 if they are few."""
-        there = self.board.there
-        if there.all():
-            return 0
+        corner, 0 if they are few; lines without a node are not asked."""
+        there = self.board.there[np.ix_(*self.lines)]
         inside = _between(there) & _between(there.T).T
         missing = int(np.count_nonzero(inside & ~there))
         return missing if missing >= max(K.least_board, K.gap * np.count_nonzero(inside)) else 0
+
+    @property
+    def hanging(self) -> int:
+        """Return the nodes of the second largest region of cells whose four nodes are firm, 0 if
+        they are few: a pattern that goes on as another by chance hangs on it by a single side, or
+        by rough corners, or by ones on its outline, where cells of one colour differ. Lines without
+        a node are left out."""
+        firm = self.board.firm[np.ix_(*self.lines)]
+        cells = np.pad(firm[:-1, :-1] & firm[1:, :-1] & firm[:-1, 1:] & firm[1:, 1:], 1)
+        _, region, regions, _ = cv2.connectedComponentsWithStats(
+            cells.astype(np.uint8), connectivity=4
+        )
+        if len(regions) < 3:
+            return 0
+        second = region == 1 + np.argsort(regions[1:, cv2.CC_STAT_AREA])[-2]
+        nodes = second[:-1, :-1] | second[1:, :-1] | second[:-1, 1:] | second[1:, 1:]
+        count = int(np.count_nonzero(nodes))
+        return count if count >= K.least_board else 0
 
     @functools.cached_property
     def is_whole(self) -> bool:
@@ -96,17 +135,18 @@ class Found:
 def found_in(boards: Iterable[Board], asked: Asked, corners: Corners) -> list[Found]:
     """Return the boards of a view with their numbers, those of more corners first.
 
-    Where corners go on a board's lattice, lines may follow that are not seen; without a known size
-    that is told.
+    Where corners go on a board's lattice, lines may follow that are not seen, and it does not end
+    on their side; without a known size that is told.
     """
     found = []
     for board in boards:
         if not (board.owner >= 0).any():
             continue
         beyond = _corners_beyond(board, corners)
-        if beyond:
-            board.border = board.border._replace(room=np.zeros(4, np.bool_))
-        found.append(Found(board, _decided(board, asked), beyond))
+        if beyond.any():
+            reach = np.where(beyond[1:] < K.beside, board.border.reach, np.nan)
+            board.border = board.border._replace(room=np.zeros(4, np.bool_), reach=reach)
+        found.append(Found(board, _decided(board, asked), int(beyond[0])))
     return sorted(found, key=lambda each: -each.size)
 
 
@@ -117,52 +157,47 @@ def _between(there: Mask) -> Mask:
     return between
 
 
-def _corners_beyond(board: Board, corners: Corners) -> int:
-    """Return how many corners are none of a board's and lie on its lattice, up to a way beside it.
+def _corners_beyond(board: Board, corners: Corners) -> Whole:
+    """Return how many corners are none of a board's and lie on its lattice, up to a way beside it;
+    and how many of them before its first row, after its last, and so for columns, (5,).
 
     A hand, or noise, parts a board. The lattice is continued as if it were flat. 0 if they are
     fewer than the votes that join parts, or if others are near it that lie anywhere.
     """
-    mine = board.owner >= 0
+    none, mine = np.zeros(5, np.int64), board.owner >= 0
     nodes = board.owner[mine]
-    if len(corners) - len(nodes) < K.join_votes or len(nodes) < K.least_board:
-        return 0
+    if len(corners) - len(nodes) < K.beside or len(nodes) < K.least_board:
+        return none
     beside = (K.span + 0.5) * max(map(abs, board.steps))
     near = np.ones(len(corners), np.bool_)
     near[nodes] = False
     for line, of_board in zip(corners.xy.T, (board.x[mine], board.y[mine]), strict=True):
         near &= (line > of_board.min() - beside) & (line < of_board.max() + beside)
     free = corners.xy[near].astype(np.float64)
-    if len(free) < max(K.join_votes, K.gap * len(nodes)):
-        return 0
+    if len(free) < max(K.beside, K.gap * len(nodes)):
+        return none
     number = np.argwhere(mine)[:, ::-1].astype(np.float64)
     some = np.random.default_rng(0).permutation(len(nodes))[: K.tear_most]  # not all of one line
     plane, _ = cv2.findHomography(corners.xy[nodes[some]].astype(np.float64), number[some])
     if plane is None:
-        return 0
+        return none
     wide = np.pad(~mine, K.span, constant_values=True)  # places without a node
     at = cv2.perspectiveTransform(free[None], plane)[0] + K.span
     place = np.rint(np.clip(at, 0, np.array(wide.shape[::-1]) - 1)).astype(np.int64)
     apart = np.abs(at - place).max(axis=1)
     empty = wide[place[:, 1], place[:, 0]] & (apart <= 0.5)
-    count = np.count_nonzero(empty & (apart < K.reach_cells))
-    least = max(K.join_votes, K.gap * len(nodes), K.least_line * np.count_nonzero(empty))
-    return int(count) if count >= least else 0
+    near = empty & (apart < K.reach_cells)
+    least = max(K.beside, K.gap * len(nodes), K.least_line * np.count_nonzero(empty))
+    if np.count_nonzero(near) < least:
+        return none
+    (column, row), (top, bottom, left, right) = place[near].T - K.span, board.outer_lines
+    sides = row < top, row > bottom, column < left, column > right
+    return np.array([len(row), *map(np.count_nonzero, sides)])
 
 
-def _hanging(board: Board) -> int:
-    """Return the nodes of the second largest region of cells whose four nodes are firm, 0 if they
-    are few: a pattern that goes on as another by chance hangs on it by a single side, or by rough
-    corners, or by ones on its outline, where cells of one colour differ."""
-    firm = board.firm
-    cells = np.pad(firm[:-1, :-1] & firm[1:, :-1] & firm[:-1, 1:] & firm[1:, 1:], 1)
-    _, region, regions, _ = cv2.connectedComponentsWithStats(cells.astype(np.uint8), connectivity=4)
-    if len(regions) < 3:
-        return 0
-    second = region == 1 + np.argsort(regions[1:, cv2.CC_STAT_AREA])[-2]
-    nodes = second[:-1, :-1] | second[1:, :-1] | second[:-1, 1:] | second[1:, 1:]
-    count = int(np.count_nonzero(nodes))
-    return count if count >= K.least_board else 0
+def _side(board: Board, some: Mask) -> Side:
+    row, column = np.nonzero(some & (board.owner >= 0))
+    return Side(board.at[row, column], column + 1j * row, np.ones(len(row), np.bool_))
 
 
 def _decided(board: Board, asked: Asked) -> Decision:
@@ -217,7 +252,9 @@ def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | Non
             f"{math.ceil(least)}; give the shape, or a cut-out of the image"
         )
     if not (sure or chosen.is_whole):
-        others = others or _hanging(chosen.board)
+        others = others or chosen.hanging
+    if asked.shape is None or not chosen.fills(asked.shape):
+        others = others or chosen.across
     beside = 0 if asked.shape is not None and chosen.fits else chosen.beyond
     return chosen, others or chosen.gap or beside
 

@@ -299,15 +299,46 @@ def test_a_part_of_a_board_beside_a_bar_is_not_taken_for_the_whole_in_silence(mi
 @pytest.mark.parametrize("turn", [2, 35])
 def test_rows_on_both_sides_of_a_bar_are_no_neighbours(width, turn):
     """The bar hides two rows; beyond it lies one, three steps away, of colours that fit."""
-    camera = plane(cell=24, middle=(200, 150), about=(4.5, 4), turn=turn)
-    _, v = camera(*samples(SIZE))
-    front = np.where(abs(v - 1.5) < width / 2, 120.0, np.nan)
-    view = drawn(camera, SIZE, (9, 10), front=front)
+    view = behind_bar(row=1.5, width=width, turn=turn)
     grid = grid_of(view)
     score = scored(grid, view)
     assert score.right == 6 * 10
     assert score.clean
     assert grid.others == 10
+    sized = grid_of(view, shape=(9, 10))  # the row beyond shows that the board goes on there
+    assert scored(sized, view, known="board").right == 6 * 10
+    assert not sized.doubts
+
+
+def behind_bar(row: float, width: float, turn: float) -> View:
+    camera = plane(cell=24, middle=(200, 150), about=(4.5, 4), turn=turn)
+    _, v = camera(*samples(SIZE))
+    front = np.where(abs(v - row) < width / 2, 120.0, np.nan)
+    return drawn(camera, SIZE, (9, 10), front=front)
+
+
+@pytest.mark.parametrize("row", [2.5, 3.5])
+@pytest.mark.parametrize("turn", [2, 35])
+def test_a_flat_board_goes_on_behind_a_bar_that_hides_two_rows(row, turn):
+    view = behind_bar(row, width=1.2, turn=turn)
+    grid = grid_of(view)
+    assert scored(grid, view, known="board").right == 7 * 10
+    assert not grid.doubts
+
+
+@pytest.mark.parametrize("aside", [0.3, -0.2])
+def test_two_boards_in_line_by_chance_are_not_taken_for_one_in_silence(aside):
+    one, other = (
+        plane(cell=16, middle=(200, 150), about=about, turn=10)
+        for about in ((6.6, 3.5), (-1.6, 3.5 + aside))
+    )
+    view = drawn(one, SIZE, (8, 6), noise=0.0)
+    both = drawn(other, SIZE, (8, 6), ground=view.image.astype(np.float32))
+    try:
+        grid = grid_of(both)
+    except GridError:
+        return
+    assert grid.doubts
 
 
 @pytest.mark.parametrize("turn", [2, 10])
