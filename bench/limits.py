@@ -51,10 +51,7 @@ def sweeps() -> dict[str, tuple[list[float], Make]]:
         "blur, px": ([0.5, 1, 1.5, 2, 2.5, 3, 4, 5], lambda v, s: base(s, blur=v)),
         "noise, grey levels": ([0, 10, 20, 25, 35, 50, 70], lambda v, s: base(s, noise=v)),
         "exposure": ([0.05, 0.1, 0.2, 0.5, 1, 2.5, 6, 10], lambda v, s: base(s, exposure=v)),
-        "vignetting": (
-            [1, 1.5, 2.6, 4, 6, 8, 10],
-            lambda v, s: base(s, vignetting=v, light=0.0),
-        ),
+        "vignetting": ([1, 1.5, 2.6, 4, 6, 8, 10], lambda v, s: base(s, vignetting=v, light=0.0)),
         "cell, px": (
             [6, 7, 8, 10, 12, 15, 20, 30, 45, 60],
             lambda v, s: base(s, max(3, min(100, round(0.92 * 480 / v) - 1))),

@@ -3,6 +3,7 @@ photographs, and patterns without an end.
 """
 
 import functools
+import itertools
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -21,13 +22,11 @@ MARKS = ("dot", "ring", "cross", "square", "code")
 CELLS = (24, 36, 50)  # px, of marked boards
 Views = Iterator[View]
 GROUNDS = ("plain", "squares", "keys", "bars", "noise")
-SETS = {"stereo_opencv": (0.25,), "stereo_bumblebee2": (0.2, 0.4), "puzzleboard": (0.2, 0.4)}
-SETS |= {"curved": (0.2, 0.4)}  # photographs, and the shares that are cut off
-NAMES = {
-    "stereo_opencv": [f"right{number:02}" for number in range(1, 6)],
-    "stereo_bumblebee2": [f"right{number:02}" for number in range(1, 5)],
-    "puzzleboard": ["example1"],
-    "curved": ["curve_4"],
+SETS = {  # photographs, and the shares that are cut off
+    "stereo_opencv": ([f"right{number:02}" for number in range(1, 6)], (0.25,)),
+    "stereo_bumblebee2": ([f"right{number:02}" for number in range(1, 5)], (0.2, 0.4)),
+    "puzzleboard": (["example1"], (0.2, 0.4)),
+    "curved": (["curve_4"], (0.2, 0.4)),
 }
 
 
@@ -110,13 +109,12 @@ def photographs(_: int, count: int) -> Views:
         return
     every = (
         view
-        for folder, shares in SETS.items()
-        for name in NAMES[folder]
+        for folder, (names, shares) in SETS.items()
+        for name in names
         for share in shares
         for view in cuts(photograph(f"{folder}/{name}"), share)
     )
-    for _, view in zip(range(count), every, strict=False):
-        yield view
+    yield from itertools.islice(every, count)
 
 
 # boards before a background
@@ -244,14 +242,14 @@ def with_marks(mark: str, cell: float, seed: int, texels: int = 48) -> View:
         inside = (np.clip((each + 0.5) * texels, 0, texels - 1) for each in (v, u))
         return ink[tuple(each.astype(int) for each in (*place, *inside))]
 
-    high, wide = rows * cell, columns * cell
-    ends = np.array([[0, 0], [wide, 0], [wide, high], [0, high]]) - (wide / 2, high / 2)
+    squares = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]])
+    ends = (squares - np.array([columns, rows]) / 2) * cell
     angle = draw.uniform(-0.3, 0.3)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     ends = ends @ turn + draw.uniform(-0.6, 0.6, (4, 2)) * cell + np.array(SHAPE[::-1]) / 2 - 0.5
-    squares = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], np.float32) - 1
+    from_squares = cv2.getPerspectiveTransform(np.float32(squares - 1), np.float32(ends))
     seen = boards.drawn(
-        boards.homography(cv2.getPerspectiveTransform(squares, ends.astype(np.float32))),
+        boards.homography(from_squares),
         SHAPE,
         (rows - 1, columns - 1),
         levels=(35, 200),
@@ -368,5 +366,4 @@ def corners_in(case: Open) -> np.ndarray:
 def without_end(seed: int, count: int) -> Views:
     """Yield single frames of patterns without an end."""
     for number, case in enumerate(open_patterns(seed, count)):
-        image = picture(case, seed + number)
-        yield View(image, corners_in(case), case.cell * case.zoom)
+        yield View(picture(case, seed + number), corners_in(case), case.cell * case.zoom)

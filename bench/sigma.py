@@ -14,7 +14,7 @@ import itertools
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from environment import run
@@ -29,13 +29,7 @@ from cmp_cl.synthetic import Scene, random_scene
 CORROSIONS = (0.0, 0.3, 1.0, 2.0)
 NOISES = (0.5, 8.0)  # grey levels, beside the 2 to 4.5 of other scenes
 FIRST_SEED = TEST_SEED + 700_000
-
-
-class Errors(NamedTuple):
-    """Errors (N, 2) and their sigma (N,), px."""
-
-    error: np.ndarray
-    sigma: np.ndarray
+Errors = tuple[np.ndarray, np.ndarray]  # (N, 2) and their sigma (N,), px
 
 
 def scenes(quick: bool) -> Iterator[Scene]:
@@ -84,16 +78,16 @@ def measured(scene: Scene, detector: Detector) -> dict[str, Errors] | None:
         "displacement, raw": (now.xy - rest.xy - moved, field.raw.sigma),
         "displacement": (field.displacement - moved, field.sigma),
     }
-    return {kind: Errors(error[good], sigma[good]) for kind, (error, sigma) in kinds.items()}
+    return {kind: (error[good], sigma[good]) for kind, (error, sigma) in kinds.items()}
 
 
 def summary(kind: str, parts: Sequence[Errors], **group: Any) -> dict[str, Any]:
     """Return the figures of a kind over some frames."""
     shares = []
-    for each in parts:
-        ratio = np.abs(each.error) / each.sigma[:, None]
+    for error, sigma in parts:
+        ratio = np.abs(error) / sigma[:, None]
         shares.append(float(np.mean(ratio[np.isfinite(ratio).all(axis=1)] <= 2)))
-    squares = [float(np.square(each.error).sum(axis=1).mean()) for each in parts]
+    squares = [float(np.square(error).sum(axis=1).mean()) for error, _ in parts]
     return {
         "kind": kind,
         **group,

@@ -4,7 +4,7 @@ import cv2
 import images
 import numpy as np
 import pytest
-from corner_images import board
+from corner_images import board, grain
 
 from cmp_cl import Corners, GridError, detect, measure
 from cmp_cl.cli.main import main
@@ -12,11 +12,9 @@ from cmp_cl.cli.main import main
 SHAPE = (240, 320)
 
 
-def grain(smooth):
+def grey(smooth):
     """Return grey with noise of 8 grey levels, smoothed over that many px."""
-    noise = np.random.default_rng(1).normal(size=SHAPE)
-    noise = cv2.GaussianBlur(noise, (0, 0), smooth) if smooth else noise
-    return np.clip(128 + 8 * noise / noise.std(), 0, 255).astype(np.uint8)
+    return np.clip(128 + 8 * grain(SHAPE, smooth, 1), 0, 255).astype(np.uint8)
 
 
 def advice(image) -> str:
@@ -27,7 +25,7 @@ def advice(image) -> str:
 
 @pytest.mark.parametrize("smooth", [0.7, 1, 1.5, 2, 3])
 def test_the_corners_of_coarse_noise_are_said_to_be_noise(smooth):
-    assert "noise" in advice(grain(smooth))
+    assert "noise" in advice(grey(smooth))
 
 
 def test_strong_edges_without_a_corner_are_spoken_of():
@@ -70,7 +68,7 @@ QUIET = {
     "3 x 3 px": lambda: np.full((3, 3), 90, np.uint8),
     "1 row": lambda: np.full((1, 9), 90, np.uint8),
     "a ramp": lambda: np.tile(np.linspace(20, 200, 320).astype(np.uint8), (240, 1)),
-    "fine noise": lambda: grain(0),
+    "fine noise": lambda: grey(0),
 }
 
 
@@ -80,7 +78,7 @@ def test_nothing_is_said_of_a_pattern_or_of_an_image_without_edges(name):
 
 
 def test_the_command_line_and_a_search_for_a_board_say_it(tmp_path, capsys):
-    image = grain(1.5)
+    image = grey(1.5)
     cv2.imwrite(str(tmp_path / "noise.png"), image)
     assert main(["detect", str(tmp_path / "noise.png")]) == 0
     assert "noise or texture" in capsys.readouterr().err

@@ -109,10 +109,3 @@ def test_every_block_of_a_page_runs_in_order(page, folder):
             for line in text.splitlines():
                 assert line.startswith("$ "), line
                 command(line.removeprefix("$ "))
-
-
-def test_links_between_pages_lead_somewhere():
-    for page in PAGES:
-        text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
-        for target in re.findall(r"\]\(([^)#:\s]+)(?:#[\w-]+)?\)", text):
-            assert (page.parent / target).exists(), f"{page}: {target}"

@@ -7,7 +7,7 @@ import xml.etree.ElementTree
 
 import numpy as np
 import pytest
-from stereo_data import field_of, gel, grid_of
+from stereo_data import gel, grid_of, points
 
 from cmp_cl.motion import displacement
 from cmp_cl.space import PointStatus
@@ -18,7 +18,7 @@ def field(*, space):
     rest, now = gel(18, 19, depth=0), gel(18, 19)
     rest[2, 3] = np.nan
     if space:
-        return field_of(rest, now).with_strain()
+        return displacement(points(rest), points(now)).with_strain()
     return displacement(grid_of(rest[..., :2]), grid_of(1.01 * rest[..., :2])).with_strain()
 
 

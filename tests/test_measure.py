@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from comparison import assert_same_bytes
+from corner_images import grain
 from gels import GEL, NODES, RIG, SPLIT, Shot, numbered_otherwise, pressed
 from lattices import drawn
 from videos import write_video
@@ -83,8 +84,8 @@ def enlarged(image):
 
 def grainy(image, deviation=6):
     """Return the image with noise that neighbours share."""
-    noise = cv2.GaussianBlur(np.random.default_rng(1).normal(size=image.shape), (0, 0), 2)
-    return np.clip(np.rint(image + deviation * noise / noise.std()), 0, 255).astype(np.uint8)
+    grey = image + deviation * grain(image.shape, 2, 1)
+    return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
 
 
 def torn(node, half, by):
@@ -360,8 +361,7 @@ def test_a_pattern_is_found_without_its_cell():
 
 
 def test_a_board_has_the_nodes_that_a_calibration_may_use_at_their_filtered_positions():
-    camera = boards.plane(cell=24, middle=(150, 120), about=(4, 2.5))
-    image = boards.drawn(camera, (240, 300), (6, 9)).image
+    image, _ = drawn(6, 9)
     image[:, :90] = grainy(image, 30)[:, :90]
     _, seen = measure.find_pattern(image, shape=(6, 9))
     board = measure.find_board(image, (6, 9))
@@ -373,8 +373,7 @@ def test_a_board_has_the_nodes_that_a_calibration_may_use_at_their_filtered_posi
 
 
 def test_a_board_without_a_sure_corner_is_refused():
-    camera = boards.plane(cell=24, middle=(150, 120), about=(4, 2.5))
-    image = boards.drawn(camera, (240, 300), (6, 9)).image
+    image, _ = drawn(6, 9)
     assert measure.find_board(grainy(image, 10), (6, 9)).valid.sum() > 40
     with pytest.raises(GridError, match=r"no corner has a sigma of at most 0.2 px"):
         measure.find_board(grainy(image, 40), (6, 9))

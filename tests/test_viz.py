@@ -9,7 +9,7 @@ import urllib.request
 import cv2
 import numpy as np
 import pytest
-from disks import full_after
+from children import full_after
 from lattices import corners_at
 from stereo_data import grid_of
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from cases import some
-from disks import full_after
+from children import full_after
 from gels import RIG, VIEW, numbered_otherwise, pressed
 from lattices import drawn
 from messages import fails_in_one_line

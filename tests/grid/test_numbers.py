@@ -406,14 +406,15 @@ RIM = [
 ]
 
 
-def at_the_rim(far: float, tilt: tuple[float, float], aside: tuple[float, float]) -> Camera:
-    """Return a fisheye close to a board of 6 x 8 corners."""
-    return fisheye(180.0, (*tilt, 0.0), np.array([*aside, far]), (3.5, 2.5), (480, 640))
+def close(focal: float, far: float, tilt: tuple[float, float], aside: tuple[float, float]) -> View:
+    """Return a board of 6 x 8 corners close to a fisheye."""
+    camera = fisheye(focal, (*tilt, 0.0), np.array([*aside, far]), (3.5, 2.5), (480, 640))
+    return drawn(camera, (480, 640), (6, 8), margin=-0.3, noise=1.5)
 
 
 @pytest.mark.parametrize(("far", "tilt", "aside"), RIM)
 def test_a_board_close_to_a_fisheye_keeps_all_corners_that_are_found(far, tilt, aside):
-    view = drawn(at_the_rim(far, tilt, aside), (480, 640), (6, 8), margin=-0.3, noise=1.5)
+    view = close(180.0, far, tilt, aside)
     corners = corners_of(view)
     away = np.linalg.norm(corners.xy[:, None] - view.corners[:, :2], axis=2).min(axis=0)
     grid = build_grid(corners, view.image, shape=(6, 8))
@@ -431,19 +432,12 @@ HARD = [  # focal length, px; distance, tilt and offset of the board
 ]
 
 
-def strong_fisheye(number: int) -> Camera:
-    """Return one of a few hard views of a board close to a fisheye, or any."""
+@pytest.mark.parametrize("number", some(range(40), range(len(HARD))))
+def test_a_strong_fisheye_numbers_no_node_wrongly_in_silence(number):
     draw = np.random.default_rng(number)
     focal, far = draw.uniform(150, 200), draw.uniform(1.3, 2.4)
     tilt, aside = draw.uniform(-0.6, 0.6, 2), draw.uniform(-0.4, 0.4, 2)
-    if number < len(HARD):
-        focal, far, tilt, aside = HARD[number]
-    return fisheye(focal, (*tilt, 0.0), np.array([*aside, far]), (3.5, 2.5), (480, 640))
-
-
-@pytest.mark.parametrize("number", some(range(40), range(len(HARD))))
-def test_a_strong_fisheye_numbers_no_node_wrongly_in_silence(number):
-    view = drawn(strong_fisheye(number), (480, 640), (6, 8), margin=-0.3, noise=1.5)
+    view = close(*(HARD[number] if number < len(HARD) else (focal, far, tilt, aside)))
     assert_right_or_told(grid_of(view, shape=(6, 8)), view, "board")
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cases import some
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
-from corner_images import to_nearest
+from corner_images import grain, to_nearest
 
 from cmp_cl import DetectorConfig, EdgeLines, Midlines, RingHarmonic
 from cmp_cl.synthetic import boards
@@ -77,8 +77,7 @@ def assert_found_alone(found, truth, margin):
 @pytest.mark.parametrize("smooth", [1, 2, 3])
 def test_noise_between_wide_cells_is_no_corner(detector_in_form, smooth):
     image, truth = images.board(*SHAPE, 60, angle=0.3, blur=1.5, samples=3)
-    noise = cv2.GaussianBlur(np.random.default_rng(3).normal(size=SHAPE), (0, 0), smooth)
-    dim = np.linspace(0.4, 1, SHAPE[1]) * image + 12 * noise / noise.std()
+    dim = np.linspace(0.4, 1, SHAPE[1]) * image + 12 * grain(SHAPE, smooth, 3)
     image = dim.clip(0, 255).astype(np.uint8)
     found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
     assert_found_alone(found, truth, 15)
@@ -90,9 +89,8 @@ def test_noise_between_wide_cells_is_no_corner(detector_in_form, smooth):
 def test_strong_noise_on_the_small_ring_is_no_corner(detector_in_form, seed, smooth):
     """Ink joins the squares, so that halved frames have the corners, and the frame but noise."""
     image, truth = ink(43, 0.09, angle=0.5)
-    noise = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=SHAPE), (0, 0), smooth)
     soft = cv2.GaussianBlur(image.astype(float), (0, 0), 1.3)
-    image = (13 + 0.6 * soft + 12 * noise / noise.std()).clip(0, 255).astype(np.uint8)
+    image = (13 + 0.6 * soft + 12 * grain(SHAPE, smooth, seed)).clip(0, 255).astype(np.uint8)
     found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
     assert_found_alone(found, truth, 20)
 

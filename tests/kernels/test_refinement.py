@@ -5,15 +5,13 @@ edge_lines, edge_step (one corner at a time, and eight), midlines, centroid, cen
 
 import itertools
 
-import cv2
 import images
 import numpy as np
 import pytest
-import tolerances
 from cases import some
-from comparison import assert_corners_equal, assert_same_bytes
+from comparison import POSITION, assert_corners_equal, assert_same_bytes
 from configs import rings
-from corner_images import board, corner
+from corner_images import board, corner, grain
 from detectors import in_form
 
 from cmp_cl import (
@@ -186,38 +184,35 @@ def test_far_columns_are_equally_exact(detector_for, name, columns):
     np.testing.assert_array_equal(far.pixel[same], near.pixel[clear] + [added, 0])
     rounding = np.spacing(np.float32(columns)) / 2
     moved = far.xy[same].astype(np.float64) - [added, 0]
-    np.testing.assert_allclose(
-        moved, near.xy[clear], rtol=0, atol=rounding + tolerances.POSITION / 10
-    )
+    np.testing.assert_allclose(moved, near.xy[clear], rtol=0, atol=rounding + POSITION / 10)
 
 
-def errors(found, truth):
-    """Return how far each corner is from the nearest true one, (N, 2) px."""
-    apart = found.xy[:, None] - truth
-    return apart[np.arange(len(found)), np.linalg.norm(apart, axis=2).argmin(axis=1)]
-
-
-@pytest.mark.parametrize("factor", [2, 3])
-def test_two_sigma_cover_the_error_where_every_pixel_is_repeated(detector_for, factor):
+def enlarged(factor):
     """Edges in steps of whole pixels move the corners; the noise of the image does not tell."""
     image, truth = board(180, 240, 20)
     image = image.repeat(factor, axis=0).repeat(factor, axis=1)
-    found = detector_for(image, DetectorConfig())(image)
-    error = errors(found, (truth + 0.5) * factor - 0.5)
-    near = (np.linalg.norm(error, axis=1) < 6) & np.isfinite(found.sigma)
-    assert near.sum() > 40
-    assert (np.abs(error[near]) < 2 * found.sigma[near, None]).mean() > 0.9
+    return image, (truth + 0.5) * factor - 0.5
 
 
-@pytest.mark.parametrize("smooth", [0.01, 1, 2])
-def test_two_sigma_cover_the_error_in_noise_that_neighbours_share(detector_for, smooth):
-    """Such noise moves a corner by much more than its differences from pixel to pixel tell."""
+def grainy(smooth):
+    """Noise moves a corner by much more than its differences from pixel to pixel tell."""
     image, truth = board(300, 400, 20)
-    noise = cv2.GaussianBlur(np.random.default_rng(5).normal(size=image.shape), (0, 0), smooth)
-    image = np.clip(30 + 0.7 * image + 8 * noise / noise.std(), 0, 255).astype(np.uint8)
-    found = detector_for(image, DetectorConfig())(image)
-    error = errors(found, truth)
-    near = (np.linalg.norm(error, axis=1) < 3) & (found.method == Method.EDGE_STEP)
-    assert near.sum() > 150
-    assert (np.abs(error[near]) < 2 * found.sigma[near, None]).mean() > 0.9
-    assert np.median(found.sigma[near]) < 2.5 * np.sqrt(np.square(error[near]).mean())
+    grey = 30 + 0.7 * image + 8 * grain(image.shape, smooth, 5)
+    return np.clip(grey, 0, 255).astype(np.uint8), truth
+
+
+@pytest.mark.parametrize(
+    ("make", "amounts", "within", "count", "median"),
+    [(enlarged, (2, 3), 6, 40, np.inf), (grainy, (0.01, 1, 2), 3, 150, 2.5)],
+)
+def test_two_sigma_cover_the_error(detector_for, make, amounts, within, count, median):
+    """Where every pixel is repeated, and in noise that neighbours share."""
+    for amount in amounts:
+        image, truth = make(amount)
+        found = detector_for(image, DetectorConfig())(image)
+        apart = found.xy[:, None] - truth
+        error = apart[np.arange(len(found)), np.linalg.norm(apart, axis=2).argmin(axis=1)]
+        near = (np.linalg.norm(error, axis=1) < within) & (found.method == Method.EDGE_STEP)
+        assert near.sum() > count
+        assert (np.abs(error[near]) < 2 * found.sigma[near, None]).mean() > 0.9
+        assert np.median(found.sigma[near]) < median * np.sqrt(np.square(error[near]).mean())

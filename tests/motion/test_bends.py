@@ -11,7 +11,7 @@ from cmp_cl import Detector, DetectorConfig, EdgeStep, RingHarmonic
 from cmp_cl.filter import bend_shift
 from cmp_cl.grid import build_grid
 from cmp_cl.grid.grid import MEASURED
-from cmp_cl.motion import PlaneScale, displacement, filter_positions
+from cmp_cl.motion import displacement, filter_positions
 from cmp_cl.reference import detect
 from cmp_cl.reference.field import filter as lattice_filter
 from cmp_cl.synthetic import Indenter, Mode, boards, random_scene, render
@@ -102,17 +102,6 @@ def test_sigma_holds_for_positions_on_a_perfect_print(pressed):
     found = filter_positions(now)
     within = np.abs(found.xy - truth) <= 2 * found.sigma[..., None]
     assert 0.9 <= within.mean() <= 0.98  # 0.95 of normal errors
-
-
-def test_the_difference_of_the_shifts_is_subtracted_from_displacements(pressed):
-    rest, now, _ = pressed
-    blind = [dataclasses.replace(grid, edge_radius=math.nan) for grid in (rest, now)]
-    scale = PlaneScale.of_pixel(0.1, "mm")
-    shifted, better = (displacement(*pair, scale=scale) for pair in (blind, (rest, now)))
-    shift = 0.1 * (bend_shift(now.xy, now.edge_radius) - bend_shift(rest.xy, rest.edge_radius))
-    left = shifted.displacement - better.displacement - shift
-    assert rms(left) < 0.2 * rms(shift)  # here the shift is that of raw positions
-    np.testing.assert_array_equal(better.raw.displacement, shifted.raw.displacement)
 
 
 def test_points_in_space_contain_the_shift_and_displacements_are_free_of_it():

@@ -5,13 +5,21 @@ import functools
 from typing import Any
 
 import numpy as np
-import tolerances
 from numpy.typing import NDArray
 
 from cmp_cl import Corners, Detector, DetectorConfig, reference
 from cmp_cl.corners import HarmonicMaps, Maps
 
 FLOATS = ("spectrum_12", "spectrum_23", "correlation", "phase")
+
+# The most by which floating-point results of a device may differ from the oracle's in float64.
+# Integer stages have no tolerance: they are equal.
+POSITION = 1e-3  # px, of refined positions and centroids
+ANGLE = 1e-3  # rad, of the directions of boundaries
+SIGMA = 1e-2  # of a standard deviation, relative
+MARGIN = 1e-4  # of a check's quantity from its bound: nearer, float32 may decide otherwise
+UNDECIDED = 0.01  # share of the corners that may be as near as that, beside one
+CORRELATION = 1e-6  # of the spectral maps, which are float32
 
 
 def assert_maps_equal(
@@ -32,9 +40,7 @@ def assert_maps_equal(
         assert one is not None, name
         assert one.dtype == other.dtype, name
         if name in FLOATS:
-            np.testing.assert_allclose(
-                one, other, rtol=0, atol=tolerances.CORRELATION, err_msg=name
-            )
+            np.testing.assert_allclose(one, other, rtol=0, atol=CORRELATION, err_msg=name)
         else:
             np.testing.assert_array_equal(one, other, err_msg=name)
     return found
@@ -52,20 +58,16 @@ def assert_corners_equal(
     expected, margin = _oracle(image.shape, *seen)
     np.testing.assert_array_equal(found.pixel, expected.pixel)
     np.testing.assert_array_equal(found.response, expected.response)
-    decided = margin > tolerances.MARGIN
-    assert (~decided).sum() <= 1 + tolerances.UNDECIDED * len(decided)
+    decided = margin > MARGIN
+    assert (~decided).sum() <= 1 + UNDECIDED * len(decided)
     np.testing.assert_array_equal(found.method[decided], expected.method[decided])
     np.testing.assert_array_equal(found.refusal[decided], expected.refusal[decided])
     np.testing.assert_array_equal(found.doubtful[decided], expected.doubtful[decided])
-    np.testing.assert_allclose(
-        found.xy[decided], expected.xy[decided], rtol=0, atol=tolerances.POSITION
-    )
-    np.testing.assert_allclose(
-        found.sigma[decided], expected.sigma[decided], rtol=tolerances.SIGMA, atol=0
-    )
+    np.testing.assert_allclose(found.xy[decided], expected.xy[decided], rtol=0, atol=POSITION)
+    np.testing.assert_allclose(found.sigma[decided], expected.sigma[decided], rtol=SIGMA, atol=0)
     apart = np.remainder(found.edges - expected.edges + np.pi, 2 * np.pi) - np.pi
     np.testing.assert_array_equal(np.isnan(found.edges[decided]), np.isnan(expected.edges[decided]))
-    assert not (np.abs(apart[decided]) > tolerances.ANGLE).any()
+    assert not (np.abs(apart[decided]) > ANGLE).any()
     return found
 
 

@@ -50,6 +50,15 @@ def to_nearest(points: NDArray, others: NDArray) -> NDArray[np.float64]:
     return np.linalg.norm(points[:, None] - others, axis=2).min(axis=1, initial=np.inf)
 
 
+def grain(
+    shape: tuple[int, int], smooth: float, seed: int | np.random.Generator = 0
+) -> NDArray[np.float64]:
+    """Return normal noise of variance 1 that neighbours share. smooth: px."""
+    noise = np.random.default_rng(seed).normal(size=shape)
+    noise = cv2.GaussianBlur(noise, (0, 0), smooth) if smooth else noise
+    return noise / noise.std()
+
+
 def noise(shape: tuple[int, int], seed: int = 0) -> NDArray[np.uint8]:
     """Return uniform noise over all grey levels."""
     return np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)

@@ -12,8 +12,7 @@ from unittest import mock
 
 import cv2
 import numpy as np
-import tolerances
-from comparison import assert_maps_equal, assert_same_bytes
+from comparison import MARGIN, POSITION, assert_maps_equal, assert_same_bytes
 from configs import settings_of
 from corner_images import board
 
@@ -127,15 +126,15 @@ def assert_as_expected(found: Corners, image: np.ndarray, config: DetectorConfig
     expected, margin = reference.detect_with_margin(image, config)
     np.testing.assert_array_equal(found.pixel, expected.pixel)
     np.testing.assert_array_equal(found.response, expected.response)
-    decided = margin > tolerances.MARGIN
+    decided = margin > MARGIN
     assert np.isfinite(found.xy).all()
     distance = np.abs(found.xy - expected.xy).max(axis=1, initial=0)
-    loose = (distance > tolerances.POSITION) | (found.method != expected.method)
+    loose = (distance > POSITION) | (found.method != expected.method)
     if loose[decided].any():
         moved = movement_by_rounding(image, config)
         decided &= margin > moved  # rounding may carry a check over its bound
         np.testing.assert_array_equal(found.method[decided], expected.method[decided])
-        assert (distance <= tolerances.POSITION + 5 * moved)[decided].all(), (distance, moved)
+        assert (distance <= POSITION + 5 * moved)[decided].all(), (distance, moved)
 
 
 def valid_case(seed: int, number: int, device: str | None) -> None:

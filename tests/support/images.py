@@ -2,9 +2,8 @@
 
 import functools
 
-import cv2
 import numpy as np
-from corner_images import board, noise
+from corner_images import board, grain, noise
 from numpy.typing import NDArray
 
 from cmp_cl import synthetic
@@ -32,8 +31,7 @@ def salt_and_pepper(shape: tuple[int, int], share: float) -> NDArray[np.uint8]:
 def texture(shape: tuple[int, int], seed: int = 7) -> NDArray[np.uint8]:
     """Return a random texture as fine as the rings, with candidates of every kind."""
     rng = np.random.default_rng(seed)
-    smooth = cv2.GaussianBlur(rng.normal(size=shape), (0, 0), 1.5)
-    grey = 128 + 60 * smooth / smooth.std() + rng.normal(0, 3, shape)
+    grey = 128 + 60 * grain(shape, 1.5, rng) + rng.normal(0, 3, shape)
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
 
 

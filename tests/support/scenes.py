@@ -5,6 +5,7 @@ import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
+import corner_images
 import cv2
 import numpy as np
 from lattices import keep as reordered  # noqa: F401
@@ -72,8 +73,7 @@ def blocks(size: tuple[int, int], seed: int) -> Array:
 
 def gravel(size: tuple[int, int], seed: int, grain: float = 1.8) -> Array:
     """Return fine texture, (H, W) grey levels. grain: px."""
-    rough = cv2.GaussianBlur(np.random.default_rng(seed).standard_normal(size), (0, 0), grain)
-    return 120 + 60 * rough / rough.std()
+    return 120 + 60 * corner_images.grain(size, grain, seed)
 
 
 def dots(u: Array, v: Array, row: Array, column: Array) -> NDArray[np.bool_]:

@@ -6,9 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from cmp_cl.field import DisplacementField
 from cmp_cl.grid import Grid, NodeStatus
-from cmp_cl.motion import displacement
 from cmp_cl.space import Points3D, PointStatus, StereoRig
 
 _ABOVE = Path(__file__).resolve().parents[3:]
@@ -128,11 +126,6 @@ def points(xyz: np.ndarray, sigma: float = 0.01, unit: str = "mm") -> Points3D:
         source=np.where(missing, NodeStatus.MISSING, NodeStatus.DETECTED).astype(np.uint8),
         unit=unit,
     )
-
-
-def field_of(rest: np.ndarray, now: np.ndarray) -> DisplacementField:
-    """Return the displacement from positions at rest to current ones, (R, C, 3) each, mm."""
-    return displacement(points(rest), points(now))
 
 
 def rms(error: np.ndarray) -> float:
