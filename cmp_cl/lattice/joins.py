@@ -99,27 +99,34 @@ class Joining:
     def sure(self, part: int) -> Placement | None:
         """Return the placement of a part if it is sure.
 
-        It has the most votes, and the surface bends least there: enough votes, times how much more
-        the surface bends elsewhere. Neither is enough alone: squeezed cells can get lost between
-        the parts, which makes counts too short; and where cells are long the surface expects more
-        of them. Behind a bar few colours are seen, but a flat board goes on nowhere else.
+        The surface bends least there, and it has enough votes, times how much more the surface
+        bends elsewhere. Neither is enough alone: squeezed cells can get lost between the parts,
+        which makes counts too short; and where cells are long the surface expects more of them. So
+        another placement may have more votes, if neither evidence is far against the other. Behind
+        a bar few colours are seen, but a flat board goes on nowhere else.
         """
         ballots: dict[Placement, float] = defaultdict(float)
         for other, beside, weight in self.votes[part]:
             if place := self.places.get(other):
                 ballots[beside.within(place)] += weight
-        at = max(ballots, key=lambda each: ballots[each])
-        return at if ballots[at] * self.ratio(part, at) > self.k.join_votes else None
+        most = max(ballots, key=lambda each: ballots[each])
+        energy = bending(*self.sides(part, most), most.offset + SHIFTS, self.k)
+        least = int(energy.argmin())
+        at = most._replace(offset=most.offset + SHIFTS[least])
+        votes = ballots.get(at, 0.0)
+        if ballots[most] * energy[0] > self.k.join_conflict * votes * energy[least]:
+            return None
+        sure = votes * bends_more(*self.sides(part, at), at.offset, self.k) > self.k.join_votes
+        return at if sure else None
 
-    def ratio(self, part: int, at: Placement) -> float:
-        """Return by what factor the surface bends more at the second best offset; 0 if this one is
-        not the best."""
+    def sides(self, part: int, at: Placement) -> tuple["Side", "Side"]:
+        """Return what is placed, and a part with its numbers turned as at a placement."""
         units, some, there = self.units, self.members[part], self.unit >= 0
         there[units.corner[some]] = False
         others, (column, row, _, _) = self.unit[there], self.numbers[there].T
         fixed = Side(units.at[others], column + 1j * row, units.rim[others])
         moved = Side(units.at[some], units.number[some] * TURNS[at.quarter], units.rim[some])
-        return bends_more(fixed, moved, at.offset, self.k)
+        return fixed, moved
 
 
 def _keys(numbers: NDArray[np.int32]) -> NDArray[np.int64]:
@@ -157,7 +164,6 @@ def bends_more(fixed: Side, moved: Side, offset: complex, k: LatticeConstants) -
     """Return by what factor the surface through both sides bends more at the second best offset of
     the second side's numbers; 0 if this one is not the best."""
     energy = bending(fixed, moved, offset + SHIFTS, k)
-    energy = np.where(energy > 0, energy, np.inf)
     first, second = np.sort(energy)[:2]
     best = SHIFTS[energy.argmin()] == 0 and np.isfinite(first)
     return float(second / first) if best else 0.0
@@ -198,7 +204,7 @@ def bending(fixed: Side, moved: Side, offsets: Numbers, k: LatticeConstants) -> 
     except np.linalg.LinAlgError:
         return np.full(len(offsets), np.inf)
     energy: Float = (position * (inverse @ position)).sum() + (left * w).sum(axis=(1, 2))
-    return energy
+    return np.where(energy > 0, energy, np.inf)
 
 
 def _trend(number: Numbers) -> Float:
