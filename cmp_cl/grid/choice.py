@@ -14,7 +14,7 @@ from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
 from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Mask, Whole
 from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.lattice.joins import Side, bends_more
+from cmp_cl.lattice.joins import SHIFTS, Side, bending, factor
 from cmp_cl.lattice.numbers import (
     Decision,
     Numbering,
@@ -80,7 +80,7 @@ class Found:
             for last in held[:-1][np.diff(held) > 1]:
                 sides = (_side(board, each) for each in (line <= last, line > last))
                 smaller, larger = sorted(sides, key=lambda each: len(each.at))
-                if bends_more(larger, smaller, 0j, K) < math.exp(K.sure_nats):
+                if factor(bending(larger, smaller, SHIFTS, K)) < math.exp(K.sure_nats):
                     unsure = max(unsure, len(smaller.at))
         return unsure
 

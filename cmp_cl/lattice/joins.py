@@ -110,23 +110,24 @@ class Joining:
             if place := self.places.get(other):
                 ballots[beside.within(place)] += weight
         most = max(ballots, key=lambda each: ballots[each])
-        energy = bending(*self.sides(part, most), most.offset + SHIFTS, self.k)
+        energy = self.energy(part, most)
         least = int(energy.argmin())
         at = most._replace(offset=most.offset + SHIFTS[least])
         votes = ballots.get(at, 0.0)
         if ballots[most] * energy[0] > self.k.join_conflict * votes * energy[least]:
             return None
-        sure = votes * bends_more(*self.sides(part, at), at.offset, self.k) > self.k.join_votes
-        return at if sure else None
+        if at != most:
+            energy = self.energy(part, at)
+        return at if votes * factor(energy) > self.k.join_votes else None
 
-    def sides(self, part: int, at: Placement) -> tuple["Side", "Side"]:
-        """Return what is placed, and a part with its numbers turned as at a placement."""
+    def energy(self, part: int, at: Placement) -> Float:
+        """Return how much the surface bends at a placement of a part, and at others beside it."""
         units, some, there = self.units, self.members[part], self.unit >= 0
         there[units.corner[some]] = False
         others, (column, row, _, _) = self.unit[there], self.numbers[there].T
         fixed = Side(units.at[others], column + 1j * row, units.rim[others])
         moved = Side(units.at[some], units.number[some] * TURNS[at.quarter], units.rim[some])
-        return fixed, moved
+        return bending(fixed, moved, at.offset + SHIFTS, self.k)
 
 
 def _keys(numbers: NDArray[np.int32]) -> NDArray[np.int64]:
@@ -160,10 +161,9 @@ class Side(NamedTuple):
         return Side(self.at[chosen], self.number[chosen], self.rim[chosen])
 
 
-def bends_more(fixed: Side, moved: Side, offset: complex, k: LatticeConstants) -> float:
-    """Return by what factor the surface through both sides bends more at the second best offset of
-    the second side's numbers; 0 if this one is not the best."""
-    energy = bending(fixed, moved, offset + SHIFTS, k)
+def factor(energy: Float) -> float:
+    """Return by what factor the surface bends more at the second best of `SHIFTS`; 0 if no shift is
+    not the best."""
     first, second = np.sort(energy)[:2]
     best = SHIFTS[energy.argmin()] == 0 and np.isfinite(first)
     return float(second / first) if best else 0.0
