@@ -2,7 +2,6 @@
 
 import importlib.util
 import sys
-import types
 from pathlib import Path
 
 import numpy as np
@@ -27,28 +26,21 @@ def node(monkeypatch):
     class Node:
         def __init__(self, name):
             self.published, self.said = [], []
-
-        def declare_parameter(self, name, value):
-            return Message(value=value)
-
-        def create_publisher(self, kind, topic, depth):
-            return Message(publish=self.published.append)
+            logger = Message(info=self.said.append, error=self.said.append)
+            self.get_logger = lambda: logger
+            self.declare_parameter = lambda name, value: Message(value=value)
+            self.create_publisher = lambda *_: Message(publish=self.published.append)
 
         def create_subscription(self, kind, topic, callback, depth):
             assert topic == "image_raw"
 
-        def get_logger(self):
-            return Message(info=self.said.append, error=self.said.append)
-
-    for name, content in (
-        ("rclpy", {}),
-        ("rclpy.node", {"Node": Node}),
-        ("sensor_msgs", {}),
-        ("sensor_msgs.msg", {kind: Message for kind in ("Image", "PointCloud2", "PointField")}),
-    ):
-        module = types.ModuleType(name)
-        module.__dict__.update(content)
-        monkeypatch.setitem(sys.modules, name, module)
+    kinds = {kind: Message for kind in ("Image", "PointCloud2", "PointField")}
+    for name, content in {
+        "rclpy": {},
+        "rclpy.node": {"Node": Node},
+        "sensor_msgs.msg": kinds,
+    }.items():
+        monkeypatch.setitem(sys.modules, name, Message(**content))
     spec = importlib.util.spec_from_file_location("ros_node", EXAMPLE)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -53,16 +53,6 @@ def recording(press, tmp_path):
     return folder
 
 
-@pytest.fixture
-def one_view(press, tmp_path):
-    """Return a folder with the left views."""
-    folder = tmp_path / "left"
-    folder.mkdir()
-    for number, shot in enumerate(press):
-        cv2.imwrite(str(folder / f"{number}.png"), shot.left.image)
-    return folder
-
-
 STEREO = "--stereo", "rig.yaml", "--grid", "12x12", "--out", "press.npz"
 
 
@@ -404,8 +394,10 @@ def test_the_live_view_is_in_a_browser_at_the_address_that_is_told(run, recordin
     assert shown[0].shape[1] > VIEW[1]
 
 
-def test_a_pipe_gets_json_lines_alone_and_the_report_goes_to_stderr(one_view):
-    command = [sys.executable, "-m", "cmp_cl", "run", str(one_view), "--grid", "12x12"]
+def test_a_pipe_gets_json_lines_alone_and_the_report_goes_to_stderr(press, tmp_path):
+    write_video(tmp_path / "left.avi", [shot.left.image for shot in press])
+    video = str(tmp_path / "left.avi")
+    command = [sys.executable, "-m", "cmp_cl", "run", video, "--grid", "12x12"]
     done = subprocess.run([*command, "--out", "-"], capture_output=True, text=True, check=True)
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     assert lines[0]["units"]["xy"] == lines[0]["units"]["displacement"] == "px"
@@ -447,8 +439,7 @@ def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
 
 
 def test_a_video_of_12_bits_is_measured_without_options_and_keeps_its_times(run):
-    camera = boards.plane(cell=12, middle=(36, 36))
-    picture = boards.drawn(camera, (200, 200), (12, 12), noise=0).image
+    picture, _ = drawn(12, 12)
     write_deep_video("deep.mkv", picture.astype(np.uint16) << 3)  # in half of the light
     assert run("run", "deep.mkv", "--grid", "12x12", "--out", "deep.npz")[0] == 0
     assert read_series("deep.npz")["time_ms"] == pytest.approx([0, 35, 110])
