@@ -4,7 +4,6 @@ What they measure is not looked at: a name, a setting or a column that one of th
 that is gone is seen here.
 """
 
-import contextlib
 import importlib
 import shutil
 import sys
@@ -89,16 +88,6 @@ def test_the_report_is_made_of_the_tables_in_results(script, monkeypatch, tmp_pa
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
-def test_memory_and_results_stay_the_same(device, script, monkeypatch, tmp_path):
+def test_memory_and_results_stay_the_same(device, script, monkeypatch):
     monkeypatch.setenv("CMP_CL_DEVICE", device.index)
-    endurance = script("endurance")
-    assert endurance.endure(12, openings=20) == []
-    with contextlib.ExitStack() as opened:
-        kept = []
-
-        def leaks():
-            kept.append(b"1" * 2**23 + bytes([len(kept)]))
-            opened.enter_context((tmp_path / "file").open("w"))
-            return len(kept)
-
-        assert len(endurance.faults(leaks, lambda rounds: rounds < 40)) == 3
+    assert script("endurance").endure(12, openings=20) == []

@@ -16,14 +16,7 @@ from configs import all_settings, settings_of
 from corner_images import board, to_nearest
 
 import cmp_cl
-from cmp_cl import (
-    BinaryRings,
-    Detector,
-    DetectorConfig,
-    Method,
-    RapidCriteria,
-    errors,
-)
+from cmp_cl import BinaryRings, Detector, DetectorConfig, Method, RapidCriteria, errors
 from cmp_cl.errors import (
     CalibrationError,
     CapacityError,

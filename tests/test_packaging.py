@@ -1,6 +1,5 @@
-"""Files that other tools read: one version, the recipe, the citation, the workflows."""
+"""The recipe for conda asks for what the project needs."""
 
-import importlib.metadata
 import re
 import tomllib
 from pathlib import Path
@@ -10,20 +9,6 @@ import yaml
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-KEPT = ("*.py", "*.md", "*.cff", "*.yaml", "*.yml", "*.toml", "Dockerfile")
-
-
-def test_the_version_is_in_one_place():
-    assert importlib.metadata.version("cmp-cl") == PROJECT["version"]
-    pattern = re.compile(rf"""version\w*\s*[:=]\s*["']?v?{re.escape(PROJECT["version"])}\b""", re.I)
-    holders = {
-        path.relative_to(ROOT).as_posix()
-        for kind in KEPT
-        for folder in ("cmp_cl", "docs", "bench", ".github")
-        for path in (*(ROOT / folder).rglob(kind), *ROOT.glob(kind))
-        if pattern.search(path.read_text(encoding="utf-8"))
-    }
-    assert holders == {"pyproject.toml"}
 
 
 def test_the_conda_recipe_asks_for_what_the_project_needs():

@@ -27,13 +27,8 @@ FULL = DetectorConfig(
 HARMONIC = DetectorConfig(refinement=EdgeStep())
 
 
-@pytest.fixture
-def detector_for(detector_in_form):
-    return detector_in_form
-
-
-def plan_of(detector_for, config):
-    detector = detector_for(IMAGE, config)
+def plan_of(detector_in_form, config):
+    detector = detector_in_form(IMAGE, config)
     assert len(detector(IMAGE)) > 0
     plan = detector._plans.lend()
     kernels = plan.kernels.names
@@ -68,11 +63,11 @@ LEFT_OUT = {  # a configuration, one that has more, and its kernels and buffers
 
 
 @pytest.mark.parametrize("name", LEFT_OUT)
-def test_what_a_configuration_does_not_need_is_left_out(detector_for, form, name):
+def test_what_a_configuration_does_not_need_is_left_out(detector_in_form, form, name):
     config, than, launches, buffers = LEFT_OUT[name]
     launches = {each[form] if isinstance(each, dict) else each for each in launches}
-    plan, launched, kernels = plan_of(detector_for, config)
-    full, full_launched, full_kernels = plan_of(detector_for, than)
+    plan, launched, kernels = plan_of(detector_in_form, config)
+    full, full_launched, full_kernels = plan_of(detector_in_form, than)
     assert launches <= full_launched <= full_kernels
     assert set(buffers) <= set(full.arrays)
     assert not launches & (launched | kernels)

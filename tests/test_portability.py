@@ -15,12 +15,7 @@ from comparison import assert_corners_equal, assert_maps_equal, assert_same_byte
 from configs import CONFIGS, rings
 from detectors import in_form
 
-from cmp_cl import (
-    AdaptiveMean,
-    Detector,
-    DetectorConfig,
-    SpectralCriteria,
-)
+from cmp_cl import AdaptiveMean, Detector, DetectorConfig, SpectralCriteria
 from cmp_cl.opencl.program import kernel_folder
 from cmp_cl.stages.form import form_for
 

@@ -6,12 +6,7 @@ import math
 import cv2
 import numpy as np
 import pytest
-from stereo_data import (
-    gel,
-    grid_of,
-    project,
-    toed_in_rig,
-)
+from stereo_data import gel, grid_of, project, toed_in_rig
 
 from cmp_cl.errors import CalibrationError, ConfigError, FieldError, ImageError
 from cmp_cl.grid import NodeStatus

@@ -19,14 +19,7 @@ from lattices import drawn
 from messages import fails_in_one_line
 from videos import camera_of, write_deep_video, write_video
 
-from cmp_cl import (
-    Detector,
-    DetectorConfig,
-    DeviceError,
-    EdgeLines,
-    StereoRig,
-    select_device,
-)
+from cmp_cl import Detector, DetectorConfig, DeviceError, EdgeLines, StereoRig, select_device
 from cmp_cl.measure.views import View
 from cmp_cl.media import Frame, read_image
 from cmp_cl.series import SeriesWriter, read_series

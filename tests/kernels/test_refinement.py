@@ -45,33 +45,29 @@ refinements = pytest.mark.parametrize("name", REFINEMENTS)
 RULES = {"rings": rings(), "harmonic": DetectorConfig(detection=RingHarmonic(octaves=0))}
 
 
-def picture(kind):
-    """Return an image for each way in which corners can be hard."""
-    soft, _ = board(121, 83, 12)
-    grey = soft.astype(np.float64)
-    y, x = np.indices(images.SHAPE)
-    noisy = grey + np.random.default_rng(0).normal(0, 25, grey.shape)
-    return {
-        "worn scene": lambda: images.scene(1.5, seed=3).image,
-        "soft": lambda: soft,
-        "noisy": lambda: np.clip(np.rint(noisy), 0, 255).astype(np.uint8),
-        "saturated": lambda: np.clip((grey - 120) * 20 + 120, 0, 255).astype(np.uint8),
-        "steep light": lambda: (grey * np.geomspace(0.1, 1, 83)).astype(np.uint8),
-        "perfect": lambda: np.where((x // 12 + y // 12) % 2 == 0, 40, 200).astype(np.uint8),
-        "at the edge": lambda: np.ascontiguousarray(np.tile(corner(20, 20, 0.35), 2)[19:]),
-        "at the side": lambda: np.ascontiguousarray(np.tile(corner(20, 20, 0.35), 2)[19:].T),
-        "12 bits": lambda: DEEP["12-bit scene"],
-    }[kind]()
-
-
-KINDS = ("worn scene", "soft", "noisy", "saturated", "steep light", "perfect", "at the edge")
-KINDS += ("at the side", "12 bits")
+SOFT = board(121, 83, 12)[0]
+GREY = SOFT.astype(np.float64)
+NOISY = GREY + np.random.default_rng(0).normal(0, 25, GREY.shape)
+EDGE = np.ascontiguousarray(np.tile(corner(20, 20, 0.35), 2)[19:])
+Y, X = np.indices(images.SHAPE)
+PICTURES = {  # one for each way in which corners can be hard
+    "worn scene": images.scene(1.5, seed=3).image,
+    "soft": SOFT,
+    "noisy": np.clip(np.rint(NOISY), 0, 255).astype(np.uint8),
+    "saturated": np.clip((GREY - 120) * 20 + 120, 0, 255).astype(np.uint8),
+    "steep light": (GREY * np.geomspace(0.1, 1, 83)).astype(np.uint8),
+    "perfect": np.where((X // 12 + Y // 12) % 2 == 0, 40, 200).astype(np.uint8),
+    "at the edge": EDGE,
+    "at the side": np.ascontiguousarray(EDGE.T),
+    "12 bits": DEEP["12-bit scene"],
+}
+SOME = "worn scene", "saturated", "at the edge", "12 bits"
 
 
 @refinements
-@pytest.mark.parametrize("kind", some(KINDS, ("worn scene", "saturated", "at the edge", "12 bits")))
+@pytest.mark.parametrize("kind", some(PICTURES, SOME))
 def test_positions_are_the_oracles(detector_in_form, name, kind):
-    image = picture(kind)
+    image = PICTURES[kind]
     full_scale = 4095 if kind == "12 bits" else None
     config = rings(refinement=REFINEMENTS[name][0], full_scale=full_scale)
     corners = assert_corners_equal(detector_in_form(image, config), image)

@@ -15,14 +15,7 @@ from cmp_cl.opencl.launches import enqueue
 from cmp_cl.opencl.memory import Memory
 from cmp_cl.opencl.program import programs_of
 from cmp_cl.reference.field import track as oracle
-from cmp_cl.stages.refine import (
-    EDGES,
-    METHOD,
-    POSITION,
-    RESULT_FIELDS,
-    RESULT_HEAD,
-    VARIANCE,
-)
+from cmp_cl.stages.refine import EDGES, METHOD, POSITION, RESULT_FIELDS, RESULT_HEAD, VARIANCE
 
 SIZE = 420, 460
 SHAPE = 18, 22  # nodes; each other shape is compiled anew

@@ -36,7 +36,7 @@ def grid_of(xy: np.ndarray, sigma: float = np.nan) -> Grid:
     )
 
 
-def truth_grid(path: Path) -> Grid:
+def _listed(path: Path) -> Grid:
     """Return the listed corners of a photograph's JSON as a grid [j, i]."""
     corners = json.loads(path.read_text())["corners"]
     shape = max(c["j"] for c in corners) + 1, max(c["i"] for c in corners) + 1
@@ -50,7 +50,7 @@ def opencv_pairs() -> dict[str, list[Grid]]:
     """Return the listed corners of OpenCV's five photographs of each camera, 640 x 480 px."""
     folder = photographs("stereo_opencv")
     return {
-        side: [truth_grid(folder / f"{side}{pair:02}.json") for pair in range(1, 6)]
+        side: [_listed(folder / f"{side}{pair:02}.json") for pair in range(1, 6)]
         for side in ("left", "right")
     }
 
