@@ -22,11 +22,21 @@
   int most = 4;                                                                     \
   while (((float)most - 0.5f) * ((float)most - 0.5f) < radius_2 - nearest * nearest) most += 4;
 
+/* The weights of eight pixels, 0 outside the image. */
+#define SEEN(i, j, weight)                                                          \
+  seen_weight(weight, from_x + middle_x + (i) + (int8)(0, 1, 2, 3, 4, 5, 6, 7), last_column,   \
+       from_y + middle_y + (j), last_row)
+float8 seen_weight(const float8 weight, const int8 x, const int last_x, const int y, const int last_y) {
+  const float8 in_row = x >= 0 && x <= last_x ? weight : (float8)(0.0f);
+  return y >= 0 && y <= last_y ? in_row : (float8)(0.0f);
+}
+
 /* The model and the grey levels of eight pixels from column i of row j. */
 #define EIGHT_PIXELS(i, j)                                                          \
   const float8 ux = (float)(middle_x + (i)) - x + EIGHT;                            \
   const float uy = (float)(middle_y + (j)) - y;                                     \
-  CORNER_MODEL(uy * uy)                                                             \
+  CORNER_MODEL(uy * uy, whole)                                                      \
+  const float8 w = is_cut ? SEEN(i, j, whole) : whole;                              \
   const float8 I = EIGHT_GREYS(middle_x + (i), middle_y + (j)) - centre;
 
 /* Their residual, 0 outside the disc. */
@@ -51,19 +61,24 @@ __kernel void edge_step(CORNERS_TO_REFINE, SCALED_RINGS const float radius,
   if (!good) return;
   const float radius_2 = radius * radius, rim = 4 / radius_2;
   const float a_x = n1x * BY_BLUR, a_y = n1y * BY_BLUR, b_x = n2x * BY_BLUR, b_y = n2y * BY_BLUR;
-  const int middle_x = (int)floor(x + 0.5f), middle_y = (int)floor(y + 0.5f);
+  const int middle_x = (int)floor(x + HALF), middle_y = (int)floor(y + HALF);
   const int reach = (int)(radius + 0.5f);
   const float centre = GREY_NEAR(0, 0);
+  const int is_cut = CUT(from_x + middle_x, reach, last_column) ||
+                     CUT(from_y + middle_y, reach, last_row);
 
   LEVEL_SUMS
+  float8 uncut = 0;
   for (int j = -reach; j <= reach; ++j) {
     DISC_ROW(j)
     for (int i = -most; i < most; i += 8) {
       EIGHT_PIXELS(i, j)
       ADD_LEVELS(w, P, I)
+      uncut += whole;
     }
   }
   LEVELS
+  const float share = is_cut ? sum_1 / sum_of_eight(uncut) : 1;
 
   RESIDUAL_SUMS
   float8 vro = 0;

@@ -7,10 +7,9 @@ from cmp_cl.corners import Method, Refusal
 from cmp_cl.reference.edges import (
     EdgePoints,
     both_lines,
-    boundary_points,
     bounded,
     intersect,
-    normal_of,
+    line_points,
     within,
 )
 
@@ -50,19 +49,14 @@ def lines_sigma(points: EdgePoints) -> Floats:
     """Return the standard deviation per axis of the intersection of EDGE_LINES, px: (N,).
 
     The residuals of both lines together give the variance of a point: each line of n points has
-    n - 2 degrees of freedom. The variance of a line is 1 / n of it. The intersection divides it by
-    the squared sine of the angle between the lines.
+    n - 2 degrees of freedom, and a mean square of n times its residual. The variance of a line is
+    1 / n of it. The intersection divides it by the squared sine of the angle between the lines.
     """
-    counts = 2 * points.valid.sum(axis=1)
-    squares = np.zeros(len(counts))
     lines = both_lines(points)
-    for line, boundaries in zip(lines, ((0, 2), (1, 3)), strict=True):
-        point, valid = boundary_points(points, boundaries)
-        normal = normal_of(line)[:, None]
-        apart = ((point - line.centre[:, None]) * normal).sum(axis=2)
-        squares += np.where(valid, apart**2, 0).sum(axis=1)
+    counts = sum(line_points(points, first)[1].sum(axis=1) for first in (0, 1))
+    apart = sum(line.residual for line in lines)
     sin = np.sin(lines[1].angle - lines[0].angle)
     with np.errstate(all="ignore"):
-        variance = squares / (2 * (counts - 2)) / counts / sin**2
+        variance = apart / (counts - 4) / sin**2
     result: Floats = np.sqrt(LINES_ERROR**2 + variance)
     return result

@@ -17,6 +17,8 @@ Bools = NDArray[np.bool_]
 STEP_SHIFT = 2.0  # px, from the start
 LARGEST_STEP = 0.7  # px
 BLUR = 1.2  # px, of the model's edges
+# Symmetric corners lie between two pixels exactly; the second is the middle one
+HALF = 0.5 + 2**-12
 LEAST_CONTRAST = 1e-3  # grey levels
 LEAST_SPREAD = 1e-3  # of the model, relative to its weighted mean square
 GRADIENT = 1e-3  # 1/px, expected gradient of the light, unless the image shows a larger one
@@ -129,15 +131,15 @@ def _step_terms(
     ac is the autocorrelation of the residual's odd part, since an even residual moves no corner:
     half the difference of the means of r(q) r(q + 1) and of r(q) (r(-q - 1) + r(1 - q)) / 2,
     weighted by w(q), minus the part that comes from the light's gradient. q is counted from the
-    middle pixel, q + 1 is the right neighbour, and r is 0 outside the radius. rho^2 is mean r^2
-    minus the mean of r(q) r(q + 1): the noise, which neighbours do not share. The grain is the
-    noise over the disc relative to rho^2. It is seen where the model has nothing but noise: along
-    k P, k the coordinate along s or t, in the part that neither an offset nor the light's gradient
-    explains.
+    middle pixel, q + 1 is the right neighbour, and r is 0 outside the radius or the image. rho^2 is
+    mean r^2 minus the mean of r(q) r(q + 1): the noise, which neighbours do not share. The grain is
+    the noise over the disc relative to rho^2. It is seen where the model has nothing but noise:
+    along k P, k the coordinate along s or t, in the part that neither an offset nor the light's
+    gradient explains.
     """
     height, width = image.shape
     reach = np.arange(-math.ceil(radius), math.ceil(radius) + 1)
-    middle = np.floor(shift + 0.5).astype(np.int64)
+    middle = np.floor(shift + HALF).astype(np.int64)
     x = (middle[:, 0, None] + reach)[:, None, :]
     y = (middle[:, 1, None] + reach)[:, :, None]
     columns = np.clip(start[:, 0, None, None] + x, 0, width - 1)
@@ -148,8 +150,11 @@ def _step_terms(
 
     ux, uy = x - shift[:, 0, None, None], y - shift[:, 1, None, None]
     r2 = ux * ux + uy * uy
-    inside = r2 < radius * radius
-    w = weight_of(r2, radius)
+    is_seen = (columns == start[:, 0, None, None] + x) & (rows == start[:, 1, None, None] + y)
+    inside = is_seen & (r2 < radius * radius)
+    whole = weight_of(r2, radius)
+    w = np.where(is_seen, whole, 0)
+    share = np.where(is_seen.all(axis=(1, 2)), 1, w.sum(axis=(1, 2)) / whole.sum(axis=(1, 2)))
     p, da, db = model_of(*(n[:, 0, None, None] * ux + n[:, 1, None, None] * uy for n in (n1, n2)))
 
     def total(values: Floats) -> Floats:
@@ -168,7 +173,8 @@ def _step_terms(
         squares = total(r * r)
 
         axes, half = edge_frame(n1, n2)
-        d_d, d_k, d_kp, k_k, k_kp, k_kpp = np.moveaxis(moments(half, radius), -1, 0)
+        known = moments(half, radius) * share[:, None, None]
+        d_d, d_k, d_kp, k_k, k_kp, k_kpp = np.moveaxis(known, -1, 0)
         d_light = d_k + ratio[:, None] * d_kp
         light_2 = k_k + 2 * ratio[:, None] * k_kp + ratio[:, None] ** 2 * k_kpp
         r_d = half * np.stack([total(r * (da + db)), total(r * (da - db))], axis=1)

@@ -18,6 +18,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 RADII = (3, 4, 5)  # px
+LEAST_POINTS = 3  # of a line
 LEAST_SIN = 0.17  # least sine of the angle between two lines
 
 
@@ -27,12 +28,15 @@ class EdgePoints:
 
     point: (N, 3, 4, 2) per ring and boundary, (x, y) from the start.
     valid: (N, 3) rings that have four boundaries.
+    seen: (N, 3, 4) points of valid rings that lie in the image: where rings leave it, border pixels
+        are repeated, which bends edges.
     direction: (N, 4, 2) per boundary the sum of the unit vectors to its points on valid rings.
     margin: (N,) as in `Refined`.
     """
 
     point: Floats
     valid: Bools
+    seen: Bools
     direction: Floats
     margin: Floats
 
@@ -118,7 +122,10 @@ def edge_points(image: GreyImage, start: NDArray[np.int64], scale: float) -> Edg
 
     unit = point / np.maximum(norm(point), 1e-12)[..., None]
     direction = np.where(valid[..., None, None], unit, 0).sum(axis=1)
-    return EdgePoints(point=point, valid=valid, direction=direction, margin=margin)
+    place = point + start[:, None, None]
+    last = np.array(image.shape[::-1]) - 0.5
+    seen = valid[..., None] & ((place >= -0.5) & (place <= last)).all(axis=3)
+    return EdgePoints(point=point, valid=valid, seen=seen, direction=direction, margin=margin)
 
 
 def _ring_edges(offset: Floats, d: Floats) -> tuple[Floats, Bools, Floats]:
@@ -197,10 +204,21 @@ def fit_lines(point: Floats, valid: Bools) -> Lines:
 
 def both_lines(points: EdgePoints) -> tuple[Lines, Lines]:
     """Return the line through e0 and e2, and the one through e1 and e3."""
-    return (
-        fit_lines(*boundary_points(points, (0, 2))),
-        fit_lines(*boundary_points(points, (1, 3))),
-    )
+    return fit_lines(*line_points(points, 0)), fit_lines(*line_points(points, 1))
+
+
+def line_points(points: EdgePoints, first: int) -> tuple[Floats, Bools]:
+    """Return the points of the boundaries `first` and `first` + 2 on all rings, (N, 6, 2), and a
+    mask of those that are seen, (N, 6)."""
+    chosen, _ = boundary_points(points, (first, first + 2))
+    return chosen, points.seen[:, :, [first, first + 2]].reshape(len(chosen), -1)
+
+
+def enough_points(points: EdgePoints) -> Bools:
+    """Return whether two rings have four boundaries, and each line has LEAST_POINTS, (N,)."""
+    counts = [line_points(points, first)[1].sum(axis=1) for first in (0, 1)]
+    enough: Bools = (points.valid.sum(axis=1) >= 2) & (np.min(counts, axis=0) >= LEAST_POINTS)
+    return enough
 
 
 def boundary_points(points: EdgePoints, boundaries: tuple[int, ...]) -> tuple[Floats, Bools]:

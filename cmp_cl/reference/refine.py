@@ -15,7 +15,7 @@ from cmp_cl.corners import Method, Refusal
 from cmp_cl.image import GreyImage
 from cmp_cl.reference.edge_lines import edge_lines, lines_sigma
 from cmp_cl.reference.edge_step import STEP_SHIFT, disc_radius, edge_step
-from cmp_cl.reference.edges import EdgePoints, edge_points
+from cmp_cl.reference.edges import EdgePoints, edge_points, enough_points
 from cmp_cl.reference.midlines import midlines
 
 Floats = NDArray[np.float64]
@@ -65,7 +65,9 @@ def refine(
             margin=np.full(count, np.inf),
         )
     points = edge_points(image, start, scale)
-    enough = points.valid.sum(axis=1) >= 2
+    two_rings = points.valid.sum(axis=1) >= 2
+    midline = isinstance(refinement, Midlines)
+    enough = two_rings if midline else enough_points(points)
     max_shift = STEP_SHIFT if isinstance(refinement, EdgeStep) else refinement.max_shift
     sigma = unknown
     doubtful = np.zeros(count, np.bool_)
@@ -96,7 +98,7 @@ def refine(
         method=method,
         refusal=refusal,
         sigma=np.where(method == Method.KEPT, np.nan, sigma),
-        edges=np.where(enough[:, None], edges, np.nan),
+        edges=np.where(two_rings[:, None], edges, np.nan),
         doubtful=doubtful,
         margin=np.where(enough, np.minimum(margin, points.margin), points.margin),
     )

@@ -17,7 +17,7 @@
 #define BEHIND 32 /* elements behind the last pixel, which vector stores overwrite */
 #define BEFORE 8 /* residuals before the first pixel, all 0, as those behind the last */
 
-#define ROUNDED(v) ((int)((v) + 1024.5f) - 1024) /* near 0; floor is a call */
+#define ROUNDED(v) ((int)((v) + (1024 + HALF)) - 1024) /* near 0; floor is a call */
 
 /* A row of the list begins with a pixel that is always outside the disc, so that the row before
  * ends there. The columns -most to most from the middle pixel follow. So the pixel opposite to
@@ -98,7 +98,7 @@ LOOP void values_of(const Disc *restrict disc, const Model *restrict model,
   const float rim = model->rim;
   for (int k = 0; k < disc->count; k += 8) {
     const float8 ux = LOAD_8(disc->dx_of, k) - model->x, uy = LOAD_8(disc->dy_of, k) - model->y;
-    CORNER_MODEL(uy * uy)
+    CORNER_MODEL(uy * uy, w)
     SLOPES
     STORE_8(values->weight_of, k, w);
     STORE_8(values->model_of, k, P);
@@ -106,6 +106,23 @@ LOOP void values_of(const Disc *restrict disc, const Model *restrict model,
     STORE_8(values->slope_b_of, k, B);
     STORE_8(values->grey_of, k, GREYS_AT(values->pixel_of + k) - model->centre);
   }
+}
+
+/* Let the pixels outside the image weigh nothing; return the share that the others have of all
+ * weights. The middle pixel is (x, y). */
+LOOP float cut_disc(const Disc *restrict disc, const int x, const int y, const int last_column,
+                    const int last_row, float *restrict weight_of) {
+  float all = 0, seen = 0;
+  for (int k = 0; k <= 2 * disc->reach; ++k) {
+    const int row = y + k - disc->reach, left = x + disc->left_of[k] - disc->begin_of[k];
+    for (int i = disc->begin_of[k]; i < disc->begin_of[k + 1]; ++i) {
+      const int is_seen = row >= 0 && row <= last_row && left + i >= 0 && left + i <= last_column;
+      all += weight_of[i];
+      weight_of[i] = is_seen ? weight_of[i] : 0.0f;
+      seen += weight_of[i];
+    }
+  }
+  return seen / all;
 }
 
 /* What LEVEL_SUMS declares, v1 first. */
@@ -209,9 +226,13 @@ __kernel void edge_step_eight(CORNERS_TO_REFINE, SCALED_RINGS const float radius
                            rim,
                            centre};
 
-      read_disc(&disc, image, start, last, columns, pitch, near_x + middle_x, near_y + middle_y,
-                values.pixel_of);
+      const int x_of = near_x + middle_x, y_of = near_y + middle_y;
+      read_disc(&disc, image, start, last, columns, pitch, x_of, y_of, values.pixel_of);
       values_of(&disc, &model, &values);
+      const int last_of = ((const int *)&last_column)[lane];
+      const int is_cut = CUT(x_of, disc.reach, last_of) || CUT(y_of, disc.reach, last);
+      const float share =
+          is_cut ? cut_disc(&disc, x_of, y_of, last_of, last, values.weight_of) : 1.0f;
       LevelSums levels;
       add_levels(&values, disc.count, &levels);
       const float8 v1 = levels.one, vp = levels.p, vpp = levels.pp, vi = levels.i, vpi = levels.pi;

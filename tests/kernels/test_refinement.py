@@ -24,11 +24,13 @@ from cmp_cl import (
     Midlines,
     RapidCriteria,
     RingHarmonic,
+    detect,
     reference,
 )
 from cmp_cl.corners import Refusal
 from cmp_cl.opencl.device import DeviceKind
 from cmp_cl.stages.form import Form
+from cmp_cl.synthetic import boards
 
 EIGHT, DEEP = images.eight_bits(), images.sixteen_bits()
 WIDE = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
@@ -165,6 +167,21 @@ def test_discs_that_leave_the_image_equal_the_oracle(detector_in_form, cell):
     distance = np.minimum(stepped, np.array(image.shape[::-1]) - 1 - stepped).min(axis=1)
     assert (distance < 0.6 * cell).any()
     assert (distance > 0.6 * cell).any()
+
+
+@pytest.mark.parametrize("turn", [20, 30, 40])
+def test_what_lies_outside_the_image_does_not_bend_the_edges_at_its_border(device, turn):
+    view = boards.drawn(boards.plane(cell=17, middle=(130, 100), turn=turn), (200, 260), seed=1)
+    corners = detect(view.image, device=device)
+    off = corners.xy[:, None] - view.corners[:, :2]
+    nearest = np.linalg.norm(off, axis=2).argmin(axis=1)
+    truth = view.corners[nearest, :2]
+    inside = np.minimum(truth, [259, 199] - truth).min(axis=1)  # px from the border
+    near = (inside > 2) & (inside < 4.5)
+    off = (corners.xy - truth)[near]
+    assert near.sum() >= 5
+    assert np.sqrt(np.mean(off**2)) < 0.1  # px
+    assert np.isfinite(corners.sigma[near]).all()
 
 
 @pytest.mark.parametrize("name", ["edge step", "edge lines", "midlines"])
