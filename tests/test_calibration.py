@@ -5,9 +5,8 @@ import math
 import cv2
 import numpy as np
 import pytest
-from cameras import SIZE, camera
 from cases import some
-from stereo_data import gel, grid_of, opencv_pairs, project, toed_in_rig, views_of
+from stereo_data import SIZE, camera, gel, grid_of, opencv_pairs, project, toed_in_rig, views_of
 
 from cmp_cl import CalibrationError, calibrate
 from cmp_cl.points import sides

@@ -6,8 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from cameras import DISTORTIONS, MATRIX, SIZE, camera
-from stereo_data import grid_of, opencv_pairs
+from stereo_data import DISTORTIONS, MATRIX, SIZE, camera, grid_of, opencv_pairs
 
 from cmp_cl.errors import CalibrationError, ConfigError
 from cmp_cl.space import Lens, StereoRig, calibrate

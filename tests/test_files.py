@@ -1,9 +1,12 @@
-"""Files written whole or not at all."""
+"""Files are written whole or not at all, and read or refused whatever is in them."""
 
 import os
 import stat
+from pathlib import Path
 
 import pytest
+from cases import some
+from children import python
 
 from cmp_cl.files import csv_bytes, read_toml, whole_file, write_bytes
 
@@ -81,3 +84,13 @@ def test_settings_that_are_too_long_or_damaged_are_refused(text, why, tmp_path):
         read_toml(tmp_path / "a.toml")
     (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbfa = 1\r\nb = 0.5\r\n")  # as Windows writes it
     assert read_toml(tmp_path / "a.toml") == {"a": 1, "b": 0.5}
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+@pytest.mark.parametrize("cases", some([20, 250], [20]))
+def test_a_damaged_file_of_any_kind_gives_a_result_or_an_error_of_cmp_cl(cases):
+    """A process of its own reads each: a library in C might end it."""
+    fuzzer = Path(__file__).with_name("fuzz_files.py")
+    done = python(fuzzer, "--cases", cases, "--seed", 1, timeout=None)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "'refused'" in done.stdout

@@ -1,4 +1,5 @@
-"""Which module may import which: only those of its own layer and of those below it."""
+"""Which module may import which: only those of its own layer and of those below it; and what
+`import cmp_cl` does: it gives every public name, and changes nothing in the process."""
 
 import ast
 import dataclasses
@@ -7,6 +8,8 @@ import inspect
 import re
 from collections import Counter
 from pathlib import Path
+
+from children import python
 
 import cmp_cl
 from cmp_cl.lattice.constants import LatticeConstants
@@ -32,6 +35,20 @@ LAYERS = [
     {"cli"},
 ]
 ASIDE = {"__main__", "__init__"}  # the entries, which import everything
+
+
+IMPORT = """
+import signal, sys
+before = [signal.getsignal(number) for number in signal.valid_signals()]
+import cmp_cl
+assert [signal.getsignal(number) for number in signal.valid_signals()] == before
+for name in cmp_cl.__all__:
+    getattr(cmp_cl, name)
+assert [signal.getsignal(number) for number in signal.valid_signals()] == before
+unwanted = [name for name in sys.modules if name.startswith(("cmp_cl.cli", "cmp_cl.reference"))]
+assert not unwanted, unwanted
+cmp_cl.reference.detect
+"""
 
 
 @functools.cache
@@ -111,3 +128,12 @@ def test_every_constant_of_the_lattice_is_explained_and_there_are_at_most_45():
     names = [field.name for field in dataclasses.fields(LatticeConstants)]
     assert len(names) <= 45
     assert names == re.findall(r"^(\w+): ", inspect.getdoc(LatticeConstants) or "", re.M)
+
+
+def test_importing_the_library_imports_no_command_no_oracle_and_leaves_signals_alone():
+    python("-c", IMPORT, check=True)
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error():
+    assert not hasattr(cmp_cl, "no_such_name")
+    assert not hasattr(cmp_cl, "__wrapped__")

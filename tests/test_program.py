@@ -19,22 +19,12 @@ LOG = cl.program_build_info.LOG
 IMAGE = images.eight_bits()["board"]
 
 
-@pytest.fixture
-def altered(monkeypatch, tmp_path):
-    """Return altered(name, old, new): kernels of which one file has been changed."""
-
-    def make(name, old, new):
-        shutil.copytree(program.kernel_folder(), tmp_path, dirs_exist_ok=True)
-        text = (tmp_path / name).read_text(encoding="utf-8")
-        assert old in text
-        (tmp_path / name).write_text(text.replace(old, new, 1), encoding="utf-8")
-        monkeypatch.setattr(program, "kernel_folder", lambda: tmp_path)
-
-    return make
-
-
-def test_a_kernel_that_does_not_compile_gives_the_compilers_log(altered, device):
-    altered("nms.cl", "__kernel void score_map(", "__kernel void score_map(nonsense ")
+def test_a_kernel_that_does_not_compile_gives_the_compilers_log(device, monkeypatch, tmp_path):
+    shutil.copytree(program.kernel_folder(), tmp_path, dirs_exist_ok=True)
+    text = (tmp_path / "nms.cl").read_text(encoding="utf-8")
+    wrong = text.replace("void score_map(", "void score_map(nonsense ", 1)
+    (tmp_path / "nms.cl").write_text(wrong, encoding="utf-8")
+    monkeypatch.setattr(program, "kernel_folder", lambda: tmp_path)
     with pytest.raises(KernelBuildError) as error:
         Detector(shape=IMAGE.shape, config=rings(), device=device)
     message = str(error.value)

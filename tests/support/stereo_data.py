@@ -1,4 +1,4 @@
-"""Grids, points and rigs for the tests in space: projected lattices and photographs."""
+"""Cameras, rigs, grids and points for the tests in space: projected lattices and photographs."""
 
 import json
 from pathlib import Path
@@ -7,10 +7,17 @@ import cv2
 import numpy as np
 
 from cmp_cl.grid import Grid, NodeStatus
-from cmp_cl.space import Points3D, PointStatus, StereoRig
+from cmp_cl.space import Camera, Lens, Points3D, PointStatus, StereoRig
 
 _ABOVE = Path(__file__).resolve().parents[3:]
 SHARED = next((at for up in _ABOVE if (at := up / "shared" / "data").is_dir()), Path("shared/data"))
+SIZE = (640, 480)
+MATRIX = np.array([[420.0, 0, 325], [0, 418.0, 236], [0, 0, 1]])
+DISTORTIONS = {
+    Lens.PINHOLE: np.array([-0.1, 0.03, 0.001, -0.0005, 0]),
+    Lens.RATIONAL: np.array([0.3, 0.05, 0.0005, -0.0005, 0.01, 0.42, 0.08, 0.02]),
+    Lens.FISHEYE: np.array([0.05, -0.01, 0.004, -0.001]),
+}
 
 
 def photographs(name: str) -> Path:
@@ -53,6 +60,18 @@ def opencv_pairs() -> dict[str, list[Grid]]:
         side: [_listed(folder / f"{side}{pair:02}.json") for pair in range(1, 6)]
         for side in ("left", "right")
     }
+
+
+def camera(lens: Lens, rotation=(0.0, 0.0, 0.0), translation=(0.0, 0.0, 0.0)) -> Camera:
+    """Return a camera of 640 x 480 px; rotation: vector, rad. translation: mm."""
+    return Camera(
+        lens=lens,
+        size=SIZE,
+        matrix=MATRIX,
+        distortion=DISTORTIONS[lens],
+        R=cv2.Rodrigues(np.array(rotation))[0],
+        T=np.array(translation),
+    )
 
 
 def toed_in_rig(unit: str = "mm") -> StereoRig:
