@@ -1,4 +1,5 @@
-"""Two cameras that look through a window: rays, points in space, and what a rig knows of it."""
+"""Two cameras that look through a window: rays, points in space, what a rig knows of it, and its
+calibration from the pattern that is seen through it."""
 
 import dataclasses
 import math
@@ -8,13 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stereo_data import gel, toed_in_rig, views_of
+from stereo_data import gel, grid_of, toed_in_rig, views_of
 
 from cmp_cl import CalibrationError, StereoRig, Window
-from cmp_cl.space import Bias, PointStatus
+from cmp_cl.space import Bias, PointStatus, calibrate_window
+from cmp_cl.synthetic import default_rig
 from cmp_cl.synthetic.camera import straightened
 
-GEL = Window((0.02, -0.03, 1.0), 20.0, ((5.0, 1.49),), 1.41)
+WINDOW = Window((0.02, -0.03, 1.0), 20.0, ((5.0, 1.49),), 1.41)
 
 
 def rig_behind(window, **changes):
@@ -51,13 +53,13 @@ def test_a_point_on_the_ray_of_a_pixel_is_seen_at_that_pixel(window, angle, azim
 
 
 def test_points_in_front_of_the_last_face_and_rays_that_miss_the_window_are_nan():
-    seen, _ = GEL.apparent(np.zeros(3), np.array([[0, 0, 24.9], [0, 0, 25.1]]))
+    seen, _ = WINDOW.apparent(np.zeros(3), np.array([[0, 0, 24.9], [0, 0, 25.1]]))
     assert np.isnan(seen).all(axis=1).tolist() == [True, False]
-    at, ahead = GEL.refracted(np.zeros(3), np.array([[0, 1.0, 0.01], [0, 0, -1.0], [0, 0, 1]]))
+    at, ahead = WINDOW.refracted(np.zeros(3), np.array([[0, 1.0, 0.01], [0, 0, -1.0], [0, 0, 1]]))
     for values in (at, ahead):
         assert np.isnan(values).all(axis=1).tolist() == [True, True, False]
-    rig = rig_behind(GEL)
-    beyond = dataclasses.replace(rig, window=dataclasses.replace(GEL, distance=80.0))
+    rig = rig_behind(WINDOW)
+    beyond = dataclasses.replace(rig, window=dataclasses.replace(WINDOW, distance=80.0))
     points = beyond.triangulate(*views_of(rig, gel()))
     assert (points.status == PointStatus.BEHIND).all()
     assert np.isnan(points.xyz).all()
@@ -80,13 +82,13 @@ def test_a_window_behind_the_right_camera_is_refused():
 )
 def test_an_impossible_window_is_refused_in_one_line(changes, words):
     with pytest.raises(CalibrationError, match=words) as refusal:
-        dataclasses.replace(GEL, **changes)
+        dataclasses.replace(WINDOW, **changes)
     assert "\n" not in str(refusal.value)
 
 
 @pytest.mark.parametrize("layers", [(), ((5.0, 1.49),), ((5.0, 1.49), (0.1, 1.33))])
 def test_a_window_survives_the_file_of_its_rig(tmp_path, layers):
-    window = dataclasses.replace(GEL, layers=layers)
+    window = dataclasses.replace(WINDOW, layers=layers)
     rig = rig_behind(window, covariance=np.diag(1 / np.arange(1.0, 27)), unit="um")
     rig.save(tmp_path / "rig.yaml")
     again = StereoRig.load(tmp_path / "rig.yaml")
@@ -100,7 +102,7 @@ def test_a_window_survives_the_file_of_its_rig(tmp_path, layers):
 def test_the_bias_of_a_field_is_what_an_error_of_the_rig_does_to_it():
     """For each parameter alone: a wrong one, in pixels of the right rig."""
     rest, press = gel(), gel() - np.array([0, 0, 1.0])
-    rig = rig_behind(GEL)
+    rig = rig_behind(WINDOW)
     views = [views_of(rig, xyz) for xyz in (rest, press)]
     before, now = (rig.triangulate(*pair).xyz for pair in views)
     steps = {16: 1e-4, 17: 1e-4, 19: 0.02, 22: 1e-3, 23: 1e-3, 24: 0.05, 25: 1e-3}
@@ -111,7 +113,7 @@ def test_the_bias_of_a_field_is_what_an_error_of_the_rig_does_to_it():
             rig,
             R=cv2.Rodrigues(cv2.Rodrigues(rig.R)[0].ravel() + error[16:19])[0],
             T=rig.T + error[19:22],
-            window=GEL.moved(error[22:]),
+            window=WINDOW.moved(error[22:]),
         )
         seen = [np.hstack(each.project(rest.reshape(-1, 3))) for each in (rig, wrong)]
         slope = rig.slopes(rest.reshape(-1, 3))[1][..., number]
@@ -121,3 +123,165 @@ def test_the_bias_of_a_field_is_what_an_error_of_the_rig_does_to_it():
         known = dataclasses.replace(rig, covariance=np.outer(error, error))
         stated = Bias(known, before).sigma(now - before)
         np.testing.assert_allclose(stated, off, rtol=0.1, atol=2e-5)
+
+
+# calibration
+
+PITCH = 0.8  # mm
+NODES = 26
+RIG = default_rig((1200, 800))
+NORMAL = (RIG.R[2] + (0, 0, 1)) / np.linalg.norm(RIG.R[2] + (0, 0, 1))
+GEL = 12.0  # mm
+BEHIND = dataclasses.replace(RIG, window=Window(NORMAL, 40.0 - GEL, ((5.0, 1.49),), 1.41))
+MEDIA = ((5.0, 1.49), (GEL, 1.41))
+# A board of 12 views and a noise of .05 px leave about this covariance.
+SIGMAS = [0.1, 0.1, 0.13, 0.1, 5e-4, 2e-3, 3e-5, 4e-5] * 2 + [1e-4, 2e-4, 3e-5, 2e-3, 1e-3, 5e-3]
+
+
+def pattern(tilt=(0.0, 0.0), dome=0.0):
+    """Return the nodes of a pattern at the end of the gel, tilted, rad, or on a dome, mm."""
+    row, column = np.mgrid[:NODES, :NODES] - (NODES - 1) / 2
+    flat = PITCH * np.stack([column, row, np.zeros(row.shape)], axis=-1)
+    if dome:  # a cylinder keeps the sides
+        flat[..., 2] = dome * (1 - np.cos(flat[..., 0] / dome))
+        flat[..., 0] = dome * np.sin(flat[..., 0] / dome)
+    turn = cv2.Rodrigues(np.array([*tilt, 0.0]))[0]
+    across = np.cross([0, 1.0, 0], NORMAL)
+    axes = np.stack([across, np.cross(NORMAL, across), NORMAL], axis=1)
+    return flat @ (axes @ turn).T + 45.7 * NORMAL * [0, 0, 1] / NORMAL[2]
+
+
+def views(xyz, rng, noise=0.05, **how):
+    return tuple(views_of(BEHIND, xyz, rng, noise, **how))
+
+
+def drawn(rng):
+    """Return a rig in air that is off by a draw from its covariance."""
+    error = rng.normal(0, SIGMAS)
+    focal = [np.diag([*error[k : k + 2], 0]) for k in (0, 8)]
+    for matrix, k in zip(focal, (2, 10), strict=True):
+        matrix[:2, 2] = error[k : k + 2]
+    turn = cv2.Rodrigues(RIG.R)[0].ravel() + error[16:19]
+    return StereoRig(
+        RIG.K1 + focal[0],
+        RIG.D1 + np.append(error[4:8], 0),
+        RIG.K2 + focal[1],
+        RIG.D2 + np.append(error[12:16], 0),
+        cv2.Rodrigues(turn)[0],
+        RIG.T + error[19:],
+        covariance=np.diag(np.square(SIGMAS)),
+    )
+
+
+def fitted(rig, rest, **changes):
+    given = {"pitch": PITCH, "media": MEDIA, "index_sigma": 0.0}
+    return calibrate_window(rig, rest, **(given | changes))
+
+
+def errors(window):
+    """Return how far a window is off, by its estimated parameters, (4,)."""
+    true = BEHIND.window
+    tilt = true.axes @ (window.normal - true.normal)
+    return np.array([*tilt, window.distance - true.distance, window.index - true.index])
+
+
+@pytest.mark.parametrize("surface", [{"tilt": (0.03, -0.02)}, {"dome": 40.0}])
+def test_the_window_is_found_from_equal_squares_of_any_surface(surface):
+    """However far the thickness that begins the search is off."""
+    rest = views(pattern(**surface), np.random.default_rng(1), noise=0.0)
+    for thickness in (GEL - 3, GEL + 4):
+        found = fitted(RIG, rest, media=(MEDIA[0], (thickness, 1.41)))
+        np.testing.assert_allclose(errors(found.window), 0, atol=1e-4)  # of float32 pixels
+        assert found.window.layers == ((5.0, 1.49),)
+
+
+def pressed_by_1_mm(rig, rest, rng):
+    """Return by how much a rig errs along the normal, and how much it says it may, mm."""
+    before, now = (rig.triangulate(*views(xyz, rng, noise=0)).xyz for xyz in (rest, rest - NORMAL))
+    shared = Bias(rig, before).covariance(now - before)
+    return (now - before + NORMAL) @ NORMAL, np.sqrt(NORMAL @ shared @ NORMAL)
+
+
+def test_a_press_is_right_to_a_percent_and_its_bias_sigma_covers_it():
+    rng, windows, presses = np.random.default_rng(2), [], []
+    for _ in range(12):
+        rest = pattern(tilt=rng.normal(0, 0.02, 2))
+        found = fitted(drawn(rng), views(rest, rng))
+        windows.append(errors(found.window)[:3] / np.sqrt(np.diag(found.covariance)[22:25]))
+        off, sigma = pressed_by_1_mm(found, rest, rng)
+        assert np.abs(off).max() < 0.01
+        presses.append(off / sigma)
+    for scores in (windows, presses):
+        assert 0.65 < np.sqrt(np.mean(np.square(scores))) < 1.4
+
+
+def test_an_index_that_is_given_errs_by_what_it_is_said_to():
+    rng, rest = np.random.default_rng(3), pattern()
+    media = MEDIA[0], (GEL, 1.42)  # by .01 too much
+    for sigma, low, high in ((0.01, 0.9, 1.1), (0.02, 0.45, 0.55), (0.0, 4.0, np.inf)):
+        found = fitted(RIG, views(rest, rng), media=media, index_sigma=sigma)
+        off, stated = pressed_by_1_mm(found, rest, rng)
+        assert low < np.median(np.abs(off) / stated) < high
+    with pytest.raises(CalibrationError, match="index_sigma must be a number from 0"):
+        fitted(RIG, views(rest, rng), index_sigma=-0.1)
+    with pytest.raises(CalibrationError, match=r"known to 0.5 does not fix the window's distance"):
+        fitted(RIG, views(rest, rng), index_sigma=0.5)
+
+
+def test_errors_that_neighbours_share_make_a_window_less_certain():
+    rng, scores = np.random.default_rng(3), []
+    for _ in range(8):
+        found = fitted(RIG, views(pattern(), rng, shared=True))
+        scores.append(errors(found.window)[:3] / np.sqrt(np.diag(found.covariance)[22:25]))
+    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.5
+
+
+@pytest.mark.parametrize("given", [1.38, 1.44])
+def test_a_known_step_of_a_flat_punch_gives_the_index_too(given):
+    rng = np.random.default_rng(4)
+    row, column = np.mgrid[:NODES, :NODES] - (NODES - 1) / 2
+    under = np.clip((9 - np.hypot(row, column)) / 2, 0, 1)[..., None]
+    rest, stepped = (views(pattern() - each * NORMAL, rng) for each in (0 * under, under))
+    found = fitted(RIG, rest, media=(MEDIA[0], (GEL, given)), stepped=stepped, step=1.0)
+    assert abs(errors(found.window)[3]) < 0.004
+    sigma = np.sqrt(np.diag(found.covariance)[22:])
+    assert (np.abs(errors(found.window)) < 4 * sigma).all()
+    for changes, words in (
+        ({}, "stepped and step need each other"),
+        ({"stepped": rest}, "0 nodes moved as one"),
+        ({"stepped": views(pattern() + np.array([0.3, 0, 0]), rng)}, r"last index \(free\)"),
+    ):
+        with pytest.raises(CalibrationError, match=words):
+            fitted(RIG, rest, step=1.0, **changes)
+
+
+def test_a_window_that_the_views_do_not_fix_is_refused_by_name():
+    rng = np.random.default_rng(5)
+    rest = views(pattern(), rng)
+    with pytest.raises(CalibrationError, match=r"tilt .*free.* distance \(free\)"):
+        fitted(RIG, rest, media=((5.0, 1.0), (GEL, 1.0)))
+    near = np.abs(np.mgrid[:NODES, :NODES] - (NODES - 1) / 2).max(axis=0) < 3
+    few = [np.where(near[..., None], grid.xy, np.nan) for grid in rest]
+    with pytest.raises(CalibrationError, match=r"do not fix the window's distance \(\+- .* mm\)"):
+        fitted(RIG, tuple(grid_of(xy) for xy in few))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"media": ()}, "at least the pattern's medium"),
+        ({"pitch": 1.6}, "the squares of the pattern measure 0.8001 mm, not 1.6"),
+    ],
+)
+def test_wrong_layers_or_a_wrong_pitch_are_refused(changes, words):
+    rest = views(pattern(), np.random.default_rng(6))
+    with pytest.raises(CalibrationError, match=words):
+        fitted(RIG, rest, **changes)
+
+
+def test_swapped_views_and_a_rig_with_a_window_are_refused():
+    rest = views(pattern(), np.random.default_rng(7))
+    with pytest.raises(CalibrationError, match=r"nodes that fit the rig|do not fit the rig"):
+        fitted(RIG, rest[::-1])
+    with pytest.raises(CalibrationError, match="calibrated in air"):
+        fitted(BEHIND, rest)
