@@ -21,7 +21,7 @@ from environment import run
 from scenes import DENSITIES, INDENTERS, SEVERITIES, TEST_SEED, rendered
 from tqdm import tqdm
 
-from cmp_cl import Detector, Grid, GridError
+from cmp_cl import Detector, GridError
 from cmp_cl.grid.grid import MEASURED
 from cmp_cl.motion import displacement
 from cmp_cl.synthetic import Scene, random_scene
@@ -47,12 +47,6 @@ def scenes(quick: bool) -> Iterator[Scene]:
         yield dataclasses.replace(scene, noise=noise)
 
 
-def turned(grid: Grid, truth: np.ndarray) -> int:
-    """Return the quarter turn of the truth (R, C, 2) after which it is numbered as the grid."""
-    apart = [float(np.nanmedian(np.abs(grid.xy - np.rot90(truth, k)))) for k in range(4)]
-    return int(np.argmin(apart))
-
-
 def measured(scene: Scene, detector: Detector) -> dict[str, Errors] | None:
     """Measure a scene against its frame at rest; None if the numbering is wrong or missing."""
     shape = (scene.markers, scene.markers)
@@ -62,10 +56,9 @@ def measured(scene: Scene, detector: Detector) -> dict[str, Errors] | None:
         now = detector.grid(pressed.image, like=rest)[1]
     except GridError:
         return None
-    quarters = turned(rest, still.truth[:, :2].reshape(*shape, 2))
-    at_rest, truth = (
-        np.rot90(frame.truth[:, :2].reshape(*shape, 2), quarters) for frame in (still, pressed)
-    )
+    numbered = [frame.truth[:, :2].reshape(*shape, 2) for frame in (still, pressed)]
+    apart = [np.nanmedian(np.abs(rest.xy - np.rot90(numbered[0], k))) for k in range(4)]
+    at_rest, truth = (np.rot90(each, int(np.argmin(apart))) for each in numbered)
     wrong = np.linalg.norm(now.xy - truth, axis=2) > 0.6 * pressed.cell
     if np.count_nonzero(wrong) > 0.05 * wrong.size:
         return None
