@@ -12,7 +12,7 @@ import numpy as np
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
-from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Mask, Whole
+from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Border, Mask, Whole
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.joins import SHIFTS, Side, bending, factor
 from cmp_cl.lattice.numbers import (
@@ -142,11 +142,13 @@ def found_in(boards: Iterable[Board], asked: Asked, corners: Corners) -> list[Fo
     for board in boards:
         if not (board.owner >= 0).any():
             continue
-        beyond = _corners_beyond(board, corners)
-        if beyond.any():
-            reach = np.where(beyond[1:] < K.beside, board.border.reach, np.nan)
-            board.border = board.border._replace(room=np.zeros(4, np.bool_), reach=reach)
-        found.append(Found(board, _decided(board, asked), int(beyond[0])))
+        count, lines = _corners_beyond(board, corners)
+        if count:
+            none = lines == 0
+            reach = np.where(none, board.border.reach, np.nan)
+            follows = board.border.follows & none
+            board.border = Border(reach, follows, np.zeros(4, np.bool_), lines)
+        found.append(Found(board, _decided(board, asked), count))
     return sorted(found, key=lambda each: -each.size)
 
 
@@ -157,14 +159,14 @@ def _between(there: Mask) -> Mask:
     return between
 
 
-def _corners_beyond(board: Board, corners: Corners) -> Whole:
+def _corners_beyond(board: Board, corners: Corners) -> tuple[int, Whole]:
     """Return how many corners are none of a board's and lie on its lattice, up to a way beside it;
-    and how many of them before its first row, after its last, and so for columns, (5,).
+    and how many lines they reach above it, below it, before and after it, (4,).
 
     A hand, or noise, parts a board. The lattice is continued as if it were flat. 0 if they are
     fewer than the votes that join parts, or if others are near it that lie anywhere.
     """
-    none, mine = np.zeros(5, np.int64), board.owner >= 0
+    none, mine = (0, np.zeros(4, np.int64)), board.owner >= 0
     nodes = board.owner[mine]
     if len(corners) - len(nodes) < K.beside or len(nodes) < K.least_board:
         return none
@@ -191,8 +193,10 @@ def _corners_beyond(board: Board, corners: Corners) -> Whole:
     if np.count_nonzero(near) < least:
         return none
     (column, row), (top, bottom, left, right) = place[near].T - K.span, board.outer_lines
-    sides = row < top, row > bottom, column < left, column > right
-    return np.array([len(row), *map(np.count_nonzero, sides)])
+    away = np.stack([top - row, row - bottom, left - column, column - right])
+    held = np.stack([(away == line).sum(axis=1) for line in range(1, K.span + 1)]) > 1
+    lines = np.max(held * np.arange(1, K.span + 1)[:, None], axis=0)
+    return len(row), np.where((away > 0).sum(axis=1) < K.beside, 0, lines)
 
 
 def _side(board: Board, some: Mask) -> Side:

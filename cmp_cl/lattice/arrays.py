@@ -62,12 +62,14 @@ class Border(NamedTuple):
 
     reach: cells, of its last squares beyond its last nodes, 1 if they are whole; NaN where the
     pattern is not seen to end. follows: the pattern goes on. room: most places of a further line
-    lie in the image, and that there is none can be seen.
+    lie in the image, and that there is none can be seen. beyond: lines, as far as corners lie on
+    the lattice there that are no nodes.
     """
 
     reach: Float
     follows: Mask
     room: Mask
+    beyond: Whole = np.zeros(4, np.int64)
 
     @classmethod
     def of(cls, found: NDArray[np.int32]) -> "Border":
@@ -135,6 +137,13 @@ class Board:
         """Return the first and last row, first and last column that hold corners."""
         rows, columns = (np.flatnonzero((self.owner >= 0).any(axis)).tolist() for axis in (1, 0))
         return rows[0], rows[-1], columns[0], columns[-1]
+
+    @property
+    def farthest_lines(self) -> tuple[int, int, int, int]:
+        """Return the same with the lines beyond, on which corners lie that are no nodes."""
+        top, bottom, left, right = self.outer_lines
+        above, below, before, after = self.border.beyond.tolist()
+        return top - above, bottom + below, left - before, right + after
 
     @functools.cached_property
     def steps(self) -> tuple[complex, complex]:

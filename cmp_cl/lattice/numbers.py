@@ -219,7 +219,7 @@ def in_shape(now: Board, shape: tuple[int, int], k: LatticeConstants) -> Decisio
     found = []
     for quarters in turns:
         turned = now.turned(quarters)
-        top, bottom, left, right = turned.outer_lines
+        top, bottom, left, right = turned.farthest_lines
         rows = _places(top, bottom, shape[0], turned.border, 0, k)
         columns = _places(left, right, shape[1], turned.border, 2, k)
         found += [
@@ -235,7 +235,7 @@ def _places(
 ) -> list[tuple[int, float]]:
     """Return numbers for the first line of a board, and their nats.
 
-    begin, end: the first and the last of its lines. size: the lines of the pattern.
+    begin, end: the first and the last line that it has. size: the lines of the pattern.
     """
     places = []
     lines = end - begin + 1
@@ -257,6 +257,6 @@ def _places(
 def seen_lines(now: Board) -> tuple[int, int]:
     """Return the rows and columns that a board seems to have: its own, and one more on each side
     on which the pattern follows."""
-    top, bottom, left, right = now.outer_lines
+    top, bottom, left, right = now.farthest_lines
     more = now.border.follows.astype(int)
     return bottom - top + 1 + more[:2].sum(), right - left + 1 + more[2:].sum()

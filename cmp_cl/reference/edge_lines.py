@@ -58,5 +58,5 @@ def lines_sigma(points: EdgePoints) -> Floats:
     sin = np.sin(lines[1].angle - lines[0].angle)
     with np.errstate(all="ignore"):
         variance = apart / (counts - 4) / sin**2
-    result: Floats = np.sqrt(LINES_ERROR**2 + variance)
+        result: Floats = np.sqrt(LINES_ERROR**2 + variance)
     return result

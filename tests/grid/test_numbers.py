@@ -326,6 +326,11 @@ def test_a_flat_board_goes_on_behind_a_bar_that_hides_two_rows(row, turn):
     assert not grid.doubts
 
 
+def test_corners_beyond_a_bar_tell_of_a_size_without_their_line():
+    view = behind_bar(row=1.5, width=1.2, turn=2)
+    assert grid_of(view, shape=(8, 10)).doubts
+
+
 @pytest.mark.parametrize("aside", [0.3, -0.2])
 def test_two_boards_in_line_by_chance_are_not_taken_for_one_in_silence(aside):
     one, other = (
