@@ -177,6 +177,8 @@ def bending(fixed: Side, moved: Side, offsets: Numbers, k: LatticeConstants) -> 
     M = [K + I, B; B', 0]. The first side and the trend are eliminated once; the energy is theirs,
     and that of what they leave of the second side.
     """
+    if len(moved.at) < TREND // 2:
+        return np.full(len(offsets), np.inf)
     middle, number = moved.at.mean(), moved.number - moved.number.mean()
     cell = float(np.abs(np.vdot(number, moved.at - middle)) / np.vdot(number, number).real)
     reach = (k.span + 1) / 2 * cell  # three lines of nodes, which a quadratic needs

@@ -5,7 +5,7 @@ import pytest
 
 from cmp_cl.lattice.arrays import Units, Votes
 from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.lattice.joins import TURNS, Joining, Placement
+from cmp_cl.lattice.joins import SHIFTS, TURNS, Joining, Placement, Side, bending, factor
 
 ROWS, STEP = 6, 10.0
 
@@ -65,6 +65,17 @@ def test_a_part_whose_votes_and_surface_name_far_different_places_stays_apart(co
     numbers = joining.run(0, [1])
     assert (np.count_nonzero(numbers[:, 3]) == 2 * 8 * ROWS) == placed
     assert numbers[:, 0].max() == (16 if placed else 7)
+
+
+@pytest.mark.parametrize(("columns", "sure"), [(3, True), (0, False)])
+def test_one_corner_across_a_gap_shows_no_surface(columns, sure):
+    def side(number):
+        number = number.ravel().astype(complex)
+        return Side(STEP * number, number, np.ones(len(number), np.bool_))
+
+    number = np.arange(6) + 1j * np.arange(ROWS)[:, None]
+    moved = side(9 + number[:, :columns]) if columns else side(9 + number[:1, :1])
+    assert (factor(bending(side(number), moved, SHIFTS, LatticeConstants())) > 100) == sure
 
 
 @pytest.mark.parametrize("one", [Placement(1, 2 + 1j), Placement(2, -3j)])
