@@ -65,7 +65,7 @@ ABLATION: dict[str, dict[str, Any]] = {
     "faces of torn corners agree as others": {"torn_corners": 4},
     "no joins across tears": {"join_votes": 1e9},
     "joins whatever the colours": {"join_votes": 0.0},
-    "joins whatever the surface": {"bending": lambda *_: 1 + (joins.SHIFTS != 0)},
+    "joins whatever the surface": {"factor": lambda _: 2.0},
     "torn corners count as whole ones": {"rough_weight_per_px2": 1e9},
     "no test of nodes": {"prior_nats": 1e6},
     "nodes whatever their sides": {"side_nats": 0.0, "prior_nats": K.prior_nats + 4 * K.side_nats},
@@ -114,14 +114,14 @@ def of_grid_sized(view: View, corners: Corners) -> Answer | None:
 
 @contextlib.contextmanager
 def changed(constants: dict[str, Any]) -> Iterator[None]:
-    """Let `build_grid` use other constants, and other bends of the surface at joins."""
-    values = dataclasses.replace(K, **{k: v for k, v in constants.items() if k != "bending"})
+    """Let `build_grid` use other constants, and another factor of the surface's bends at joins."""
+    values = dataclasses.replace(K, **{k: v for k, v in constants.items() if k != "factor"})
     plan = functools.partial(LatticePlan, constants=values)
-    bending = constants.get("bending", joins.bending)
+    factor = constants.get("factor", joins.factor)
     with (
         mock.patch.object(choice, "K", values),
         mock.patch.object(build, "lattice_plan", plan),
-        mock.patch.object(joins, "bending", bending),
+        mock.patch.object(joins, "factor", factor),
     ):
         yield
 

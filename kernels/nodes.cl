@@ -373,8 +373,7 @@ bool is_weak(const int width, const int place, __global const float *score) {
   return is_worst;
 }
 
-/* A node that a missing place beside another may have: its corner, which is judged once it and
- * others are there, PLACE if its prediction scores well, or NONE; and its position.
+/* A node that a missing place beside another may have: its corner, PLACE or NONE, and its position.
  * nearest: the corner there that decides, NONE without one. */
 typedef struct {
   int owner, nearest;
@@ -403,18 +402,20 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
   found.nearest = nearest_corner(corners, capacity, layout, starts, binned, rows, columns, p,
                                  nats->reach * steps.cell);
   const bool is_free = found.nearest != NONE && !used[found.nearest];
-  found.at = is_free ? POSITIONS(corners)[found.nearest] : p;
-  found.owner = is_free ? found.nearest : NONE;
-  if (is_free) return found;
-  const Cells seen = cells_at(LEVELS, p, steps, parity, nats->depth);
+  float2 here = found.at = is_free ? POSITIONS(corners)[found.nearest] : p;
+  const bool is_torn = !is_free || IS_TORN(found.nearest);
+  if (is_free && is_torn)
+    here = blended(here, prediction, steps.cell, nats->rough_weight);
+  const Cells seen = cells_at(LEVELS, here, steps, parity, nats->depth);
   const float share = usual_share(cells, place, width);
   float whole = 0;
-  ADD_NEW_SIDE(place + 1, p, at[place + 1], parity)
-  ADD_NEW_SIDE(place + width, p, at[place + width], -parity)
-  ADD_NEW_SIDE(place - 1, at[place - 1], p, -parity)
-  ADD_NEW_SIDE(place - width, at[place - width], p, parity)
-  const float score = score_of(whole, seen.quality, share, p, true, prediction, steps.cell, nats);
-  if (!(score < 0)) found.owner = PLACE;
+  ADD_NEW_SIDE(place + 1, here, at[place + 1], parity)
+  ADD_NEW_SIDE(place + width, here, at[place + width], -parity)
+  ADD_NEW_SIDE(place - 1, at[place - 1], here, -parity)
+  ADD_NEW_SIDE(place - width, at[place - width], here, parity)
+  const float score = score_of(whole, seen.quality, share, found.at, is_torn, prediction,
+                               steps.cell, nats);
+  if (!(score < 0)) found.owner = is_free ? found.nearest : PLACE;
   return found;
 }
 

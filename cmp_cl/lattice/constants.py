@@ -56,10 +56,9 @@ class LatticeConstants:
         one, and none of 24 others.
     join_votes: votes, that a placement needs, each counted as often as the surface bends more at
         the second one. In torn gels and waves, where it bends least, 123 of 129 right placements
-        have more, and 1 of 19 wrong ones; 123 and 5 have six votes, whatever the factor.
-    join_conflict: factor, by which another placement has more votes, times the factor by which the
-        surface bends more there, at most. Three right placements in 80 torn gels have 1.1 to 2.4,
-        wrong ones in waves 6 and more.
+        have more, and 1 of 19 wrong ones; 123 and 5 have six votes, whatever the factor. Where it
+        bends a little less at another place, that one was right in three torn gels, and wrong in
+        one and in two boards before squares: such parts stay apart.
     tear_most: nodes, of each side of a tear, and of a board that is continued; the cost of a
         placement grows with its cube. With 32 torn gels lost 262 of 47 893 nodes; 48 does as well
         as 64.
@@ -139,7 +138,6 @@ class LatticeConstants:
     # Joins
     span: int = 4
     join_votes: float = 12.0
-    join_conflict: float = 4.0
     tear_most: int = 48
     # Nodes
     prediction_weights: tuple[float, float, float, float] = (12.0, 4.0, 1.5, 0.7)

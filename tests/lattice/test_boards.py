@@ -41,12 +41,12 @@ def test_a_gel_torn_all_around_a_ring_is_one_board_with_right_numbers(device, se
     assert nodes > 0.88 * shot.truth[..., 0].size
 
 
-@pytest.mark.parametrize("seed", [5, 9])
+@pytest.mark.parametrize("seed", [5, 6])
 def test_a_corner_is_a_node_of_one_board_at_most(device, seed):
     """A whole gel of many small parts, of which none are joined: a board grows into others."""
     image = gel(1.0, seed=seed)
     _, every = found(device, image, agree=0.05, join_votes=np.inf)
-    assert len(every) > 2
+    assert len(every) > 3
     assert all(np.count_nonzero(board.there) >= K.least_board for board in every)
     owner = np.concatenate([board.owner[board.owner >= 0] for board in every])
     assert len(np.unique(owner)) == len(owner)

@@ -285,9 +285,8 @@ def settled(
 ) -> Board:
     """Return the board after rounds of dropping nodes and finding others, until none changes it.
 
-    A missing place beside a node takes the free corner near its prediction, which is judged with
-    others that come at the same time, else the prediction if that scores enough. It does so once: a
-    place whose node is dropped after that stays empty.
+    A missing place beside a node takes the free corner near its prediction, else the prediction. It
+    does so once: a place whose node is dropped after that stays empty.
 
     xy: (N, 2), all corners. torn: (N,), those whose refinement was rejected. taken: (N,), those of
     other boards. `board` has positions as seen, and says which are torn; the result has the blended
@@ -326,7 +325,7 @@ def settled(
         r, c = row[~good], column[~good]
         new_x[r, c], new_y[r, c], new_owner[r, c], new_torn[r, c] = px[r, c], py[r, c], LOOKED, True
         found = evidence(plane, board, k, (new_x, new_y, new_torn))
-        take = (new_owner >= 0) | ((new_owner != NONE) & (found.score >= 0))
+        take = (new_owner != NONE) & (found.score >= 0)
         take &= _first_claims(new_owner, take)
         if not take.any():
             break
