@@ -74,10 +74,10 @@ class Found:
         """Return the nodes on the smaller side of lines without a node, as behind a bar, if the
         surface through both sides does not bend far more at any other place; 0 if it does."""
         board, unsure = self.board, 0
-        number = np.indices(board.owner.shape)
-        for lines, line in zip(self.lines, number, strict=True):
+        for axis, lines in enumerate(self.lines):
             held = np.flatnonzero(lines)
             for last in held[:-1][np.diff(held) > 1]:
+                line = np.indices(board.owner.shape)[axis]
                 sides = (_side(board, each) for each in (line <= last, line > last))
                 smaller, larger = sorted(sides, key=lambda each: len(each.at))
                 if factor(bending(larger, smaller, SHIFTS, K)) < math.exp(K.sure_nats):
@@ -88,6 +88,8 @@ class Found:
     def gap(self) -> int:
         """Return the number of places between nodes of its rows and of its columns that show no
         corner, 0 if they are few; lines without a node are not asked."""
+        if self.board.there.all():
+            return 0
         there = self.board.there[np.ix_(*self.lines)]
         inside = _between(there) & _between(there.T).T
         missing = int(np.count_nonzero(inside & ~there))
