@@ -24,9 +24,10 @@
 
 /* The weights of eight pixels, 0 outside the image. */
 #define SEEN(i, j, weight)                                                          \
-  seen_weight(weight, from_x + middle_x + (i) + (int8)(0, 1, 2, 3, 4, 5, 6, 7), last_column,   \
-       from_y + middle_y + (j), last_row)
-float8 seen_weight(const float8 weight, const int8 x, const int last_x, const int y, const int last_y) {
+  seen_weight(weight, from_x + middle_x + (i) + (int8)(0, 1, 2, 3, 4, 5, 6, 7),     \
+              last_column, from_y + middle_y + (j), last_row)
+float8 seen_weight(const float8 weight, const int8 x, const int last_x, const int y,
+                   const int last_y) {
   const float8 in_row = x >= 0 && x <= last_x ? weight : (float8)(0.0f);
   return y >= 0 && y <= last_y ? in_row : (float8)(0.0f);
 }

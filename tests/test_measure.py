@@ -333,9 +333,7 @@ def test_views_that_may_show_different_parts_of_a_pattern_are_refused():
 def test_a_known_size_pairs_views_that_see_opposite_borders():
     camera = [[600, 0, 120], [0, 600, 200], [0, 0, 1]]
     rig = StereoRig(camera, [], camera, [], np.eye(3), np.array([-4.0, 0, 0]))
-    sheet, _ = drawn(
-        14, 12
-    )  # from 40 to 300 px, the first and the last column of nodes 20 px inside
+    sheet, _ = drawn(14, 12)  # from 40 to 300 px; the outer columns of nodes lie 20 px inside
     frame = np.hstack([sheet[:, 10:290], sheet[:, 50:330]])
     split = cmp_cl.BinocularSplit.halves(560, len(sheet))
     with pytest.raises(GridError, match="different parts"):

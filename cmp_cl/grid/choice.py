@@ -165,8 +165,8 @@ def _corners_beyond(board: Board, corners: Corners) -> tuple[int, Whole]:
     """Return how many corners are none of a board's and lie on its lattice, up to a way beside it;
     and how many lines they reach above it, below it, before and after it, (4,).
 
-    A hand, or noise, parts a board. The lattice is continued as if it were flat. 0 if they are
-    fewer than the votes that join parts, or if others are near it that lie anywhere.
+    A hand, or noise, parts a board. The lattice is continued as if it were flat. All are 0 if the
+    corners are few, or if others are near it that lie anywhere.
     """
     none, mine = (0, np.zeros(4, np.int64)), board.owner >= 0
     nodes = board.owner[mine]

@@ -56,9 +56,7 @@ class LatticeConstants:
         one, and none of 24 others.
     join_votes: votes, that a placement needs, each counted as often as the surface bends more at
         the second one. In torn gels and waves, where it bends least, 123 of 129 right placements
-        have more, and 1 of 19 wrong ones; 123 and 5 have six votes, whatever the factor. Where it
-        bends a little less at another place, that one was right in three torn gels, and wrong in
-        one and in two boards before squares: such parts stay apart.
+        have more, and 1 of 19 wrong ones; 123 and 5 have six votes, whatever the factor.
     tear_most: nodes, of each side of a tear, and of a board that is continued; the cost of a
         placement grows with its cube. With 32 torn gels lost 262 of 47 893 nodes; 48 does as well
         as 64.
