@@ -365,8 +365,8 @@ def _refracted(rows: pd.DataFrame) -> str:
 
 def figures(folder: Path) -> str:
     """Return the README's table: time, error and right frames of each method."""
-    timed, errors = read(folder, "speed"), summed(read(folder, "detection")).set_index("method")
-    field = read(folder, "field")
+    timed, detection, field = (read(folder, name) for name in ("speed", "detection", "field"))
+    errors = summed(detection).set_index("method")
     value = field.set_index(["what", "case", "unit"])["value"]
     rate = field.loc[field["what"].str.startswith("cmp-cl run"), "value"].iloc[0]
     small, large = (timed[timed["scene"] == scene].set_index("method") for scene in ("vga", "wide"))
@@ -387,7 +387,7 @@ def figures(folder: Path) -> str:
         f"{conditions(timed).strip()} Medians of one run, from an image in host memory to "
         f"positions in host memory, for {small['corners'].iloc[0]} and {large['corners'].iloc[0]} "
         f"corners. The last column is over {errors['frames'].max()} rendered frames, slightly to "
-        "severely deformed.\n\n"
+        f"severely deformed, of commit {detection.attrs['environment']['commit']}.\n\n"
     )
     return text + markdown(whole.rename_axis("method").reset_index())
 
