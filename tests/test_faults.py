@@ -1,8 +1,11 @@
 """Faults around a detector: memory, caches, kills, threads, processes."""
 
+import ctypes
 import hashlib
 import multiprocessing
 import os
+import platform
+from types import SimpleNamespace
 
 import images
 import numpy as np
@@ -15,8 +18,7 @@ from workers import corners_of_board
 
 from cmp_cl import BinaryRings, Detector, DetectorConfig
 from cmp_cl.errors import CapacityError, DeviceError
-from cmp_cl.opencl import caches, program
-from cmp_cl.opencl import device as device_module
+from cmp_cl.opencl import pocl, program
 
 BOARD = images.eight_bits()["board"]
 
@@ -115,7 +117,7 @@ with cmp_cl.Detector(shape=(64, 64)) as detector:
 
 def test_functions_that_call_kernels_are_never_loaded_from_a_file(tmp_path):
     """pyopencl stores them as pickles; a damaged file led to an error of SQLite."""
-    compiled = {"POCL_CACHE_DIR": str(caches.pocl_folder())}
+    compiled = {"POCL_CACHE_DIR": str(pocl.cache_folder())}
     environment = {**ENVIRONMENT, **compiled, "XDG_CACHE_HOME": str(tmp_path)}
     folder = tmp_path / "pytools"
     folder.mkdir()
@@ -188,7 +190,7 @@ def detected(device, **environment):
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="Windows has a folder for each user")
 def test_pocl_runs_no_kernels_of_a_folder_that_everybody_may_write_to(device, tmp_path):
-    if not device_module.is_pocl(device.handle):
+    if not pocl.is_pocl(device.handle):
         pytest.skip("only PoCL has a cache of its own")
     shared = tmp_path / "pocl"
     shared.mkdir()
@@ -201,7 +203,7 @@ def test_pocl_runs_no_kernels_of_a_folder_that_everybody_may_write_to(device, tm
 
 @pytest.mark.parametrize("left", some([0, 99, "half"], ["half"]))
 def test_a_damaged_cache_of_pocl_is_told(device, tmp_path, left):
-    if not device_module.is_pocl(device.handle):
+    if not pocl.is_pocl(device.handle):
         pytest.skip("only PoCL keeps programs so")
     assert detected(device, POCL_CACHE_DIR=str(tmp_path))[0] == 0
     kept = list(tmp_path.rglob("program.bc"))
@@ -216,12 +218,33 @@ def test_a_damaged_cache_of_pocl_is_told(device, tmp_path, left):
 
 
 def test_without_a_linker_pocl_does_not_end_the_process(device, tmp_path):
-    if not device_module.is_pocl(device.handle):
+    if not pocl.is_pocl(device.handle):
         pytest.skip("only PoCL needs a linker")
     status, said = detected(device, POCL_CACHE_DIR=str(tmp_path / "cold"), PATH=str(tmp_path))
     assert status == 1, "the signal of PoCL"
     assert "DeviceError: PoCL cannot compile kernels" in said
     assert "apt install gcc libc6-dev" in said
+
+
+@pytest.mark.skipif(
+    (platform.system(), platform.machine()) != ("Linux", "x86_64"), reason="PoCL of pip is for this"
+)
+@pytest.mark.parametrize(
+    ("names", "renamed"), [(["pthread", "generic", "generic"], [1]), (["pthread", "haswell"], [])]
+)
+def test_pocl_is_told_a_processor_where_it_knows_none(names, renamed):
+    """Its record of a device points to the name that it asks the compiler for."""
+    texts = [ctypes.create_string_buffer(name.encode()) for name in names]
+    record = (ctypes.c_uint64 * 256)(1, 2**63, *map(ctypes.addressof, texts))
+    device = SimpleNamespace(
+        platform=SimpleNamespace(name="Portable Computing Language"),
+        version="OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-generic",
+        int_ptr=ctypes.addressof(record),
+    )
+    pocl.name_processor(device)
+    at = [ctypes.string_at(address).decode() for address in record[2 : 2 + len(names)]]
+    assert [k for k, name in enumerate(names) if at[k] != name] == renamed
+    assert all(at[k] in ("haswell", "skylake-avx512") for k in renamed)
 
 
 # --- threads and processes -----------------------------------------------------------------

@@ -1,20 +1,15 @@
 """OpenCL devices: listing them and selecting one."""
 
-import contextlib
 import dataclasses
 import enum
 import os
-import re
-from collections.abc import Iterator
 
 import pyopencl as cl
 
 from cmp_cl.errors import DeviceError
-from cmp_cl.opencl import caches
+from cmp_cl.opencl import pocl
 
 DEVICE_VARIABLE = "CMP_CL_DEVICE"
-_MOST_WORKERS = 4096
-_POCL_WORKERS = ("POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
 
 _VENDORS_VARIABLE = "OCL_ICD_VENDORS"
 _VENDORS = "/etc/OpenCL/vendors"  # where the loader of OpenCL looks for drivers
@@ -84,9 +79,9 @@ def list_devices() -> list[Device]:
     """
     global _started_in
     check_process()
-    _check_workers()
+    pocl.check_workers()
     _started_in = os.getpid()
-    with _workers_on_own_cores():
+    with pocl.workers_on_own_cores():
         return [
             _describe(handle, f"{p}:{d}")
             for p, platform in enumerate(_platforms())
@@ -125,7 +120,7 @@ def select_device(text: Device | str | None = None) -> Device:
 
 def why_none() -> str:
     """Return why no device is found, as far as that can be seen."""
-    stuck = caches.pocl_is_stuck()
+    stuck = pocl.reason_stuck()
     if stuck:
         return stuck
     named = os.environ.get(_VENDORS_VARIABLE)
@@ -165,45 +160,12 @@ def describe_handle(handle: cl.Device) -> Device:
     return _describe(handle, "")
 
 
-def is_pocl(handle: cl.Device) -> bool:
-    """Return whether a pyopencl device belongs to PoCL."""
-    return handle.platform.name == "Portable Computing Language"
-
-
 def _matches(device: Device, wanted: str) -> bool:
     if wanted in (device.index, device.kind.value):
         return True
     if wanted in [kind.value for kind in DeviceKind] or ":" in wanted:
         return False
     return wanted in device.name.lower() or wanted in device.platform.lower()
-
-
-def _check_workers() -> None:
-    """Raise DeviceError if the number of workers is one with which PoCL ends the process."""
-    text = os.environ.get("POCL_MAX_PTHREAD_COUNT", "")
-    if re.fullmatch(r"\s*[+-]?\d+\s*", text) and not 0 <= int(text) <= _MOST_WORKERS:
-        raise DeviceError(
-            f"POCL_MAX_PTHREAD_COUNT is {text!r}, and PoCL takes 1 to {_MOST_WORKERS} workers"
-        )
-
-
-@contextlib.contextmanager
-def _workers_on_own_cores() -> Iterator[None]:
-    """Make PoCL, if this process starts it, pin each of its workers to its own core.
-
-    Otherwise the system often puts two of them on one core for the life of the process, and a frame
-    takes one and a half times as long. It does nothing if the user has set a variable of the
-    workers, or if the process may not use every core.
-    """
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
-    if cores != os.cpu_count() or any(name in os.environ for name in _POCL_WORKERS):
-        yield
-        return
-    os.environ["POCL_AFFINITY"] = "1"
-    try:
-        yield
-    finally:
-        os.environ.pop("POCL_AFFINITY", None)
 
 
 def _platforms() -> list[cl.Platform]:
@@ -221,6 +183,7 @@ def _devices(platform: cl.Platform) -> list[cl.Device]:
 
 
 def _describe(handle: cl.Device, index: str) -> Device:
+    pocl.name_processor(handle)
     kind = DeviceKind.ACCELERATOR
     if handle.type & cl.device_type.GPU:
         kind = DeviceKind.GPU

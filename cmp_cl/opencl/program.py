@@ -27,8 +27,9 @@ import pyopencl as cl
 
 from cmp_cl.errors import DeviceError, KernelBuildError
 from cmp_cl.files import write_bytes
-from cmp_cl.opencl import caches
-from cmp_cl.opencl.device import check_process, is_pocl
+from cmp_cl.opencl import caches, pocl
+from cmp_cl.opencl.device import check_process
+from cmp_cl.opencl.pocl import is_pocl
 
 _OPTIONS = ("-cl-std=CL1.2", "-cl-kernel-arg-info")
 _ROUNDED = "-cl-fp32-correctly-rounded-divide-sqrt"  # as the host's; cards have faster ones
@@ -113,7 +114,7 @@ class Kernels:
         if not all(each.kernel_names for each in programs):
             raise DeviceError(
                 "a compiled program has no kernels, so the cache of compiled kernels is damaged; "
-                f"remove it, for PoCL the folder {str(caches.pocl_folder())!r}"
+                f"remove it, for PoCL the folder {str(pocl.cache_folder())!r}"
             )
         self._programs = {name: each for each in programs for name in each.kernel_names.split(";")}
         self.arguments = arguments
@@ -193,7 +194,7 @@ def _compiled(context: cl.Context, stage: str, text: str, options: list[str]) ->
     program = None if kept is None else _loaded(context, kept, options)
     if program is None:
         if any(is_pocl(device) for device in context.devices):
-            caches.check_pocl()
+            pocl.check_compiler()
         try:
             program = _built(cl.Program(context, text), options)
         except cl.Error as error:

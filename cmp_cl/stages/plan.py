@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from cmp_cl.config import BinaryRings, DetectorConfig
 from cmp_cl.errors import CapacityError
 from cmp_cl.image import GreyImage
-from cmp_cl.opencl.device import Device, is_pocl
+from cmp_cl.opencl.device import Device
 from cmp_cl.opencl.launches import GROUP, Launch, enqueue, multiple
 from cmp_cl.opencl.memory import ALIGNMENT, Memory, copy_rectangle
+from cmp_cl.opencl.pocl import is_pocl
 from cmp_cl.opencl.program import Kernels, Programs
 from cmp_cl.stages import harmonic, noise, refine, scale
 from cmp_cl.stages.form import Form
