@@ -22,6 +22,7 @@ TURNS = np.array([1, 1j, -1, -1j])
 # Shifts that keep the colours, of which the one of least bending is looked for.
 SHIFTS = np.array([0, 1 + 1j, 1 - 1j, -1 + 1j, -1 - 1j, 2, -2, 2j, -2j])
 TREND = 6  # terms of a quadratic
+ROUNDING = 1e-9  # cells^2, of the energy of a flat surface, which is 0
 
 
 class Placement(NamedTuple):
@@ -197,7 +198,7 @@ def bending(fixed: Side, moved: Side, offsets: Numbers, k: LatticeConstants) -> 
     except np.linalg.LinAlgError:
         return np.full(len(offsets), np.inf)
     energy: Float = (position * (inverse @ position)).sum() + (left * w).sum(axis=(1, 2))
-    return np.where(energy > 0, energy, np.inf)
+    return np.where(energy > -ROUNDING, np.maximum(energy, ROUNDING), np.inf)
 
 
 def _trend(number: Numbers) -> Float:

@@ -64,12 +64,16 @@ def test_a_part_whose_votes_and_surface_name_different_places_stays_apart():
 
 
 @pytest.mark.parametrize(("columns", "sure"), [(3, True), (0, False)])
-def test_one_corner_across_a_gap_shows_no_surface(columns, sure):
+@pytest.mark.parametrize("rows", [6, 7, 8, 9])
+@pytest.mark.parametrize("step", [STEP, 12.7 + 2.6j])
+def test_one_corner_across_a_gap_shows_no_surface(columns, sure, rows, step):
+    """A flat surface does: its energy is 0, on either side of which rounding may put it."""
+
     def side(number):
         number = number.ravel().astype(complex)
-        return Side(STEP * number, number, np.ones(len(number), np.bool_))
+        return Side(step * number, number, np.ones(len(number), np.bool_))
 
-    number = np.arange(6) + 1j * np.arange(ROWS)[:, None]
+    number = np.arange(6) + 1j * np.arange(rows)[:, None]
     moved = side(9 + number[:, :columns]) if columns else side(9 + number[:1, :1])
     assert (factor(bending(side(number), moved, SHIFTS, LatticeConstants())) > 100) == sure
 
