@@ -17,6 +17,8 @@
 #define NOISE_REACH 10
 #define RISK_REACH 8
 #define REJECTED_AT 36.0f /* the square of 6 standard deviations */
+#define ROUGH_COUNTS 4    /* a residual of a rough corner counts twice: 3 standard deviations */
+#define IS_ROUGH(i) (measured[i] > DETECTED)
 #define LEAST_SUPPORTED(count, size) (4 * (count) >= 3 * (size))
 #define LEAST_OF_FIVE 1.29f
 #define SHARPNESS 4.71238898f /* 2 pi 1.5^2 / 3 */
@@ -295,13 +297,14 @@ void lengths_and_floor(__global const float *sums, float *length, float *least_o
  * estimates; the covariance of the coordinates over its mean diagonal; and a node whose residual is
  * too large loses its vote. The upper bound is the sum of that at rest and of the variance of the
  * points now. round: of the search for outliers; the last one rejects none. */
+#define SURPRISE(i, at) (size[at] * (IS_ROUGH(i) ? ROUGH_COUNTS : 1))
 void noise_of_eight(const int row, const int c, const float *length, const float least_of_all,
                     __global const float *near, __global const float *size,
                     __global const float *own_down, __global const float *own_along,
                     __global const float *rows_noise, __global const float *bound_rest,
-                    __global const float *own, const int bends, const int round,
-                    __global int *counts, __global uchar *votes, __global float *variance,
-                    __global float *chosen, __global float *common) {
+                    __global const float *own, __global const uchar *measured, const int bends,
+                    const int round, __global int *counts, __global uchar *votes,
+                    __global float *variance, __global float *chosen, __global float *common) {
   const float8 none_near = NONE_NEAR, unknown = NAN, smallest = LEAST_VARIANCE;
   const int at = row * LINE + c;
   float8 near_here[NOISE_PLANES], first = 0, least = 0;
@@ -337,14 +340,16 @@ void noise_of_eight(const int row, const int c, const float *length, const float
           trace > 0 ? near_here[PRODUCT_PLANE + p] * K / trace : (float8)(j == k);
   if (round == ROUNDS) return;
   for (int column = c; column < min(c + LANES, COLUMNS); ++column) {
-    const float here = size[row * LINE + column], left = 1 - own_down[row] * own_along[column];
+    const int node = row * COLUMNS + column;
+    const float here = SURPRISE(node, row * LINE + column);
+    const float left = 1 - own_down[row] * own_along[column];
     if (!(here > REJECTED_AT * variance[row * LINE + column] * left)) continue;
     float largest = 0;
     for (int r = max(row - 1, 0); r <= min(row + 1, ROWS - 1); ++r)
       for (int t = max(column - 1, 0); t <= min(column + 1, COLUMNS - 1); ++t)
-        largest = fmax(largest, size[r * LINE + t]);
+        largest = fmax(largest, SURPRISE(r * COLUMNS + t, r * LINE + t));
     if (here < largest) continue;
-    votes[row * COLUMNS + column] = 0;
+    votes[node] = 0;
     atomic_inc(counts + REJECTED + round);
   }
 }
@@ -355,15 +360,16 @@ __kernel void noise(__global const float *near, __global const float *sums,
                     __global const float *size, __global const float *pilot_own_down,
                     __global const float *pilot_own_along, __global const float *rows_noise,
                     __global const float *bound_rest, __global const float *own,
-                    const int bends, __global int *counts, __global uchar *votes,
-                    __global float *variance, __global float *chosen, __global float *common) {
+                    __global const uchar *measured, const int bends, __global int *counts,
+                    __global uchar *votes, __global float *variance, __global float *chosen,
+                    __global float *common) {
   float length[ESTIMATES], least_of_all;
   lengths_and_floor(sums, length, &least_of_all);
   for (int row = get_global_id(0); row < ROWS; row += get_global_size(0))
     for (int c = LANES * get_global_id(1); c < LINE; c += LANES * get_global_size(1))
       noise_of_eight(row, c, length, least_of_all, near, size, pilot_own_down, pilot_own_along,
-                     rows_noise, bound_rest, own, bends, 0, counts, votes, variance, chosen,
-                     common);
+                     rows_noise, bound_rest, own, measured, bends, 0, counts, votes, variance,
+                     chosen, common);
 }
 
 /* The other rounds, each of them if the one before has rejected nodes, which is rare. One
@@ -372,8 +378,8 @@ __kernel void settle(__global const float *moved, __global const float *pilot_do
                      __global const float *pilot_along, __global const float *pilot_own_down,
                      __global const float *pilot_own_along, __global const float *rows_noise,
                      __global const float *bound_rest, __global const float *own,
-                     const int bends, __global int *counts, __global uchar *votes,
-                     __global float *data, __global float *vote, __global float *size,
+                     __global const uchar *measured, const int bends, __global int *counts,
+                     __global uchar *votes, __global float *data, __global float *vote, __global float *size,
                      __global float *near, __global float *sums, __global float *variance,
                      __global float *chosen, __global float *common) {
   const int first = get_local_id(0), items = get_local_size(0);
@@ -388,8 +394,8 @@ __kernel void settle(__global const float *moved, __global const float *pilot_do
     lengths_and_floor(sums, length, &least_of_all);
     for (int i = LANES * first; i < PLANE; i += LANES * items)
       noise_of_eight(i / LINE, i % LINE, length, least_of_all, near, size, pilot_own_down,
-                     pilot_own_along, rows_noise, bound_rest, own, bends, round, counts, votes,
-                     variance, chosen, common);
+                     pilot_own_along, rows_noise, bound_rest, own, measured, bends, round, counts,
+                     votes, variance, chosen, common);
     barrier(CLK_GLOBAL_MEM_FENCE);
   }
 }
@@ -558,9 +564,9 @@ void store_covariance(const float variance, __global const float *common,
 
 /* The displacement of each node without the shift by bent edges, and its covariance, both also
  * before the filter; NaN where a node has none. A node with a vote takes its mean, a rejected one
- * keeps its value, and one that was not measured takes the mean of its neighbours. moved: K planes.
- * measured: whether a node had a vote at first. points: the covariance of the points. One work-item
- * a node. */
+ * keeps its value, and one that was not measured, or is rough and rejected, takes the mean of its
+ * neighbours. moved: K planes. measured: of NodeStatus; MISSING had no vote at first. points: the
+ * covariance of the points. One work-item a node. */
 __kernel void finish(__global const float *moved, __global const float *values,
                      __global const uchar *votes, __global const uchar *measured,
                      __global const float *variance, __global const float *mixed_variance,
@@ -578,7 +584,7 @@ __kernel void finish(__global const float *moved, __global const float *values,
       covariance[p * NODES + i] = raw_covariance[p * NODES + i] = NAN;
     return;
   }
-  const int rejected = measured[i] && !votes[i], at = IN_LINE(i);
+  const int rejected = measured[i] == DETECTED && !votes[i], at = IN_LINE(i);
   const float before = variance[at];
   float after = votes[i] ? mixed_variance[at] : before, off = 0;
   for (int k = 0; k < K; ++k) {

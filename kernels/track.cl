@@ -27,8 +27,6 @@
 #define STRAY_PX 1.0f
 #define STENCIL 24 /* at most so many nodes predict a node */
 #define ADRIFT_CELLS 0.75f /* a free corner so near to a lost node may be its own */
-#define MISSING 0 /* of NodeStatus */
-#define DETECTED 1
 #define ATTACHED 2
 #define SECOND_LOOK 3
 #define INTERPOLATED 4

@@ -7,8 +7,8 @@ import numpy as np
 
 from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.field.field import DisplacementField
-from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
-from cmp_cl.motion.moments import AtRest, Moment, field_of
+from cmp_cl.grid.grid import Grid, NodeStatus
+from cmp_cl.motion.moments import AtRest, Moment, field_of, measured_of
 from cmp_cl.motion.scale import PlaneScale
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.points import Points3D, PointStatus
@@ -88,7 +88,7 @@ def _between(rest: Moment, now: Moment, device: Device) -> DisplacementField:
     )
     at_rest, valid = AtRest(rest, device), status == PointStatus.VALID
     moved = np.where(valid[..., None], now.at - rest.at, np.nan)
-    measured = valid & np.isin(source, MEASURED)
+    measured = measured_of(source, valid)
     change = at_rest.change(moved, measured, now.own, rest.covariance + now.covariance)
     return field_of(
         at_rest,

@@ -45,6 +45,7 @@ _ROUGH = 6  # sums over a row, in kernels/strain.cl
 _OPENED = 3.0  # largest ratio of the wear of a strained print to its wear at rest
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Source = NDArray[np.uint8]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -53,7 +54,8 @@ class Filtered:
 
     values: (R, C, K), in the unit of the input, NaN where that is NaN. A node that was rejected,
         because it lies more than six standard deviations from what its neighbours predict, keeps
-        its own value and has no influence on them.
+        its own value and has no influence on them. A rough one is rejected at three, and gets
+        their prediction.
     covariance: (R, C, K, K), of the values; where the lattice is too small to show it, that by the
         images. In the plane, both axes have the same variance.
     raw_covariance: the same for the values before the filter.
@@ -70,25 +72,26 @@ class Filtered:
 
 
 def filter_at_rest(
-    values: Array, measured: Bools, by_images: Array, device: Device, *, slopes: bool = False
+    values: Array, measured: Source, by_images: Array, device: Device, *, slopes: bool = False
 ) -> Filtered:
     """Filter positions.
 
-    values: (R, C, K), NaN where missing. measured: (R, C), the nodes that may influence others;
-    the rest get the prediction of their neighbours. by_images: (R, C, K, K), their covariance by
-    the images alone. slopes: whether to compute `Filtered.slopes`.
+    values: (R, C, K), NaN where missing. measured: (R, C) of `NodeStatus`, MISSING for nodes that
+    may not influence others, which get the prediction of their neighbours. by_images: (R, C, K, K),
+    their covariance by the images alone. slopes: whether to compute `Filtered.slopes`.
     """
     there: Bools = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
     surface = np.zeros(values.shape)
-    if (there & measured).any():
-        surface = bilinear_surface(values, there & measured)
+    votes = there & (measured > 0)
+    if votes.any():
+        surface = bilinear_surface(values, votes)
     found = _filtered(values - surface, measured, by_images, None, device, slopes=slopes)
     return dataclasses.replace(found, values=found.values + surface)
 
 
 def filter_change(
     moved: Array,
-    measured: Bools,
+    measured: Source,
     by_images: Array,
     most: Array,
     device: Device,
@@ -122,7 +125,7 @@ def most_at_rest(noise: Array, own: Array) -> Array:
 
 def _filtered(
     values: Array,
-    measured: Bools,
+    measured: Source,
     by_images: Array,
     most: Array | None,
     device: Device,
@@ -154,13 +157,14 @@ def _filtered(
         slopes=slopes,
     )
     there: Bools = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
-    votes = there & measured
+    votes = there & (measured > 0)
     inputs = plan.inputs.arrays
     inputs["moved"][:] = planes(np.where(there[..., None], values, 0))
     inputs["points"][:] = flat(by_images)
     inputs["bound_rest"][:, :columns] = np.nan if most is None else most
     inputs["valid"][:] = there
-    inputs["measured"][:] = inputs["votes"][:] = votes
+    inputs["measured"][:] = np.where(there, measured, 0)
+    inputs["votes"][:] = votes
     results.arrays["counts"][:] = (there.size - np.count_nonzero(votes), *ROUNDS * [0])
     plan.inputs.upload()
     results.upload()
@@ -227,8 +231,8 @@ class LatticeFilter:
     inputs: what the launches start from. moved: K planes (R, C), 0 where there is no value.
     points: their covariance by the images, 6 planes or 1. bent: K planes, subtracted at the end.
     own, bound_rest: (R, C and more columns that are not used), of which the sum is the largest
-    variance of the noise. valid, measured, votes: (R, C), the nodes with a value, and those that
-    have a vote, twice.
+    variance of the noise. valid, measured, votes: (R, C), the nodes with a value, the source of
+    those that have a vote, and these.
     results: holds the arrays of `layout`; in counts, the number of nodes without a vote, then 0.
     """
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.field import DisplacementField
 from cmp_cl.filter import bend_shift
-from cmp_cl.grid.grid import MEASURED, Grid
+from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
 from cmp_cl.motion.filter import (
     Filtered,
     filter_at_rest,
@@ -85,6 +85,11 @@ class Moment:
         return np.where(mean > 0, mean, np.nan)
 
 
+def measured_of(source: NDArray[np.uint8], valid: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return the source of the valid nodes that are measured, MISSING of others, (R, C)."""
+    return np.where(valid & np.isin(source, MEASURED), source, np.uint8(NodeStatus.MISSING))
+
+
 class AtRest:
     """The nodes at rest, and what the lattice filter makes of them on a device.
 
@@ -95,7 +100,7 @@ class AtRest:
         self.moment, self._device, self._slopes = moment, device, slopes
 
     def _filter(self, *, slopes: bool) -> Filtered:
-        measured = np.isin(self.moment.source, MEASURED)
+        measured = measured_of(self.moment.source, self.moment.valid)
         return filter_at_rest(
             self.moment.at, measured, self.moment.covariance, self._device, slopes=slopes
         )
@@ -150,7 +155,7 @@ class AtRest:
     def change(
         self,
         moved: Array,
-        measured: NDArray[np.bool_],
+        measured: NDArray[np.uint8],
         own: NDArray[np.floating],
         by_images: Array | None = None,
         *,
@@ -158,8 +163,8 @@ class AtRest:
     ) -> Filtered:
         """Filter the displacement `moved`, (R, C, D).
 
-        measured: (R, C), the nodes that may influence others. own: (R, C), the variance per axis
-        now, from the images. by_images: the covariance of `moved` from the images.
+        measured: (R, C), see `measured_of`. own: (R, C), the variance per axis now, from the
+        images. by_images: the covariance of `moved` from the images.
         """
         if by_images is None:
             by_images = np.zeros((*moved.shape, moved.shape[2]))
@@ -174,7 +179,7 @@ class AtRest:
         field: DisplacementField,
     ) -> tuple[Array, Array]:
         """Return the strain of a field, and its covariance; the others are those of `change`."""
-        measured = field.valid & np.isin(field.source, MEASURED)
+        measured = measured_of(field.source, field.valid)
         slopes = self.change(moved, measured, own, slopes=True).slopes
         assert slopes is not None
         return strain_of(

@@ -139,9 +139,10 @@ def expected(rig, rest, now):
     status = np.where(after.valid, before.status, after.status)
     sources = before.source, after.source
     source = np.where(np.min(sources, axis=0) == NodeStatus.MISSING, 0, np.max(sources, axis=0))
-    measured = np.isin(source, MEASURED) & (status == PointStatus.VALID)
+    measured = np.where(np.isin(source, MEASURED) & (status == PointStatus.VALID), source, 0)
     valid = (status == PointStatus.VALID)[..., None]
-    quiet = lattice_filter.filter_positions(before.at, np.isin(before.source, MEASURED))
+    at_rest = np.where(np.isin(before.source, MEASURED), before.source, 0)
+    quiet = lattice_filter.filter_positions(before.at, at_rest)
     worn = 9 * np.maximum(quiet.noise**2 - before.own, 0)
     moved = np.where(valid, after.at - before.at, np.nan)
     found = lattice_filter.filter_displacements(
@@ -159,10 +160,12 @@ CASES = {  # shape, holes, wrong nodes
     "a border line is missing": (USUAL, [(0, c) for c in range(19)], []),
     "two parts": (USUAL, [(r, c) for r in range(18) for c in range(6, 10)], []),
     "outliers": (USUAL, [(3, 3)], [(8, 8), (15, 4)]),
+    "rough outliers": (USUAL, [], [(8, 8), (15, 4)]),
     "narrow": ((15, 3), [], []),
     "too small to filter": ((4, 4), [], []),
     "wide": ((7, 40), [(3, 20)], []),
 }
+ROUGH_PX = 0.45  # between three and six standard deviations
 STRAINED = "whole", "holes and a tear", "outliers", "narrow", "wide"
 AT_REST = {"holes and a tear": [(7, 2), (12, 12)]}  # nodes that are missing at rest alone
 
@@ -174,8 +177,10 @@ def pressed(case, rig, seed, shared=0.0):
     rest = views_of(rig, surface(*shape), rng)
     rest = tuple(with_holes(grid, *AT_REST.get(case, [])) for grid in rest)
     now = views_of(rig, surface(*shape, press=1.0), rng, shared=shared)
-    for node in wrong:
-        now[0].xy[node] += (2.0, 0.0)  # along its epipolar line, where no first point matters
+    for node in wrong:  # along its epipolar line, where no first point matters
+        now[0].xy[node] += (ROUGH_PX if case == "rough outliers" else 2.0, 0.0)
+        if case == "rough outliers":
+            now[0].status[node] = NodeStatus.ATTACHED
     now = tuple(with_holes(grid, *holes) for grid in now)
     if case in AT_REST:
         rest[0].status[1, 1] = NodeStatus.INTERPOLATED

@@ -74,6 +74,18 @@ def test_a_gross_error_does_not_spread():
     assert np.abs(spoilt.sigma / clean.sigma - 1)[others].max() < 0.5
 
 
+def test_a_corner_that_is_rough_at_one_moment_moves_as_its_neighbours_do():
+    """A worn corner is averaged with its prediction when it is rough, and so jumps by itself."""
+    rest, moved = lattice(18, 19), noisy(surface(18, 19), 0.05)
+    now = grid_of(rest + moved)
+    now.xy[12, 13] += (0.4, -0.3)
+    now.status[12, 13] = NodeStatus.ATTACHED
+    found = displacement(grid_of(rest), now)
+    off = found.displacement[12, 13] - surface(18, 19)[12, 13]
+    assert (np.abs(off) < 2 * found.sigma[12, 13]).all()
+    assert found.sigma[12, 13] < 0.1
+
+
 def test_interpolated_nodes_follow_their_neighbours():
     xy = noisy(lattice(12, 12), 0.1)
     off = xy.copy()

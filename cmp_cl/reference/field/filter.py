@@ -14,8 +14,8 @@
    three quarters of the window measured. G is a Gaussian of that standard deviation, in nodes,
    whose weights sum to 1. e is the mean of a chi variable over root(f), with f degrees of
    freedom: trace^2 / sum of squares of the matrix sum r r^T / root(u).
-5. A node is rejected if |r|^2 / K > 36 s2 (1 - k) and no neighbour has a larger |r|. This is done
-   up to three times.
+5. A node is rejected if |r|^2 / K > 36 s2 (1 - k) and no neighbour has a larger |r|. For a rough
+   corner |r| counts twice. This is done up to three times.
 6. Each pair gives the estimate E, the loss Q = |X - E|^2 / K + 2 s2 H, with H the node's own weight
    in the pair, and the risk G1.5(Q) / s2 over the votes. A pair is left out if less than three
    quarters of its window are measured; the pair that changes nothing is always in. The result is
@@ -42,6 +42,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Source = NDArray[np.uint8]
 
 LEAST_OF_FIVE = 1.29
 PAIRED = ((0, 0), (2, 1), (2, 3), (3, 3), (4, 3), (7, 3))  # half width in nodes, degree
@@ -51,11 +52,12 @@ PAIRED = ((0, 0), (2, 1), (2, 3), (3, 3), (4, 3), (7, 3))  # half width in nodes
 class Filtered:
     """A filtered lattice.
 
-    values: (R, C, K); a rejected node keeps its own value. sigma, noise: (R, C), standard
-    deviations of the values and of those before the filter, NaN where unknown. refused: (R, C), the
-    rejected nodes. margin: the smallest relative distance from its bound of a quantity that rejects
-    or accepts a node; if it is tiny, float32 may decide otherwise. common: (R, C, K, K), the
-    covariance of the coordinates from the residuals of the votes around, over its mean diagonal.
+    values: (R, C, K); a rejected node keeps its own value, unless it is rough. sigma, noise: (R,
+    C), standard deviations of the values and of those before the filter, NaN where unknown.
+    refused: (R, C), the rejected nodes. margin: the smallest relative distance from its bound of a
+    quantity that rejects or accepts a node; if it is tiny, float32 may decide otherwise. common:
+    (R, C, K, K), the covariance of the coordinates from the residuals of the votes around, over its
+    mean diagonal.
     weights: (A, B, R, C), of the pairs. estimates: (A, B, R, C, K), what each pair gives, but for
     the surface of 1.
     """
@@ -70,26 +72,26 @@ class Filtered:
     estimates: Floats
 
 
-def filter_positions(values: Floats, measured: Bools) -> Filtered:
+def filter_positions(values: Floats, measured: Source) -> Filtered:
     """Filter positions (R, C, K), NaN where missing.
 
-    A node with a value that is not measured has no vote and gets the mean of its neighbours; a hole
-    is filled like one without a vote.
+    measured: (R, C), 1; 0 for a node that has no vote and gets the mean of its neighbours; more
+    than 1 for a rough corner. A hole is filled like a node without a vote.
     """
-    votes = np.isfinite(values).all(axis=2) & measured
+    votes = np.isfinite(values).all(axis=2) & (measured > 0)
     surface = _plane(values, votes)
     found = _filtered(values - surface, measured, None)
     return dataclasses.replace(found, values=found.values + surface)
 
 
-def filter_displacements(values: Floats, measured: Bools, most_noise: Floats) -> Filtered:
+def filter_displacements(values: Floats, measured: Source, most_noise: Floats) -> Filtered:
     """Filter displacements, see 8 and `filter_positions`. most_noise: (R, C), NaN where unknown."""
     return _filtered(values, measured, most_noise)
 
 
-def _filtered(values: Floats, measured: Bools, most: Floats | None) -> Filtered:
+def _filtered(values: Floats, measured: Source, most: Floats | None) -> Filtered:
     there = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
-    votes = there & measured
+    votes, rough = there & (measured > 0), measured > 1
     data = np.where(votes[..., None], values, 0)
     if not votes.all():
         data = _filled(data, votes)
@@ -97,7 +99,7 @@ def _filtered(values: Floats, measured: Bools, most: Floats | None) -> Filtered:
     kept = votes
     residual, s2, own = _noise(data, kept)
     for _ in range(3):
-        gone, near = _rejected(residual, s2, own, kept)
+        gone, near = _rejected(residual * np.where(rough, 2, 1)[..., None], s2, own, kept)
         margin = min(margin, near)
         if not gone.any():
             break
@@ -112,8 +114,9 @@ def _filtered(values: Floats, measured: Bools, most: Floats | None) -> Filtered:
     gone = votes & ~kept
     off = ((values - smooth) ** 2).mean(axis=2)
     variance = np.where(kept, variance, s2)
-    variance = np.where(gone, np.maximum(off, s2), variance)
-    changed = there & ~gone & np.isfinite(variance)
+    kept_own = gone & ~rough
+    variance = np.where(kept_own, np.maximum(off, s2), variance)
+    changed = there & ~kept_own & np.isfinite(variance)
     rows, columns = (sum(n >= 2 * side + 1 for side, _ in PAIRED) for n in there.shape)
     return Filtered(
         values=np.where(changed[..., None], smooth, values),
