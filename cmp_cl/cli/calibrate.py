@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     device = select_device(arguments.device)
     grids, sizes, left_out = _boards(arguments, files, device)
     for line in left_out:
-        tell(f"left out {line}")
+        tell(f"left out: {line}")
     found = calibrate(grids, spacing=arguments.square, sizes=sizes, lens=Lens(arguments.lens))
     window, covariance = None, found.covariance
     if arguments.window is not None:

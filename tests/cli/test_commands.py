@@ -82,9 +82,9 @@ def test_calibrate_finds_the_cameras_again(run, boards):
     Path("6.png").write_text("no image")
     status, out, err = run("calibrate", "--stereo", *(f"{n}.png" for n in range(7)), *BOARD)
     assert status == 0
-    assert err.startswith("cmp-cl: left out 4.png (left): no pattern of 12 x 12 corners is found")
-    assert "left out 5.png (right): it has 108 x 240 px, earlier views 216 x 240" in err
-    assert err.count("6.png") == 1  # of both views
+    assert err.startswith("cmp-cl: left out: 4.png (left): no pattern of 12 x 12 corners is found")
+    assert "left out: 5.png (right): it has 108 x 240 px, earlier views 216 x 240" in err
+    assert err.count("left out: '6.png' is not an image") == err.count("6.png") == 1  # both views
     assert "advice: 4 different views" in out
     rig = StereoRig.load("rig.yaml")
     assert rig.K1[0, 0] == pytest.approx(RIG.K1[0, 0], rel=0.02)
