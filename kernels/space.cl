@@ -229,7 +229,9 @@ void fit(const REALS *jacobian, const REALS *weight, const REALS *residual, cons
  * nodes: of both views, complete, px of the view; status: of NodeStatus; sigma: px, not positive if
  * unknown. rest: positions (3 planes), rest_*: their status, source, covariance (6 planes) and
  * motion by bent edges (3 planes). moved: 3 planes, 0 where not valid. points: the sum of the
- * covariances of both moments. own: the variance now per axis, in lines.
+ * covariances of both moments. own: the variance now per axis, in lines. misfit: the
+ * step from the point at which the rays meet best to the node in the left view, px (2 planes): half
+ * of its distance from its epipolar line, NaN where a view does not show it.
  * One work-item for WIDTH nodes. */
 __kernel void space(__global const float2 *nodes, __global const uchar *seen_status,
                     __global const float *seen_sigma, __global const REAL *left,
@@ -240,8 +242,9 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
                     __global const uchar *rest_source, __global const float *rest_points,
                     __global const float *rest_bent, __global float *moved,
                     __global float *points, __global float *own, __global float *bent,
-                    __global uchar *status, __global uchar *source, __global uchar *valid,
-                    __global uchar *measured, __global uchar *votes, __global int *counts) {
+                    __global float *misfit, __global uchar *status, __global uchar *source,
+                    __global uchar *valid, __global uchar *measured, __global uchar *votes,
+                    __global int *counts) {
   const int first = WIDTH * get_global_id(0);
   if (first >= NODES) return;
   BY_LANE pixel_of[4], weight_of[2], bend_in[4];
@@ -291,13 +294,14 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
     bend[j] = bend_in[j].all;
   }
   fit(jacobian, weight, residual, bend, covariance, move, shift);
-  BY_LANE better[3], bent_by[3], v[6], error;
+  BY_LANE better[3], bent_by[3], v[6], error, misfit_of[2];
   error.all = 0;
   for (int j = 0; j < 4; ++j) {
     const REALS *d = jacobian + 3 * j;
     const REALS left_over = residual[j] - d[0] * move[0] - d[1] * move[1] - d[2] * move[2];
     error.all += left_over * left_over;
   }
+  for (int j = 0; j < 2; ++j) misfit_of[j].all = residual[j];
   for (int p = 0; p < 6; ++p) v[p].all = covariance[p];
   for (int k = 0; k < 3; ++k) {
     better[k].all = point[k] + move[k];
@@ -316,7 +320,10 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
     if (!(astray_one.each[lane] < ROUND_TRIP * ROUND_TRIP &&
           astray_two.each[lane] < ROUND_TRIP * ROUND_TRIP))
       now = INCONSISTENT;
-    if (seen_status[i] == MISSING || seen_status[NODES + i] == MISSING) now = MISSING;
+    const int seen_by_both = seen_status[i] != MISSING && seen_status[NODES + i] != MISSING;
+    if (!seen_by_both) now = MISSING;
+    for (int j = 0; j < 2; ++j)
+      misfit[j * NODES + i] = seen_by_both ? (float)misfit_of[j].each[lane] : NAN;
     const int good = judge(i, now, worst, rest_status, rest_source, status, source, valid, measured,
                            votes, counts);
     const REAL trace = v[0].each[lane] + v[3].each[lane] + v[5].each[lane];

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from comparison import assert_same_bytes
 from corner_images import grain
-from gels import GEL, NODES, RIG, SPLIT, Shot, numbered_otherwise, pressed
+from gels import GEL, NODES, RIG, SPLIT, VIEW, Shot, numbered_otherwise, pressed
 from lattices import drawn
 from videos import write_video
 
@@ -328,6 +328,63 @@ def test_views_that_may_show_different_parts_of_a_pattern_are_refused():
     for shape in (None, seen.shape):
         with pytest.raises(GridError, match=r"different parts .* by 0 rows and -?2 columns"):
             measure.TwoViews(inside, rig, split, shape=shape)
+
+
+def knocked(shot, *, across=0.0, degrees=0.0, zoom=1.0):
+    """Return the frame of a shot whose right view has moved by px, turned, and been enlarged."""
+    rows, columns = VIEW
+    change = cv2.getRotationMatrix2D((columns / 2, rows / 2), degrees, zoom)
+    change[1, 2] += across
+    moved = cv2.warpAffine(
+        shot.right.image, change, (columns, rows), flags=cv2.INTER_CUBIC, borderValue=115
+    )
+    return np.hstack([shot.left.image, moved])
+
+
+@pytest.mark.parametrize("severity", [0.0, 0.9])
+def test_a_view_that_is_knocked_after_rest_is_told(film, severity):
+    shot = pressed(severity)
+    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as against_rest:
+        for knock in (
+            {"across": 0.5},
+            {"across": -2.0},
+            {"across": 5.0},
+            {"degrees": 0.2},
+            {"zoom": 1.005},
+        ):
+            measured = against_rest(knocked(shot, **knock))
+            assert measured.misfit, knock
+            assert measured.arrays["misfit"]
+            assert measured.nodes > 130
+        gone = against_rest(knocked(shot, across=20.0))
+        assert (gone.nodes, gone.misfit) == (0, True)
+        still = against_rest(knocked(shot)), against_rest(shot.frame)
+        assert [(each.misfit, each.nodes) for each in still] == 2 * [(False, 144)]
+        assert not still[0].arrays["misfit"]
+
+
+def test_neither_a_press_nor_wear_nor_dim_light_nor_a_gel_that_moves_is_a_knock(film):
+    changes = (
+        *({"severity": severity} for severity in (0.1, 0.5, 1.0, 1.5, 2.0)),
+        {"corrosion": 3.0},
+        {"exposure": 0.2},
+        {"noise": 12.0},
+        {"blur": 2.0},
+        {"position": (5.0, -7.0), "rotation": 0.05},
+    )
+    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as against_rest:
+        for change in changes:
+            scene = dataclasses.replace(GEL, **{"severity": 0.0, **change})
+            measured = against_rest(Shot(*render_stereo(scene, RIG)).frame)
+            assert measured.nodes > 70
+            assert not measured.misfit, change
+        part = film[0].copy()
+        part[100:, :] = 115  # of the few rows that are left nothing is said
+        assert not against_rest(part).misfit
+    with measure.OneView(pressed(0.0).left.image, shape=NODES) as one:
+        measured = one(pressed(0.4).left.image)
+    assert not measured.misfit
+    assert "misfit" not in measured.arrays
 
 
 def test_a_known_size_pairs_views_that_see_opposite_borders():

@@ -178,6 +178,13 @@ def run(arguments: argparse.Namespace) -> int:
             "of them (the array `ambiguous` says which frames); show a border of the pattern in "
             "every frame, or give --track if it moves by less than half a cell from frame to frame"
         )
+    if found.misfit:
+        tell(
+            f"in {counted(found.misfit, 'frame')} the rig no longer fits as it did at rest: a "
+            "camera or a mirror may have moved, and all displacements of such a frame may be wrong "
+            "(the array `misfit` says which frames); calibrate again, and record a new frame at "
+            "rest"
+        )
     failed = [one_line(error) for error in (ended_by, found.error) if error is not None]
     if failed:
         tell("; ".join(failed))

@@ -12,6 +12,7 @@ from cmp_cl.corners import Corners
 from cmp_cl.field import DisplacementField
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
+from cmp_cl.measure.fit import Fit
 from cmp_cl.motion.nodes import positions_of
 from cmp_cl.motion.plan import FieldPlan
 from cmp_cl.space import Bias
@@ -35,6 +36,7 @@ class Measured:
     ambiguous: bool = False
     differing: int = 0
     bias: Bias | None = None
+    _fit: Fit | None
     _plan: FieldPlan
     _found: Found
     _arrays: dict[str, NDArray[Any]]  # what the kernels have found
@@ -55,6 +57,12 @@ class Measured:
     def grids(self) -> tuple[Grid, ...]:
         """Return the grid of the one view, or those of the left and of the right one."""
         return self._numbered()
+
+    @functools.cached_property
+    def misfit(self) -> bool:
+        """Return whether the rig of two views no longer fits as it did at rest: all displacements
+        may then be wrong. A camera that moves along the epipolar lines alone does not show."""
+        return self._fit is not None and self._fit.is_lost(self._arrays["misfit"])
 
     @functools.cached_property
     def bias_sigma(self) -> NDArray[np.float64] | None:
@@ -79,8 +87,8 @@ class Measured:
 
         displacement, sigma, status and source of the field; raw_displacement and raw_sigma before
         the lattice filter; its strain, if it has one, see
-        `DisplacementField.strains`; bias_sigma, if there is one; and the detected positions,
-        (R, C, 2) float32, px: xy of one view, left and right of two.
+        `DisplacementField.strains`; bias_sigma, if there is one; misfit of two views; and the
+        detected positions, (R, C, 2) float32, px: xy of one view, left and right of two.
         """
         field = self.field
         arrays: dict[str, NDArray[Any]] = {
@@ -94,6 +102,8 @@ class Measured:
             arrays |= {"raw_displacement": field.raw.displacement, "raw_sigma": field.raw.sigma}
         if self.bias_sigma is not None:
             arrays["bias_sigma"] = self.bias_sigma
+        if self._fit is not None:
+            arrays["misfit"] = np.array(self.misfit)
         names = ("xy",) if len(self.views) == 1 else ("left", "right")
         seen = {name: positions_of(self._arrays, view) for view, name in enumerate(names)}
         return arrays | seen

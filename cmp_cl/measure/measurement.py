@@ -19,6 +19,7 @@ from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, DeviceError, FieldError, ImageError, check_kind, errors_last
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage, check_image
+from cmp_cl.measure.fit import Fit
 from cmp_cl.measure.measured import Measured, Tally
 from cmp_cl.measure.patterns import find_pattern
 from cmp_cl.measure.views import View, named
@@ -177,7 +178,9 @@ class Measurement(Closing):
         grids = [view.rest for view in self._views]
         self._start_from(grids, [view.corners for view in self._views])
         self._plan.start()
-        still = self._plan.field(self._plan.read())
+        at_rest = self._plan.read()
+        self._fit = Fit(at_rest["misfit"]) if "misfit" in at_rest else None
+        still = self._plan.field(at_rest)
         assert still.raw is not None
         self.unit, self.nodes = still.unit, still.status.size
         self.constants: dict[str, NDArray[Any]] = {
@@ -345,6 +348,7 @@ class Measurement(Closing):
             views=begun.views,
             tracked=tracker is not None and same and tracker.holds(arrays, found.counts),
             bias=self._bias,
+            _fit=self._fit,
             _plan=self._plan,
             _found=found,
             _arrays=arrays,

@@ -11,6 +11,7 @@ from cmp_cl.errors import ConfigError, GridError, check_kind
 from cmp_cl.grid import Grid
 from cmp_cl.grid.grid import NO_SIDES
 from cmp_cl.image import GreyImage
+from cmp_cl.measure.fit import LEAST_FITTING
 from cmp_cl.measure.measurement import Measurement, Settings
 from cmp_cl.measure.patterns import align_views
 from cmp_cl.motion.geometry import InSpace
@@ -19,7 +20,6 @@ from cmp_cl.space import Bias, BinocularSplit, Points3D, PointStatus, StereoRig
 
 Ends = tuple[bool, bool]  # whether the first and the last line are seen to be the pattern's
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
-_LEAST_FITTING = 0.75  # share of the nodes at rest that must fit
 _FLIP = np.array([-1, 1], np.float32)
 # Rows and columns to the nearest nodes of the same colours
 _SHIFTS = (0, 2), (0, -2), (2, 0), (-2, 0), (1, 1), (-1, -1), (1, -1), (-1, 1)
@@ -82,7 +82,7 @@ class TwoViews(Measurement):
             )
         if not both:
             raise GridError("the two views show no node in common; check the split")
-        if not fitting >= _LEAST_FITTING * both:
+        if not fitting >= LEAST_FITTING * both:
             glass = ", a window or gel that the calibration does not know (calibrate --window)"
             raise GridError(
                 f"the rig fits {fitting} of the {both} nodes that both views show to "
@@ -109,7 +109,7 @@ class TwoViews(Measurement):
             other = dataclasses.replace(right, origin=(rows, columns)).cut_to(left)
             points = self._rig.triangulate(left, other)
             pairs = np.count_nonzero(left.valid & other.valid)
-            if pairs and _fit(points) >= _LEAST_FITTING * pairs:
+            if pairs and _fit(points) >= LEAST_FITTING * pairs:
                 raise GridError(
                     f"the two views may show different parts of the pattern: the rig fits as well "
                     f"with the right view's numbers shifted by {rows} rows and {columns} columns; "

@@ -1,6 +1,6 @@
 """From nodes in the views to positions: in space by two cameras, in the plane by one."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,9 @@ class InSpace:
     views, axes = 2, 3
     file = kernel = "space"
     width = 4  # nodes of a work-item on a CPU
+    own_results: Mapping[str, int] = {
+        "misfit": 2
+    }  # planes (R, C), px, that only this kernel writes
 
     def __init__(self, rig: StereoRig, radii: Sequence[float]) -> None:
         self._rig, self._radii = rig, radii
@@ -59,6 +62,7 @@ class InPlane:
 
     views, axes = 1, 2
     file, kernel, width = "flat", "in_plane", 1
+    own_results: Mapping[str, int] = {}
 
     def __init__(self, scale: PlaneScale, radius: float) -> None:
         self._scale, self._radius = scale, radius

@@ -126,6 +126,8 @@ class FieldPlan:
             "status": (self.shape, np.uint8),
             "source": (self.shape, np.uint8),
         }
+        for name, count in self._geometry.own_results.items():
+            layout[name] = (count, *self.shape), np.float32
         if self._strained:
             layout["strain"] = (3, *self.shape), np.float32
             layout["strain_covariance"] = (covariances(3), *self.shape), np.float32

@@ -109,6 +109,16 @@ def test_an_audit_that_finds_other_numbers_is_told(run, recording, press, monkey
     assert "frame 1: tracking had another corner for 4 nodes than " in err
 
 
+def test_a_view_that_is_knocked_is_told(run, recording, press):
+    right = np.roll(press[1].right.image, 2, axis=0)
+    cv2.imwrite(str(recording / "1.png"), np.hstack([press[1].left.image, right]))
+    status, out, err = run("run", recording, *STEREO)
+    assert status == 0
+    assert "; 1 that the rig does not fit; " in out
+    assert "in 1 frame the rig no longer fits as it did at rest: " in err
+    assert np.load("press.npz")["misfit"].tolist() == [False, True, False]
+
+
 def test_a_mirrored_view_is_reversed(run, recording, press):
     run("run", recording, *STEREO)
     straight = np.load("press.npz")["displacement"]

@@ -274,6 +274,22 @@ def test_the_strain_is_the_oracles(run, device, case, views, at_once):
 
 
 @pytest.mark.parametrize("window", ["no window", "acrylic and gel"])
+def test_the_misfit_is_the_reprojection_error_of_points_from_views_that_weigh_alike(run, window):
+    rig = rig_with(window=window)
+    rest, now = pressed("holes and a tear", rig, 5)
+    now[1].xy[2, 2] += (0, 12)  # off its epipolar line
+    misfit = run(rig, rest, now)[1]["misfit"]
+    alike = (dataclasses.replace(grid, image_sigma=np.full_like(grid.sigma, 0.1)) for grid in now)
+    points = rig.triangulate(*alike)
+    left_over = now[0].xy[points.valid] - rig.project(points.xyz[points.valid])[0]
+    np.testing.assert_allclose(misfit[:, points.valid].T, left_over, rtol=0.1, atol=1e-3)
+    seen = now[0].valid & now[1].valid
+    np.testing.assert_array_equal(np.isnan(misfit), [~seen, ~seen])
+    assert points.status[2, 2] == PointStatus.INCONSISTENT
+    assert np.hypot(*misfit[:, 2, 2]) == pytest.approx(6, abs=0.3)
+
+
+@pytest.mark.parametrize("window", ["no window", "acrylic and gel"])
 def test_points_that_no_rig_can_see_say_why(run, window):
     rng, rig = np.random.default_rng(6), rig_with(window=window)
     rest = views_of(rig, surface(*USUAL), rng)

@@ -30,7 +30,7 @@ class Results(Closing):
     there is a live view. settings: what the series says of the run. period_ms: time between frames,
     NaN if unknown.
 
-    ambiguous, left_out: numbers of frames. error: why a picture was not written, else None.
+    ambiguous, misfit, left_out: numbers of frames. error: why a picture was not written, else None.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Results(Closing):
         period_ms: float,
     ) -> None:
         self._unit, self._of_pattern, self._pictures = measure.unit, measure.nodes, pictures
-        self.ambiguous = self.left_out = 0
+        self.ambiguous = self.misfit = self.left_out = 0
         self._nodes: list[int] = []  # that were measured in each frame
         self._summary = Summary()
         self._times: deque[float] = deque(maxlen=_RATED)
@@ -80,6 +80,7 @@ class Results(Closing):
         )
         self._nodes.append(measured.nodes)
         self.ambiguous += ambiguous and measured.nodes > 0
+        self.misfit += measured.misfit
         moment = Moment.of(measured.field, frame.index, frame.time_ms)
         self._summary.add(moment)
         self._draw(measured, moment)
@@ -145,6 +146,7 @@ class Results(Closing):
         for count, what in (
             (self.frames - len(seen), "without the pattern"),
             (self.ambiguous, "whose numbers may be wrong"),
+            (self.misfit, "that the rig does not fit"),
             (self.left_out, "left out"),
         ):
             if count:
