@@ -370,7 +370,7 @@ def still(rig=RIG, **changes):
 
 
 def test_noise_in_few_nodes_or_after_a_perfect_rest_is_no_knock():
-    for shape, noise in ((NODES, 20.0), ((5, 5), 1.0)):
+    for shape, noise in ((NODES, 20.0), ((5, 5), 4.0)):
         rest = still(markers=shape[0])
         with measure.TwoViews(rest, RIG, SPLIT, shape=shape) as against_rest:
             for seed in range(6):
