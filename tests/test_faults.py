@@ -241,7 +241,8 @@ def test_pocl_is_told_a_processor_where_it_knows_none(names, renamed):
         version="OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-generic",
         int_ptr=ctypes.addressof(record),
     )
-    pocl.name_processor(device)
+    for _ in range(2):  # each list of the devices does it
+        pocl.name_processor(device)
     at = [ctypes.string_at(address).decode() for address in record[2 : 2 + len(names)]]
     assert [k for k, name in enumerate(names) if at[k] != name] == renamed
     assert all(at[k] in ("haswell", "skylake-avx512") for k in renamed)

@@ -24,7 +24,8 @@ _MOST_WORKERS = 4096
 _POCL_WORKERS = ("POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
 _LEAST_FREE = 32 << 20  # bytes; a plan's kernels take some 10 MB in PoCL's cache
 _PROBE_S = 60.0
-_UNKNOWN = b"generic\0"  # what LLVM calls a processor that it does not know
+_UNKNOWN = b"generic"  # what LLVM calls a processor that it does not know
+_LONGEST = 32  # bytes, more than a name of a processor has
 _RECORD = 2048  # bytes, within which PoCL's record of a device has that name
 _PROCESSORS = (  # names that LLVM knows, and the instructions that they stand for, the most first
     (b"skylake-avx512", {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}),
@@ -58,23 +59,24 @@ def name_processor(handle: cl.Device) -> None:
     """
     if not (is_pocl(handle) and handle.version.endswith("-generic")):
         return
-    with contextlib.suppress(OSError), open("/proc/self/mem", "r+b", buffering=0) as memory:
+    with contextlib.suppress(OSError), open("/proc/self/mem", "rb", buffering=0) as memory:
         flags = set(re.findall(r"\w+", Path("/proc/cpuinfo").read_text()))
         named = [_NAMES[name] for name, needed in _PROCESSORS if needed <= flags]
         record = os.pread(memory.fileno(), _RECORD, handle.int_ptr)
-        words = np.frombuffer(record[: len(record) // 8 * 8], np.uint64).tolist()
-        unknown = (k for k, word in enumerate(words) if _is_at(memory.fileno(), word, _UNKNOWN))
-        at = next(unknown, None)  # what lies behind the record may point there too
-        if named and at is not None:
-            name = np.uint64(ctypes.addressof(named[0])).tobytes()
-            os.pwrite(memory.fileno(), name, handle.int_ptr + 8 * at)
+        for k, word in enumerate(np.frombuffer(record[: len(record) // 8 * 8], np.uint64).tolist()):
+            text = _text_at(memory.fileno(), word)
+            if text == _UNKNOWN and named:
+                place = ctypes.c_uint64.from_address(handle.int_ptr + 8 * k)
+                place.value = ctypes.addressof(named[0])
+            if text == _UNKNOWN or text in _NAMES:  # what lies behind may be another's
+                return
 
 
-def _is_at(memory: int, address: int, text: bytes) -> bool:
-    """Return whether a text lies at an address of this process."""
+def _text_at(memory: int, address: int) -> bytes:
+    """Return the text at an address of this process, its first bytes; b"" without one."""
     with contextlib.suppress(OSError, OverflowError):
-        return os.pread(memory, len(text), address) == text
-    return False
+        return os.pread(memory, _LONGEST, address).partition(b"\0")[0]
+    return b""
 
 
 def check_workers() -> None:
@@ -150,8 +152,9 @@ def _check_linker() -> None:
         lines = done.stderr.strip().splitlines() or [f"status {done.returncode}"]
         said = next((line for line in lines if line.startswith("error:")), lines[0])
         raise DeviceError(
-            f"PoCL cannot compile kernels ({said}); it needs a linker: apt install gcc libc6-dev, "
-            "or dnf install gcc glibc-devel"
+            f"PoCL cannot compile kernels ({said}); it needs a linker (apt install gcc libc6-dev, "
+            "or dnf install gcc glibc-devel) and a processor that it knows (apt install "
+            "pocl-opencl-icd, or dnf install pocl, may be newer)"
         )
 
 
