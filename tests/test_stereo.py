@@ -104,6 +104,7 @@ def test_nodes_without_depth_are_flagged(left, right, status):
 def test_a_point_behind_the_right_camera_alone_is_flagged():
     ahead = StereoRig(K, [], K, [], np.eye(3), [-10.0, 0, -50])
     left, right = ahead.project(np.array([[2.0, 1.0, 40.0]]))
+    assert [len(each) for each in ahead.project(np.empty((0, 3)))] == [0, 0]
     assert one_node(ahead, left[0], right[0]).status[0, 0] == PointStatus.BEHIND
 
 

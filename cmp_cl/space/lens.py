@@ -77,6 +77,8 @@ def projected(points: Array, camera: Array) -> tuple[Array, Array]:
     points: (N, 3), in the frame of the first camera. camera: its parameters, (P,). Returns the
     pixels (N, 2), and their derivatives by the parameters, (N, 2, P).
     """
+    if not len(points):  # OpenCV gives no derivatives
+        return np.empty((0, 2)), np.empty((0, 2, len(camera)))
     pose, model = (camera[-POSE:-3], camera[-3:]), (matrix_of(camera), distortion_of(camera))
     if len(model[1]) == Lens.FISHEYE.coefficients:
         seen, slopes = cv2.fisheye.projectPoints(points[:, None], *pose, *model)
