@@ -26,7 +26,8 @@ def green_lagrange(rest: Array, now: Array) -> Array:
     5 x 5 nodes, to give the tangent vectors A = (a1, a2) at rest and B now. With A = Q U in
     orthonormal axes Q, E = (U^-T B^T B U^-1 - I) / 2. In a plane, the axes are x and y. On a
     surface, axis 1 runs along the rows, and axis 2 is perpendicular to it, towards the columns. A
-    rigid motion gives 0.
+    rigid motion gives 0. On an outer line the window lies to one side: the strain is that of its
+    middle, one cell inwards, and half a cell on the next line.
 
     Returns (R, C, 3) E11, E22, E12 (half the engineering shear); NaN if the node is missing, if its
     window has fewer than 6 nodes, or if these lie on a line.
