@@ -35,9 +35,11 @@ OCTAVE_WIDE = 4  # the ring of 8 px responds at least one in so many
 OCTAVE_SHARE = 48  # least response of a corner of a halved frame, 1/128 of the reference
 OCTAVE_APART = 5  # px of the halved frame: nearer to a corner found before it is that corner
 STRONG = 1.5  # one in so many of the reference is a response that needs nothing beside it
-NEIGHBOURS = 32  # px in x and y: the corners of narrower cells have neighbours in there
+OUTDONE = 2  # a frame may be noise if its own reference is less than one in so many of W
+NEIGHBOURS = 32  # px of the octave, x and y: corners of narrower cells have neighbours in there
 ALIGNED = 8  # of them suffice, and two more for each that is askew
-SEEN = 1.5  # px of the frame halved once
+MOSTLY = 3  # times as many aligned neighbours as askew ones or more: the latter are few
+SEEN = 1.5  # px of the next octave
 UNIT = 15  # of a direction, about
 
 
@@ -242,19 +244,23 @@ def decided(
     corners do not.
     """
     octaves = [each for each in layers if not each.fine]
-    level = greatest = max(reference(each.response) for each in octaves)
+    references = [reference(each.response) for each in octaves]
+    level = greatest = max(references)
     if not greatest and rule.fine:
         level = reference(layers[1].response)
     strong = [strong_enough(each, rule, level) for each in layers]
-    every = [each for each in strong if not each.halvings]
-    halves = [each.of(128 * each.response >= rule.coarse_share * level) for each in octaves[1:2]]
+    enough = [each.of(128 * each.response >= rule.coarse_share * level) for each in octaves]
+    every = [[each for each in strong if not each.halvings], *([each] for each in enough[1:])]
     kept: list[Maxima] = []
     for each in strong:
-        reach = OCTAVE_APART if each.halvings else nms_radius
+        n, reach = each.halvings, OCTAVE_APART if each.halvings else nms_radius
         corner = ~is_near(each, kept, reach)
-        if halves and not each.halvings:
-            asked = corner & (STRONG * each.response < level)
-            corner[asked] = is_confirmed(each.of(asked), every, halves[0], nms_radius)
+        if n + 1 < len(octaves):
+            weak = (STRONG * each.response < level) & (n == 0)
+            asked = corner & (weak | (n > 0) | (OUTDONE * references[0] < level))
+            corner[asked] = ~is_lone(
+                each.of(asked), weak[asked], every[n], enough[n + 1], nms_radius
+            )
         kept.append(each.of(corner))
     return greatest, kept
 
@@ -274,19 +280,24 @@ def strong_enough(found: Maxima, rule: RingHarmonic, level: int) -> Maxima:
     return found.of(np.where(clean, 256, 128) * found.response >= rule.coarse_share * level)
 
 
-def is_confirmed(
-    asked: Maxima, every: Sequence[Maxima], half: Maxima, nms_radius: int
+def is_lone(
+    asked: Maxima,
+    weak: NDArray[np.bool_],
+    every: Sequence[Maxima],
+    following: Maxima,
+    nms_radius: int,
 ) -> NDArray[np.bool_]:
-    """Return which maxima of the frame many neighbours confirm, or the frame halved once with no
-    neighbour against it.
+    """Return which maxima of an octave neither many neighbours confirm nor the next octave.
 
-    every: those of the frame that are strong enough. half: those of the frame halved once. Noise is
-        weaker there, and independent of that of the frame; the corners of wide cells stay.
+    weak: (N,), whether the next octave can confirm a maximum only if no neighbour is askew; others
+        are lone only if many are. every: the neighbours. following: the maxima of the next octave.
+        Noise is weaker there, and independent of that before; the corners of wide cells stay.
     """
     aligned, askew = around(asked, every, nms_radius)
-    confirmed: NDArray[np.bool_] = is_near(asked, [half], SEEN) & (askew == 0)
-    confirmed |= aligned >= ALIGNED + 2 * askew
-    return confirmed
+    seen = is_near(asked, [following], SEEN)
+    if_weak, if_not = (askew > 0) | ~seen, (MOSTLY * askew > aligned) & ~seen
+    lone: NDArray[np.bool_] = np.where(weak, if_weak, if_not) & (aligned < ALIGNED + 2 * askew)
+    return lone
 
 
 def is_near(found: Maxima, others: Sequence[Maxima], reach: float) -> NDArray[np.bool_]:

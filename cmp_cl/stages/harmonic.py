@@ -54,7 +54,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 
 def scratch(plan: PlanBase) -> list[dict[str, int]]:
     """Return the bytes of the temporary arrays, layout by layout."""
-    of_frame = 3 * (2 + _rule(plan).fine) * plan.list_capacity + 2 * plan.working[0]
+    of_frame = 3 * plan.kinds * plan.list_capacity + (1 + plan.compiled_octaves) * plan.working[0]
     decided = {"strong": 4 * plan.frames * (of_frame if plan.octaves else 1)}
     if plan.form is Form.CPU:
         return [decided]
@@ -164,6 +164,7 @@ def _numbers(plan: PlanBase) -> dict[str, Any]:
     """Return the numbers that the kernels take, by argument."""
     rule = _rule(plan)
     return {
+        "octaves": np.uint32(plan.octaves),
         "full_scale": np.uint32(_full_scale(plan)),
         "bands": np.uint32(noise.bands(plan)),
         "frame_words": np.uint32(plan.step // 32),
@@ -197,7 +198,6 @@ def _by_bands(plan: PlanBase) -> Launch:
         frame_start=np.uint64(plan.step + plan.pad),
         frame_step=np.uint32(plan.step),
         frame_apart=np.int32(plan.working[0] * plan.step),
-        **({"octaves": np.uint32(plan.octaves)} if plan.octaves else {}),
         inverse=np.float32(1 / _full_scale(plan)),
         work_size=np.uint32(_work_rows(plan) * plan.step),
         **_numbers(plan),

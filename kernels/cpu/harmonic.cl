@@ -405,13 +405,12 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
         if (fine) {
           const Harmonics two = harmonics_of(s1_2, x, 2, 1);
           if (!are_aligned(4, two, three)) continue;
-          marks = marks_of(r, true, three);
+          marks = marks_of(three, false);
         } else {
           const Harmonics four = harmonics_of(s3_4, x, 4, 3);
           const Harmonics five = harmonics_of(s3_5, x, 5, 4);
           if (!looks_alike(r, three, four, five)) continue;
-          marks = n ? marks_of_octave(r, harmonics_of(s3_8, x, 8, 6))
-                    : marks_of(r, false, five);
+          marks = marks_of(five, n ? is_wide(r, harmonics_of(s3_8, x, 8, 6)) : is_clean(r, five));
         }
         const uint place = next_place(counts + kind, places + fine);
         if (place < capacity) append(list, place, capacity, x, y, marks, row - 2);
@@ -434,8 +433,9 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
 __kernel void harmonic_band(__global const PIXEL *memory, const ulong frame_start,
                             const uint frame_step, const int frame_apart, __global PIXEL *image,
 #if OCTAVES
-                            const uint octaves, __global PIXEL *halves,
+                            __global PIXEL *halves,
 #endif
+                            const uint octaves,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint capacity,
                             const uint full_scale, const float inverse,
@@ -458,8 +458,6 @@ __kernel void harmonic_band(__global const PIXEL *memory, const ulong frame_star
   volatile __global uint *halved = taken + segments * (1 + octaves);
   halve_frame(frame, frame_step, halves, octaves, rows, columns, step, p, frames, halved,
               halved + 1);
-#else
-  const uint octaves = 0;
 #endif
   uint before = 0; /* bands of the smaller octaves: these spread over the work-items */
   for (int n = (int)octaves; n >= 0; --n) {
@@ -486,7 +484,7 @@ __kernel void harmonic_band(__global const PIXEL *memory, const ulong frame_star
   for (uint kind = 0; kind < KINDS; ++kind)
     find_level(kind, p, frames, noise, bands, rows, columns, full_scale, coarse_noise, capacity,
                counters_of_frame, counters, lists, levels, 0);
-  decide_frame(p, levels, strong, rows, step, capacity, coarse_share, fine_share, NMS_RADIUS,
-               counters_of_frame, corner_capacity, count_offset, length, counters, lists, maxima,
+  decide_frame(p, octaves, levels, strong, rows, step, capacity, coarse_share, fine_share,
+               NMS_RADIUS, counters_of_frame, corner_capacity, count_offset, length, counters, lists, maxima,
                row_counts, row_columns, corners, counts, sums);
 }

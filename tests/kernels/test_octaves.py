@@ -95,6 +95,18 @@ def test_strong_noise_on_the_small_ring_is_no_corner(detector_in_form, seed, smo
     assert_found_alone(found, truth, 20)
 
 
+@pytest.mark.parametrize(
+    ("seed", "smooth", "strength"), [(101, 1, 12), (129, 1.5, 9), (133, 1.5, 9)]
+)
+def test_noise_stronger_than_blurred_ink_is_no_corner(detector_in_form, seed, smooth, strength):
+    """No response of the frame is a corner's, and noise shows in the frame halved once too."""
+    image, truth = ink(62, 0.08, angle=0.5)
+    soft = cv2.GaussianBlur(image.astype(float), (0, 0), 2)
+    image = (40 + 0.5 * soft + strength * grain(SHAPE, smooth, seed)).clip(0, 255).astype(np.uint8)
+    found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
+    assert_found_alone(found, truth, 20)
+
+
 @pytest.mark.parametrize("cell", [8, 12, 17])
 def test_a_faint_pattern_of_small_cells_beside_wide_ones_is_found(detector_in_form, cell):
     image, _ = images.board(*SHAPE, 60, angle=0.3, blur=0.7, samples=3)
