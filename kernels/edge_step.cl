@@ -46,10 +46,11 @@ float8 seen_weight(const float8 weight, const int8 x, const int last_x, const in
   SLOPES                                                                            \
   const float8 r = w > 0 ? RESIDUAL(I, P) : (float8)(0.0f), wr = w * r;
 
-/* The sums of the pixels at distance two, from the last pair to the first: of v and, to its right,
- * the first two of what follows. */
+/* From the last pixel to the first of v and, to its right, the first two of what follows: the sums of
+ * those at distance two, and the pixels between them. */
 #define NEIGHBOURS_BACKWARDS(v, right) \
   (v.s76543210 + (float8)(right.s10, v.s7654, v.s32))
+#define BACKWARDS(v, right) (float8)(right.s0, v.s7654, v.s321)
 
 __kernel void edge_step(CORNERS_TO_REFINE, SCALED_RINGS const float radius,
                         __global const float8 *restrict moments,
@@ -82,7 +83,7 @@ __kernel void edge_step(CORNERS_TO_REFINE, SCALED_RINGS const float radius,
   const float share = is_cut ? sum_1 / sum_of_eight(uncut) : 1;
 
   RESIDUAL_SUMS
-  float8 vro = 0;
+  float8 vrm = 0, vro = 0;
   for (int j = 0; j <= reach; ++j) { /* and row -j, backwards */
     DISC_ROW(j)
     float left = 0;
@@ -98,10 +99,12 @@ __kernel void edge_step(CORNERS_TO_REFINE, SCALED_RINGS const float radius,
         here_weighted = wr;
       }
       EIGHT_RESIDUALS(-i - 8, -j)
+      vrm += here_weighted * BACKWARDS(r, right);
       vro += here_weighted * NEIGHBOURS_BACKWARDS(r, right);
       if (j > 0) {
         ADD_RESIDUAL(wr, r, A, B, P)
         vrn += wr * (float8)(r.s123, r.s4567, right.s0);
+        vrm += here * BACKWARDS(wr, right_weighted);
         vro += here * NEIGHBOURS_BACKWARDS(wr, right_weighted);
       }
       right = r.s01;
@@ -109,7 +112,8 @@ __kernel void edge_step(CORNERS_TO_REFINE, SCALED_RINGS const float radius,
     }
   }
 #define SUM(name) const float name = sum_of_eight(v##name);
-  SUM(rr) SUM(ra) SUM(rb) SUM(rn) SUM(ro) SUM(rx) SUM(ry) SUM(px) SUM(py)
+  SUM(rr) SUM(ra) SUM(rb) SUM(rn) SUM(rm) SUM(ro) SUM(rx) SUM(ry) SUM(px) SUM(py)
+  const float dx = x - (float)middle_x, dy = y - (float)middle_y;
   EDGE_FRAME
   MOMENTS_AT(angle)
 #define MOMENT(axis, i) of_##axis.s##i

@@ -25,8 +25,11 @@ GRADIENT = 1e-3  # 1/px, expected gradient of the light, unless the image shows 
 SIGNIFICANT = 9.0  # squared standard deviations: above it, the gradient in the image is used
 DOUBT = 0.010  # excess over the median of the autocorrelations
 VARIANCE_OF_ODD = 1000  # px^2, per squared autocorrelation of the residual's odd part
-# px: error of a position on perfect prints by bent edges, shading and sampling, beside the noise
-STEP_ERROR = 0.01
+STEP_ERROR = 0.003  # px: error of a position by grey levels in steps and by sampling
+OFF_X, OFF_Y = 3.0, 1.5  # 1/px^2: share of an even misfit that is not even about the middle pixel
+ODD_Y = 1.2  # 1/px^2: what neighbours share of it
+MOST_OFF = 0.75
+LEAST_NOISE = 0.02  # of what neighbours do not share
 FEW = 8
 VARIANCE_OF_GRAIN = 2.2  # by how much the noise of a position exceeds that of pixels, per grain
 
@@ -132,7 +135,9 @@ def _step_terms(
     half the difference of the means of r(q) r(q + 1) and of r(q) (r(-q - 1) + r(1 - q)) / 2,
     weighted by w(q), minus the part that comes from the light's gradient. q is counted from the
     middle pixel, q + 1 is the right neighbour, and r is 0 outside the radius or the image. rho^2 is
-    mean r^2 minus the mean of r(q) r(q + 1): the noise, which neighbours do not share. The grain is
+    the noise, which neighbours do not share: mean r^2 minus the mean of r(q) r(q + 1), minus the
+    same of r(q) and r(-q), a misfit that is even. The middle pixel is not the corner, so a part of
+    such a misfit is odd; how much it is depends on their distance, see `_noise`. The grain is
     the noise over the disc relative to rho^2. It is seen where the model has nothing but noise:
     along k P, k the coordinate along s or t, in the part that neither an offset nor the light's
     gradient explains.
@@ -199,22 +204,25 @@ def _step_terms(
 
         within = np.where(inside, r, 0)
         weighted, mirrored = w * within, within[:, ::-1, ::-1]
-        neighbours, before, behind = (
+        opposite, neighbours, before, behind = (
             (one * other).sum(axis=(1, 2)) / s1
             for one, other in (
+                (weighted, mirrored),
                 (weighted[:, :, :-1], within[:, :, 1:]),
                 (weighted[:, :, :-1], mirrored[:, :, 1:]),
                 (weighted[:, :, 1:], mirrored[:, :, :-1]),
             )
         )
-        white = squares / s1 - neighbours
+        across = (before + behind) / 2
+        off = shift - middle
+        white, misfit = _noise(squares / s1 - neighbours, opposite - across, off)
         variance = np.maximum(0, white) / (c * c) * trace
         of_light = (k_kp + ratio[:, None] * k_kpp - by_offset * d_kp) / left
         broad = r_kp - d_kp / d_d * r_d - of_light * (r_light - by_offset * r_d)
         expected = k_kpp - d_kp**2 / d_d - of_light**2 * left
         grain = (broad**2).sum(axis=1) / expected.sum(axis=1)
         grain /= np.maximum(white, (LEAST_CONTRAST * c) ** 2)
-        odd = (neighbours - (before + behind) / 2) / 2
+        odd = (neighbours - across) / 2 - ODD_Y * off[:, 1] ** 2 * misfit
         correlation = (odd - explained / s1) / (c * c)
 
         ratios = np.stack([np.abs(c) / LEAST_CONTRAST, spread / (s1 * spp) / LEAST_SPREAD])
@@ -229,6 +237,17 @@ def _step_terms(
         np.where(sound, grain, 0),
         near,
     )
+
+
+def _noise(white: Floats, even: Floats, off: Floats) -> tuple[Floats, Floats]:
+    """Return the noise and the misfit of the model, both (N,).
+
+    white: mean r(q)^2 minus mean r(q) r(q + 1). even: the same of r(q) and r(-q). off: (N, 2), the
+        corner from the middle pixel.
+    """
+    share = np.minimum(OFF_X * off[:, 0] ** 2 + OFF_Y * off[:, 1] ** 2, MOST_OFF)
+    noise = np.maximum((white - even - share * white) / (1 - share), LEAST_NOISE * white)
+    return noise, np.maximum(white - noise, 0)
 
 
 def weight_of(r2: Floats, radius: float) -> Floats:

@@ -161,23 +161,30 @@ LOOP void add_residuals(const Disc *restrict disc, const Model *restrict model,
   *sums = (ResidualSums){vrr, vra, vrb, vrx, vry, vpx, vpy, vrn};
 }
 
-/* The products of each residual with those of both neighbours of the pixel opposite. */
-LOOP float8 opposites(const Values *restrict values, const int count) {
-  float8 sum = 0;
+/* The products of each residual with that of the pixel opposite, and with those of both neighbours
+ * of it. */
+typedef struct {
+  float8 rm, ro;
+} OppositeSums;
+
+LOOP void add_opposites(const Values *restrict values, const int count,
+                        OppositeSums *restrict sums) {
+  float8 vrm = 0, vro = 0;
   for (int k = 0; k < count; k += 8) {
     const float *opposite = values->residual_of + BEFORE + count - k;
-    const float8 neighbours = LOAD_8(opposite, -8) + LOAD_8(opposite, -6);
-    sum += LOAD_8(values->weight_of, k) * LOAD_8(values->residual_of, BEFORE + k) *
-           neighbours.s76543210;
+    const float8 wr = LOAD_8(values->weight_of, k) * LOAD_8(values->residual_of, BEFORE + k);
+    const float8 r = LOAD_8(opposite, -7), neighbours = LOAD_8(opposite, -8) + LOAD_8(opposite, -6);
+    vrm += wr * r.s76543210;
+    vro += wr * neighbours.s76543210;
   }
-  return sum;
+  *sums = (OppositeSums){vrm, vro};
 }
 
 /* The sums over the pixels of eight corners that SOLVE_STEP needs. */
 typedef struct {
   float c[LANES], middle[LANES], varied[LANES], sum_1[LANES];
   float rr[LANES], ra[LANES], rb[LANES], rx[LANES], ry[LANES], px[LANES], py[LANES], rn[LANES];
-  float ro[LANES];
+  float rm[LANES], ro[LANES], dx[LANES], dy[LANES];
   float8 of_s[LANES], of_t[LANES];
 } Sums;
 
@@ -243,7 +250,10 @@ __kernel void edge_step_eight(CORNERS_TO_REFINE, SCALED_RINGS const float radius
 #define PUT_SUM(name) PUT(name, sum_of_eight(residuals.name))
       PUT(c, c) PUT(middle, middle) PUT(varied, varied) PUT(sum_1, sum_1)
       PUT_SUM(rr) PUT_SUM(ra) PUT_SUM(rb) PUT_SUM(rn)
-      PUT(ro, sum_of_eight(opposites(&values, disc.count)))
+      OppositeSums opposites;
+      add_opposites(&values, disc.count, &opposites);
+      PUT(rm, sum_of_eight(opposites.rm)) PUT(ro, sum_of_eight(opposites.ro))
+      PUT(dx, model.x) PUT(dy, model.y)
       PUT_SUM(rx) PUT_SUM(ry) PUT_SUM(px) PUT_SUM(py)
       MOMENTS_AT(OF_LANE(angle))
       PUT(of_s, of_s) PUT(of_t, of_t)
@@ -251,7 +261,8 @@ __kernel void edge_step_eight(CORNERS_TO_REFINE, SCALED_RINGS const float radius
 
 #define TAKE(name) const REAL name = LOAD_8(sums.name, 0);
     TAKE(c) TAKE(middle) TAKE(varied) TAKE(sum_1)
-    TAKE(rr) TAKE(ra) TAKE(rb) TAKE(rn) TAKE(ro) TAKE(rx) TAKE(ry) TAKE(px) TAKE(py)
+    TAKE(rr) TAKE(ra) TAKE(rb) TAKE(rn) TAKE(rm) TAKE(ro) TAKE(dx) TAKE(dy)
+    TAKE(rx) TAKE(ry) TAKE(px) TAKE(py)
 #define MOMENT_OF(axis, i, lane) sums.of_##axis[lane].s##i
 #define MOMENT(axis, i)                                                             \
   (REAL)(MOMENT_OF(axis, i, 0), MOMENT_OF(axis, i, 1), MOMENT_OF(axis, i, 2),       \

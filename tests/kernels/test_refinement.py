@@ -214,12 +214,23 @@ def grainy(smooth):
     return np.clip(grey, 0, 255).astype(np.uint8), truth
 
 
+def sharp(noise):
+    """Edges sharper than the model's leave a residual, but move no corner."""
+    image, truth = board(300, 400, 20)
+    grey = 30.5 + 0.7 * image + noise * grain(image.shape, 0.01, 5)
+    return np.clip(grey, 0, 255).astype(np.uint8), truth
+
+
 @pytest.mark.parametrize(
     ("make", "amounts", "within", "count", "median"),
-    [(enlarged, (2, 3), 6, 40, np.inf), (grainy, (0.01, 1, 2), 3, 150, 2.5)],
+    [
+        (enlarged, (2, 3), 6, 40, np.inf),
+        (grainy, (0.01, 1, 2), 3, 150, 2.5),
+        (sharp, (0.5, 1, 2), 1, 150, 3),
+    ],
 )
 def test_two_sigma_cover_the_error(detector_for, make, amounts, within, count, median):
-    """Where every pixel is repeated, and in noise that neighbours share."""
+    """Where every pixel is repeated, in noise that neighbours share, and on sharp edges."""
     for amount in amounts:
         image, truth = make(amount)
         found = detector_for(image, DetectorConfig())(image)
