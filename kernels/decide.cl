@@ -21,7 +21,7 @@ __kernel void decide(const uint octaves, __global const Level *restrict levels,
                      __global uint *maxima, __global uint *row_counts, __global int *row_columns,
                      __global int *corners, __global uint *counts) {
   __local uint sums[DECIDING];
-  decide_frame(get_group_id(0), octaves, levels, strong, rows, step, capacity, coarse_share, fine_share,
-               nms_radius, counters_of_frame, corner_capacity, count_offset, length, counters,
-               lists, maxima, row_counts, row_columns, corners, counts, sums);
+  decide_frame(get_group_id(0), octaves, levels, strong, rows, step, capacity, coarse_share,
+               fine_share, nms_radius, counters_of_frame, corner_capacity, count_offset, length,
+               counters, lists, maxima, row_counts, row_columns, corners, counts, sums);
 }

@@ -379,9 +379,9 @@ __kernel void settle(__global const float *moved, __global const float *pilot_do
                      __global const float *pilot_own_along, __global const float *rows_noise,
                      __global const float *bound_rest, __global const float *own,
                      __global const uchar *measured, const int bends, __global int *counts,
-                     __global uchar *votes, __global float *data, __global float *vote, __global float *size,
-                     __global float *near, __global float *sums, __global float *variance,
-                     __global float *chosen, __global float *common) {
+                     __global uchar *votes, __global float *data, __global float *vote,
+                     __global float *size, __global float *near, __global float *sums,
+                     __global float *variance, __global float *chosen, __global float *common) {
   const int first = get_local_id(0), items = get_local_size(0);
   for (int round = 1; round <= ROUNDS && counts[REJECTED + round - 1] > 0; ++round) {
     for (int i = first; i < NODES; i += items) fill_node(i, moved, votes, counts, data, vote);

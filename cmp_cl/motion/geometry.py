@@ -20,9 +20,8 @@ class InSpace:
     views, axes = 2, 3
     file = kernel = "space"
     width = 4  # nodes of a work-item on a CPU
-    own_results: Mapping[str, int] = {
-        "misfit": 2
-    }  # planes (R, C), px, that only this kernel writes
+    # Planes (R, C), px, that only this kernel writes
+    own_results: Mapping[str, int] = {"misfit": 2}
 
     def __init__(self, rig: StereoRig, radii: Sequence[float]) -> None:
         self._rig, self._radii = rig, radii
