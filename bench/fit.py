@@ -38,11 +38,16 @@ OCTAVES: dict[str, tuple[float, ...]] = {  # of the oracle; `relative` is the ru
     "STRONG": (1, 1.25, 1.75, 2),
     "NEIGHBOURS": (20, 24, 28, 40),
     "ALIGNED": (5, 6, 7, 10, 12),
+    "OUTDONE": (1, 1.5, 4, 10**6),
+    "MOSTLY": (1, 2, 10**6),
     "SEEN": (0.5, 2.5),
 }
 SIGMA = {
     "VARIANCE_OF_ODD": (1000, 0, 500, 700, 1400, 2000),  # the first is the default
     "VARIANCE_OF_GRAIN": (0, 1, 1.5, 3),
+    "MOST_OFF": (0, 0.5),
+    "ODD_Y": (0, 0.6, 2),
+    "LEAST_NOISE": (0.1, 0.25, 1),
 }
 ENLARGED = {"x2": 2, "x3": 3, "x4": 4, "x6": 6}
 KINDS = ("drawn", *ENLARGED, "JPEG", "coarse noise", "blur", "spread ink")
