@@ -11,7 +11,7 @@ import numpy as np
 
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
-from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
+from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus, Sides
 from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Border, Mask, Whole
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.joins import SHIFTS, Side, bending, factor
@@ -212,10 +212,24 @@ def _decided(board: Board, asked: Asked) -> Decision:
         before = None if asked.previous is None else reference_of(asked.previous)
         if asked.previous is asked.like:
             before = rest._replace(sure=True)
-        return like_rest(board, rest, before, K)
+        decision = like_rest(board, rest, before, K)
+        slid = _beyond_rest(board.turned(decision.best.quarters), decision.best, asked.like)
+        return decision._replace(margin=0.0) if slid >= K.least_board else decision
     if asked.shape is not None:
         return in_shape(board, asked.shape, K)
     return Decision(Numbering(0.0, 0.0, 0, 0, 0), None, math.inf)
+
+
+def _beyond_rest(board: Board, best: Numbering, rest: Grid) -> int:
+    """Return the nodes of a board beyond sides on which the pattern ended at rest: a part of it has
+    slid by cells, or its end was hidden then."""
+    ends = rest.border or Sides()
+    outside = np.zeros(board.owner.shape, np.bool_)
+    for axis, start in enumerate((best.row, best.column)):
+        line = np.indices(outside.shape)[axis] + start - rest.origin[axis]
+        outside |= (line < 0) & ends[2 * axis]
+        outside |= (line >= rest.shape[axis]) & ends[2 * axis + 1]
+    return int(np.count_nonzero(outside & (board.owner >= 0)))
 
 
 @functools.lru_cache(maxsize=8)

@@ -172,7 +172,8 @@ class Grid:
                 other = f" by ({self.rival.rows}, {self.rival.columns}){turn}"
             found.append(
                 f"the numbers are ambiguous: they may be wrong{other}; the view shows too little "
-                "of the pattern's border, and its printing errors are too small, to decide"
+                "of the pattern's border, and its printing errors are too small, to decide, or a "
+                "part of it lies beyond its border at rest"
             )
         return found
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from cases import some
 from corner_images import noise
+from lattices import drawn as square_board
 from scenes import (
     BOARD,
     SCENES,
@@ -466,6 +467,21 @@ def test_a_board_before_larger_squares_is_the_one_that_is_like_the_rest():
     grid = build_grid(corners, view.image, like=at_rest)
     assert scored(grid, view, known="board").right == 54
     assert not grid.doubts
+
+
+@pytest.mark.parametrize(("cells", "told"), [(0, False), (1, True)])
+def test_a_part_that_slides_by_cells_is_told_where_the_border_was_seen_at_rest(cells, told):
+    """Inside, a slip by a cell along a diagonal shows nothing: colours and surface go on."""
+    image, _ = square_board(20, 20)
+    row, column = np.indices(image.shape) - np.reshape(image.shape, (2, 1, 1)) / 2
+    beyond = row + column > 0.1 * image.shape[1]
+    slid = np.where(beyond, np.roll(image, (20 * cells, -20 * cells), axis=(0, 1)), image)
+    at_rest = build_grid(detect(image), image)
+    assert all(at_rest.border)
+    grid = build_grid(detect(slid), slid, like=at_rest)
+    assert np.count_nonzero(grid.valid) > 0.9 * 20 * 20
+    assert bool(grid.doubts) == told
+    assert grid.ambiguous == told
 
 
 @pytest.mark.parametrize(("turn", "height"), [(0, 1.2), (15, 1.4), (30, 1.4), (45, 1.4)])
