@@ -150,7 +150,7 @@ def found_in(boards: Iterable[Board], asked: Asked, corners: Corners) -> list[Fo
             reach = np.where(none, board.border.reach, np.nan)
             follows = board.border.follows & none
             board.border = Border(reach, follows, np.zeros(4, np.bool_), lines)
-        found.append(Found(board, _decided(board, asked), count))
+        found.append(Found(board, _decided(board, asked, corners), count))
     return sorted(found, key=lambda each: -each.size)
 
 
@@ -206,21 +206,22 @@ def _side(board: Board, some: Mask) -> Side:
     return Side(board.at[row, column], column + 1j * row, np.ones(len(row), np.bool_))
 
 
-def _decided(board: Board, asked: Asked) -> Decision:
+def _decided(board: Board, asked: Asked, corners: Corners) -> Decision:
     if asked.like is not None:
         rest = reference_of(asked.like)
         before = None if asked.previous is None else reference_of(asked.previous)
         if asked.previous is asked.like:
             before = rest._replace(sure=True)
         decision = like_rest(board, rest, before, K)
-        slid = _beyond_rest(board.turned(decision.best.quarters), decision.best, asked.like)
+        here = board.turned(decision.best.quarters), decision.best, asked.like
+        slid = _nodes_beyond(*here) + _free_beyond(*here, corners)
         return decision._replace(margin=0.0) if slid >= K.least_board else decision
     if asked.shape is not None:
         return in_shape(board, asked.shape, K)
     return Decision(Numbering(0.0, 0.0, 0, 0, 0), None, math.inf)
 
 
-def _beyond_rest(board: Board, best: Numbering, rest: Grid) -> int:
+def _nodes_beyond(board: Board, best: Numbering, rest: Grid) -> int:
     """Return the nodes of a board beyond sides on which the pattern ended at rest: a part of it has
     slid by cells, or its end was hidden then."""
     ends = rest.border or Sides()
@@ -230,6 +231,27 @@ def _beyond_rest(board: Board, best: Numbering, rest: Grid) -> int:
         outside |= (line < 0) & ends[2 * axis]
         outside |= (line >= rest.shape[axis]) & ends[2 * axis + 1]
     return int(np.count_nonzero(outside & (board.owner >= 0)))
+
+
+def _free_beyond(board: Board, best: Numbering, rest: Grid, corners: Corners) -> int:
+    """Return the corners that are no nodes and lie where lines beyond such sides would be; 0 if
+    others near there lie anywhere. An outer line with few of its places is no line of a board."""
+    free = np.ones(len(corners), np.bool_)
+    free[board.owner[board.owner >= 0]] = False
+    at = corners.xy[free].astype(np.float64) @ [1, 1j]
+    away = np.full(len(at), np.inf)
+    for side, ended in enumerate(rest.border or Sides()):
+        axis, last = divmod(side, 2)
+        lines = board.at if axis == 0 else board.at.T
+        outer = rest.origin[axis] - (best.row, best.column)[axis] + last * (rest.shape[axis] - 1)
+        inner = outer + 1 - 2 * last
+        if ended and min(outer, inner) >= 0 and max(outer, inner) < len(lines):
+            step = lines[outer] - lines[inner]
+            there = ~np.isnan(step)
+            for place, cell in zip((lines[outer] + step)[there], np.abs(step[there]), strict=True):
+                away = np.minimum(away, np.abs(at - place) / cell)
+    beyond = int(np.count_nonzero(away < K.reach_cells))
+    return beyond if beyond >= K.least_line * np.count_nonzero(away < 0.5) else 0
 
 
 @functools.lru_cache(maxsize=8)

@@ -470,11 +470,13 @@ def test_a_board_before_larger_squares_is_the_one_that_is_like_the_rest():
 
 
 @pytest.mark.parametrize(("cells", "told"), [(0, False), (1, True)])
-def test_a_part_that_slides_by_cells_is_told_where_the_border_was_seen_at_rest(cells, told):
-    """Inside, a slip by a cell along a diagonal shows nothing: colours and surface go on."""
+@pytest.mark.parametrize("slope", [1, 0.5])
+def test_a_part_that_slides_by_cells_is_told_where_the_border_was_seen_at_rest(slope, cells, told):
+    """Inside, a slip by a cell along a diagonal shows nothing: colours and surface go on. What lies
+    beyond the border are nodes, or, where a line of the board has few of them, free corners."""
     image, _ = square_board(20, 20)
     row, column = np.indices(image.shape) - np.reshape(image.shape, (2, 1, 1)) / 2
-    beyond = row + column > 0.1 * image.shape[1]
+    beyond = slope * row + column > 0.1 * image.shape[1]
     slid = np.where(beyond, np.roll(image, (20 * cells, -20 * cells), axis=(0, 1)), image)
     at_rest = build_grid(detect(image), image)
     assert all(at_rest.border)
