@@ -54,6 +54,12 @@ class Deformation(Node):
         field = measured.field
         nodes = point_cloud(rest, field.displacement, field.sigma, 0, "")
         self._publisher.publish(cloud(message.header, nodes))
+        for doubtful, reason in (
+            (measured.ambiguous, "its numbers may be wrong by whole cells"),
+            (measured.misfit, "the rig no longer fits as it did at rest"),
+        ):
+            if doubtful:
+                self.get_logger().warning(f"a frame is doubtful: {reason}")
 
     def _at_rest(self, frame: np.ndarray) -> OneView | TwoViews:
         search: dict = {}
