@@ -229,9 +229,9 @@ void fit(const REALS *jacobian, const REALS *weight, const REALS *residual, cons
  * nodes: of both views, complete, px of the view; status: of NodeStatus; sigma: px, not positive if
  * unknown. rest: positions (3 planes), rest_*: their status, source, covariance (6 planes) and
  * motion by bent edges (3 planes). moved: 3 planes, 0 where not valid. points: the sum of the
- * covariances of both moments. own: the variance now per axis, in lines. misfit: the
- * step from the point at which the rays meet best to the node in the left view, px (2 planes): half
- * of its distance from its epipolar line, NaN where a view does not show it.
+ * covariances of both moments. own: the variance now per axis, in lines. misfit: the step from the
+ * point at which the rays meet best to the node in the left view, px (2 planes): half of its
+ * distance from its epipolar line, NaN where a view does not show it.
  * One work-item for WIDTH nodes. */
 __kernel void space(__global const float2 *nodes, __global const uchar *seen_status,
                     __global const float *seen_sigma, __global const REAL *left,
