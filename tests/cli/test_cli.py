@@ -65,8 +65,6 @@ def test_without_a_device_devices_says_why_and_what_to_install(run, monkeypatch,
     assert all(place in err for place in places)
     (tmp_path / "broken.icd").write_text("libmissing.so")
     assert f"broken.icd in {tmp_path} cannot be loaded or have no device\n" in run("devices")[2]
-    monkeypatch.setenv("OCL_ICD_VENDORS", str(tmp_path / "elsewhere"))
-    assert "elsewhere', which does not exist" in run("devices")[2]
 
 
 def test_each_device_is_timed_and_its_answer_is_checked(run, monkeypatch):
