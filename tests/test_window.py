@@ -224,7 +224,7 @@ def test_an_index_that_is_given_errs_by_what_it_is_said_to():
         assert low < np.median(np.abs(off) / stated) < high
     with pytest.raises(CalibrationError, match="index_sigma must be a number from 0"):
         fitted(RIG, views(rest, rng), index_sigma=-0.1)
-    with pytest.raises(CalibrationError, match=r"known to 0.5 does not fix the window's distance"):
+    with pytest.raises(CalibrationError, match=r"do not fix the window's distance .* index better"):
         fitted(RIG, views(rest, rng), index_sigma=0.5)
 
 
@@ -234,25 +234,6 @@ def test_errors_that_neighbours_share_make_a_window_less_certain():
         found = fitted(RIG, views(pattern(), rng, shared=True))
         scores.append(errors(found.window)[:3] / np.sqrt(np.diag(found.covariance)[22:25]))
     assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.5
-
-
-@pytest.mark.parametrize("given", [1.38, 1.44])
-def test_a_known_step_of_a_flat_punch_gives_the_index_too(given):
-    rng = np.random.default_rng(4)
-    row, column = np.mgrid[:NODES, :NODES] - (NODES - 1) / 2
-    under = np.clip((9 - np.hypot(row, column)) / 2, 0, 1)[..., None]
-    rest, stepped = (views(pattern() - each * NORMAL, rng) for each in (0 * under, under))
-    found = fitted(RIG, rest, media=(MEDIA[0], (GEL, given)), stepped=stepped, step=1.0)
-    assert abs(errors(found.window)[3]) < 0.004
-    sigma = np.sqrt(np.diag(found.covariance)[22:])
-    assert (np.abs(errors(found.window)) < 4 * sigma).all()
-    for changes, words in (
-        ({}, "stepped and step need each other"),
-        ({"stepped": rest}, "0 nodes moved as one"),
-        ({"stepped": views(pattern() + np.array([0.3, 0, 0]), rng)}, r"last index \(free\)"),
-    ):
-        with pytest.raises(CalibrationError, match=words):
-            fitted(RIG, rest, step=1.0, **changes)
 
 
 def test_a_window_that_the_views_do_not_fix_is_refused_by_name():
