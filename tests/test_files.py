@@ -68,22 +68,15 @@ def test_what_cannot_be_written_is_named(tmp_path):
     assert os.listdir(tmp_path) == ["kept.csv"]
 
 
-def test_a_csv_holds_any_text_and_no_spreadsheet_runs_it():
-    rows = [("a", 'b "c",\nd'), (-1.5, os.fsdecode(b"\xff.png")), ("=1+1", "@x")]
-    assert csv_bytes(rows).decode() == 'a,"b ""c"",\nd"\n-1.5,\\udcff.png\n\'=1+1,\'@x\n'
+def test_a_csv_holds_any_text():
+    rows = [("a", 'b "c",\nd'), (-1.5, os.fsdecode(b"\xff.png"))]
+    assert csv_bytes(rows).decode() == 'a,"b ""c"",\nd"\n-1.5,\\udcff.png\n'
 
 
-@pytest.mark.parametrize(
-    ("text", "why"),
-    [
-        (b"a = '" + b"b" * 70_000 + b"'", "over 65536 bytes"),
-        (b"a = '\xff'", "not text in UTF-8"),
-        (b"a = ", "Invalid value"),
-    ],
-)
-def test_settings_that_are_too_long_or_damaged_are_refused(text, why, tmp_path):
+@pytest.mark.parametrize("text", [b"a = '\xff'", b"a = "])
+def test_settings_that_are_damaged_are_refused(text, tmp_path):
     (tmp_path / "a.toml").write_bytes(text)
-    with pytest.raises(ValueError, match=why):
+    with pytest.raises(ValueError, match="it is not TOML in UTF-8"):
         read_toml(tmp_path / "a.toml")
     (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbfa = 1\r\nb = 0.5\r\n")  # as Windows writes it
     assert read_toml(tmp_path / "a.toml") == {"a": 1, "b": 0.5}

@@ -15,7 +15,7 @@ from cmp_cl.errors import ConfigError, GridError, check_kind, check_positive
 from cmp_cl.files import check_path, read_npz, suffix_of, whole_file
 from cmp_cl.filter import bent_sigma
 from cmp_cl.grid.curves import points_between
-from cmp_cl.grid.saved import SAVED, check_shapes, packed, unpacked
+from cmp_cl.grid.saved import SAVED, packed, unpacked
 from cmp_cl.lattice.arrays import turned_sides
 from cmp_cl.lattice.constants import LatticeConstants
 
@@ -280,7 +280,7 @@ class Grid:
         """
         check_path(path, FileNotFoundError)
         try:
-            found = unpacked(read_npz(path, SAVED, check_shapes))
+            found = unpacked(read_npz(path, SAVED))
         except ValueError as error:
             raise GridError(f"{str(path)!r} is damaged or holds no grid: {error}") from error
         for name, kind in (("border", Sides), ("rival", Rival)):

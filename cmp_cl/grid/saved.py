@@ -38,7 +38,7 @@ def packed(grid: Any) -> dict[str, Any]:
     }
 
 
-def check_shapes(arrays: Arrays) -> None:
+def _check_shapes(arrays: Arrays) -> None:
     """Raise ValueError with the name of an array that is missing, or of a shape or type that no
     grid has."""
     sizes: dict[str | int, int] = {}
@@ -61,8 +61,9 @@ def check_shapes(arrays: Arrays) -> None:
 def unpacked(arrays: Arrays) -> dict[str, Any]:
     """Return the attributes that `packed` packed: arrays, tuples, numbers or None.
 
-    arrays: of their shapes and types. Raises ValueError with the name of one that no grid has.
+    Raises ValueError with the name of an array that no grid has.
     """
+    _check_shapes(arrays)
     _check_values(arrays)
     return {
         name: array if name in _ARRAYS else _plain(array, none=name in _MAY_BE_NONE)

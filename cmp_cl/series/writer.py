@@ -43,12 +43,10 @@ _UNITS = {
 
 
 def check_series(path: str | PathLike[str]) -> Path:
-    """Return the file that a series of that name becomes; raises what `SeriesWriter` does for a
-    path."""
+    """Return the path of a series to write; raises what `SeriesWriter` does for a path."""
     _known_suffix(path)
-    target = check_target(path)
-    _known_suffix(target)  # a link may name a file of another format
-    return target
+    check_target(path)
+    return Path(path)
 
 
 def complete(part: str | PathLike[str], target: str | PathLike[str]) -> None:
