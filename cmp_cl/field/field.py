@@ -184,36 +184,25 @@ class DisplacementField:
 
         Raises FieldError if the field is not in space, or not in m, cm, mm or um.
         """
-        return frame_of_pytac3d(
-            self.position, self.displacement, self.unit, serial=serial, index=index, time_s=time_s
-        )
+        if self.position.shape[2] != 3 or self.unit not in _MILLIMETRES:
+            raise FieldError(
+                "PyTac3D's frames are in space, in mm: this field has "
+                f"{self.position.shape[2]} coordinates in {self.unit}; measure two views with a "
+                f"rig in {', '.join(_MILLIMETRES)}"
+            )
+        now, size = self.position + self.displacement, _MILLIMETRES[self.unit]
+        return {
+            "SN": serial,
+            "index": index,
+            "sendTimestamp": time_s,
+            "recvTimestamp": time_s,
+            "3D_Positions": size * now.reshape(-1, 3),
+            "3D_Displacements": size * self.displacement.reshape(-1, 3),
+            "3D_Normals": surface_normals(now).reshape(-1, 3),
+        }
 
     def strains(self) -> dict[str, Array]:
         """Return the strain, the principal strains, their direction and sigmas by name; empty
         without a strain."""
         named = {name: getattr(self, name) for name in _STRAIN}
         return {name: values for name, values in named.items() if values is not None}
-
-
-def frame_of_pytac3d(
-    position: Array, displacement: Array, unit: str, *, serial: str, index: int, time_s: float
-) -> dict[str, Any]:
-    """Return a frame as `DisplacementField.as_pytac3d` does.
-
-    position: at rest, and displacement, (R, C, 3), NaN where missing, in `unit`.
-    """
-    if position.shape[2] != 3 or unit not in _MILLIMETRES:
-        raise FieldError(
-            f"PyTac3D's frames are in space, in mm: this field has {position.shape[2]} "
-            f"coordinates in {unit}; measure two views with a rig in {', '.join(_MILLIMETRES)}"
-        )
-    now, size = position + displacement, _MILLIMETRES[unit]
-    return {
-        "SN": serial,
-        "index": index,
-        "sendTimestamp": time_s,
-        "recvTimestamp": time_s,
-        "3D_Positions": size * now.reshape(-1, 3),
-        "3D_Displacements": size * displacement.reshape(-1, 3),
-        "3D_Normals": surface_normals(now).reshape(-1, 3),
-    }
