@@ -23,23 +23,18 @@ Box = tuple[int, int, int, int]  # x, y, width, height, px
 
 
 def check_files(inputs: Iterable[str | Path | None], outputs: Iterable[str | Path | None]) -> None:
-    """Raise ConfigError if an output is an input, or two outputs are one file.
+    """Raise ConfigError if an output is an input.
 
     None stands for a file that was not requested. Raises OSError if an output cannot be written.
     """
     read = {os.path.realpath(path) for path in inputs if path is not None}
-    written = set()
     for path in outputs:
         if path is None:
             continue
-        real = os.path.realpath(path)
-        if real in read:
+        if os.path.realpath(path) in read:
             raise ConfigError(
                 f"{shown(path)} is an input and would be overwritten; give another name"
             )
-        if real in written:
-            raise ConfigError(f"{shown(path)} is given for two outputs")
-        written.add(real)
         check_target(path)
 
 

@@ -7,8 +7,6 @@ from typing import Any
 
 from cmp_cl.closing import Closing
 
-_LONGEST = 1000  # characters of a message; a refused value may have any length
-
 
 def shown(name: object) -> str:
     """Return a file name for one line: as it is, or quoted with unprintable characters escaped."""
@@ -20,13 +18,8 @@ def one_line(error: Exception) -> str:
     """Return the message of an error on one line."""
     if isinstance(error, OSError) and error.strerror is not None:
         name = "" if error.filename is None else f"{shown(error.filename)}: "
-        return shortened(f"{name}{error.strerror}")
-    return shortened(" ".join(str(error).splitlines()))
-
-
-def shortened(line: str) -> str:
-    """Cut out the middle of a line that is longer than _LONGEST."""
-    return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 100]} ... {line[-90:]}"
+        return f"{name}{error.strerror}"
+    return " ".join(str(error).splitlines())
 
 
 def counted(count: int, noun: str) -> str:

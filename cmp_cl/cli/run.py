@@ -207,8 +207,6 @@ def _check(arguments: argparse.Namespace) -> None:
         )
     if arguments.out != "-":
         check_suffix("--out", arguments.out, *SERIES_SUFFIXES)
-    elif sys.__stdout__ is None:
-        raise ConfigError("--out - needs standard output, which is closed")
     if arguments.plot is not None:
         new_figure((1, 1))  # matplotlib is missed now, not after the recording
 
