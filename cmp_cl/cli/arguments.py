@@ -9,7 +9,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from cmp_cl.cli.messages import shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.files import check_target
 from cmp_cl.grid.grid import MOST_NODES
@@ -32,9 +31,7 @@ def check_files(inputs: Iterable[str | Path | None], outputs: Iterable[str | Pat
         if path is None:
             continue
         if os.path.realpath(path) in read:
-            raise ConfigError(
-                f"{shown(path)} is an input and would be overwritten; give another name"
-            )
+            raise ConfigError(f"{path} is an input and would be overwritten; give another name")
         check_target(path)
 
 
@@ -43,7 +40,7 @@ def check_suffix(option: str, path: str | None, *suffixes: str) -> None:
     if path is not None and Path(path).suffix.lower() not in suffixes:
         *others, last = suffixes
         endings = f"{', '.join(others)} or {last}" if others else last
-        raise ConfigError(f"{option} {shown(path)} must end in {endings}")
+        raise ConfigError(f"{option} {path} must end in {endings}")
 
 
 def add(group: argparse._ActionsContainer, usage: str, what: str, **how: Any) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cmp_cl.cli.arguments import add, grid_shape, positive_number, views_of
-from cmp_cl.cli.messages import one_line, shown
+from cmp_cl.cli.messages import one_line
 from cmp_cl.errors import CalibrationError, ConfigError, GridError
 from cmp_cl.grid import Grid
 from cmp_cl.measure import find_pattern
@@ -89,7 +89,7 @@ def through_window(rig: StereoRig, arguments: argparse.Namespace, device: Device
                     view, shape=arguments.grid, full_scale=arguments.full_scale, device=device
                 )
             except GridError as error:
-                raise CalibrationError(f"{shown(path)}: {one_line(error)}") from error
+                raise CalibrationError(f"{path}: {one_line(error)}") from error
             grids.append(grid)
     left, right = grids
     rest = left, align_views(left, right, rig.R)

@@ -5,6 +5,7 @@ import functools
 import math
 from collections.abc import Callable
 from os import PathLike
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.field.nodes import node_columns, surface
 from cmp_cl.field.strain import principal_of, surface_normals
-from cmp_cl.files import suffix_of, whole_file, write_bytes, write_csv
+from cmp_cl.files import whole_file, write_bytes, write_csv
 from cmp_cl.points import PointStatus, largest_deviation
 
 Array = NDArray[np.float64]
@@ -148,7 +149,7 @@ class DisplacementField:
         ParaView. The raw field is written beside a filtered one; the names of its arrays begin with
         raw_. Raises ConfigError on another suffix, OSError if the file cannot be written.
         """
-        suffix = suffix_of(path, ConfigError)
+        suffix = Path(path).suffix.lower()
         arrays: dict[str, NDArray[Any]] = {}
         for begin, each in (("", self), ("raw_", self.raw)):
             named = {f"{begin}{name}": getattr(each, name, None) for name in _IN_FILES}

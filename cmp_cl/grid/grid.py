@@ -6,13 +6,14 @@ import functools
 import math
 from numbers import Integral
 from os import PathLike
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, GridError, check_kind, check_positive
-from cmp_cl.files import check_path, read_npz, suffix_of, whole_file
+from cmp_cl.files import read_npz, whole_file
 from cmp_cl.filter import bent_sigma
 from cmp_cl.grid.curves import points_between
 from cmp_cl.grid.saved import SAVED, packed, unpacked
@@ -266,7 +267,7 @@ class Grid:
         Its arrays have the names of the attributes; one that is None has no elements. Raises
         GridError on another suffix, OSError if the file cannot be written.
         """
-        if suffix_of(path, GridError) != ".npz":
+        if Path(path).suffix.lower() != ".npz":
             raise GridError(f"a grid is saved as .npz, not as {str(path)!r}")
         with whole_file(path) as file:
             np.savez(file, **packed(self))
@@ -278,7 +279,6 @@ class Grid:
         Raises OSError if the file cannot be read; GridError if it is damaged or holds no grid: the
         message says which array is wrong, what was expected and what was found.
         """
-        check_path(path, FileNotFoundError)
         try:
             found = unpacked(read_npz(path, SAVED))
         except ValueError as error:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ImageError, check_kind
-from cmp_cl.files import check_path, suffix_of, write_bytes
+from cmp_cl.files import write_bytes
 from cmp_cl.image import GreyImage
 
 IMAGE_SUFFIXES = frozenset(
@@ -37,7 +37,7 @@ def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np
     """
     check_kind("image", image, np.ndarray, ImageError)
     known = IMAGE_SUFFIXES if image.dtype == np.uint8 else _OF_16_BITS
-    written = suffix_of(path, ImageError) in known and image.dtype in (np.uint8, np.uint16)
+    written = Path(path).suffix.lower() in known and image.dtype in (np.uint8, np.uint16)
     if written:
         try:
             written, data = cv2.imencode(Path(path).suffix, image)
@@ -71,7 +71,6 @@ def read_pages(path: str | PathLike[str]) -> list[GreyImage]:
 
 def _decoded(path: str | PathLike[str], count: int | None) -> list[GreyImage]:
     """Return the first `count` pages of an image file, all if that is None."""
-    check_path(path, ImageError)
     name = repr(str(path))
     try:
         if os.path.getsize(path) > _MOST_BYTES:
@@ -87,7 +86,7 @@ def _decoded(path: str | PathLike[str], count: int | None) -> list[GreyImage]:
         pages = cv2.imdecodemulti(data, how, **some)[1]
     except cv2.error as error:
         why = f": {error.err}"
-    if not pages and suffix_of(path, ImageError) in VIDEO_SUFFIXES:
+    if not pages and Path(path).suffix.lower() in VIDEO_SUFFIXES:
         raise ImageError(f"{name} is a video: give images")
     if not pages:
         raise ImageError(f"{name} is not an image that OpenCV can read, or is damaged{why}")
@@ -110,9 +109,8 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
     """
     found: list[Path] = []
     for name in paths:
-        check_path(name, FileNotFoundError)
         path = Path(name)
-        if path.is_dir():
+        if os.path.isdir(name):
             inside = [
                 entry
                 for entry in sorted(path.iterdir(), key=_by_number)
@@ -123,9 +121,9 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
             if not inside:
                 raise FileNotFoundError(f"no image and no video in the folder {str(path)!r}")
             found += inside
-        elif path.exists():
+        elif os.path.exists(name):
             found.append(path)
-        elif matches := glob.glob(str(path)):
+        elif matches := glob.glob(os.fspath(name)):
             found += sorted(map(Path, matches), key=_by_number)
         else:
             raise FileNotFoundError(f"there is no file {os.fspath(name)!r}")

@@ -6,12 +6,12 @@ import math
 import os
 from collections.abc import Iterator
 from os import PathLike
+from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from cmp_cl.errors import ImageError, extra
-from cmp_cl.files import suffix_of
 from cmp_cl.image import GreyImage
 from cmp_cl.media.images import VIDEO_SUFFIXES, read_pages
 
@@ -47,8 +47,8 @@ class VideoInfo(NamedTuple):
 
 
 def is_video(path: str | PathLike[str]) -> bool:
-    """Return whether the suffix of a path is that of a video; raises ImageError for no path."""
-    return suffix_of(path, ImageError) in VIDEO_SUFFIXES
+    """Return whether the suffix of a path is that of a video."""
+    return Path(path).suffix.lower() in VIDEO_SUFFIXES
 
 
 def read_frames(path: str | PathLike[str]) -> Iterator[Frame]:

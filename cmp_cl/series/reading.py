@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, FieldError, extra
-from cmp_cl.files import check_path, read_npz, suffix_of
+from cmp_cl.files import read_npz
 from cmp_cl.series.part import Stored
 
 
@@ -27,9 +27,8 @@ def read_series(
     Raises ConfigError on another suffix or without the package of the format, FieldError if the
     file is damaged or is no series.
     """
-    check_path(path, ConfigError)
     part = re.search(r"\.part(-\d+)?$", os.fspath(path)) is not None
-    suffix = suffix_of(path, ConfigError)
+    suffix = Path(path).suffix.lower()
     if not (part or suffix in (".npz", ".h5")):
         raise ConfigError(f"{str(path)!r}: a series that is read ends in .npz, .h5 or .part")
     if not os.path.exists(path):

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError, check_kind, extra
-from cmp_cl.files import check_target, new_folder, suffix_of, version, whole_path
+from cmp_cl.files import check_target, new_folder, version, whole_path
 from cmp_cl.series import formats, mcap
 from cmp_cl.series.part import Arrays, Part, Stored
 
@@ -205,7 +205,7 @@ class SeriesWriter(Closing):
 
 def _known_suffix(path: str | PathLike[str]) -> str:
     """Return the suffix of a path; raises ConfigError for an unknown one or without its package."""
-    suffix = suffix_of(path, ConfigError)
+    suffix = Path(path).suffix.lower()
     if suffix not in _FORMATS:
         raise ConfigError(f"{str(path)!r}: the suffix must be one of {', '.join(_FORMATS)}")
     if suffix in _PACKAGES:

@@ -2,7 +2,6 @@
 
 import contextlib
 import signal
-import threading
 from collections.abc import Iterator
 from types import FrameType
 from typing import Any
@@ -14,14 +13,9 @@ _STOPPING = [
 
 @contextlib.contextmanager
 def handled(handler: Any) -> Iterator[None]:
-    """Handle the stopping signals by a function, except those that are ignored, as under nohup.
-
-    Only the main thread of a process can handle signals; in any other, nothing changes.
-    """
-    before: dict[signal.Signals, Any] = {}
+    """Handle the stopping signals by a function, except those that are ignored, as under nohup."""
+    before = {number: signal.getsignal(number) for number in _STOPPING}
     try:
-        if threading.current_thread() is threading.main_thread():
-            before = {number: signal.getsignal(number) for number in _STOPPING}
         for number, old in before.items():
             if old != signal.SIG_IGN:
                 signal.signal(number, handler)
@@ -33,9 +27,8 @@ def handled(handler: Any) -> Iterator[None]:
 
 def ignore() -> None:
     """Ignore the stopping signals until the end of a `handled` block."""
-    if threading.current_thread() is threading.main_thread():
-        for number in _STOPPING:
-            signal.signal(number, signal.SIG_IGN)
+    for number in _STOPPING:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def interrupt(_: int, __: FrameType | None) -> None:
