@@ -2,13 +2,14 @@
 
 from cmp_cl.grid.align import align
 from cmp_cl.grid.build import build_grid, build_grids
-from cmp_cl.grid.grid import Grid, NodeStatus, Rival, Sides
+from cmp_cl.grid.grid import Grid, NodeStatus, Others, Rival, Sides
 from cmp_cl.grid.markers import refine_markers
 from cmp_cl.grid.number import number
 
 __all__ = [
     "Grid",
     "NodeStatus",
+    "Others",
     "Rival",
     "Sides",
     "align",

@@ -77,11 +77,11 @@ def grid_of(
     strict: bool,
 ) -> Grid:
     """Return the grid of the board that is meant."""
-    chosen, others = chosen_of(found_in(found, asked, corners), asked, len(corners))
+    chosen, told = chosen_of(found_in(found, asked, corners), asked, len(corners))
     if chosen is None:
         grid = empty_grid(len(corners), asked.shape, asked.like)
     else:
-        grid = placed(chosen, corners, asked, others)
+        grid = placed(chosen, corners, asked, told)
     if strict and grid.doubts:
         raise GridError("; ".join(grid.doubts))
     return grid
@@ -105,7 +105,7 @@ def build_grids(
     found = found_in(_boards_of(corners, image, device), asked, corners)
     if shape is not None:
         found = [each for each in found if 2 * each.size >= shape[0] * shape[1]]
-    return [placed(each, corners, asked, 0) for each in found]
+    return [placed(each, corners, asked) for each in found]
 
 
 def _boards_of(corners: Corners, image: GreyImage, device: Device | str | None) -> list[Board]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
-from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus, Sides
+from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus, Others, Sides
 from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Border, Mask, Whole
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.joins import SHIFTS, Side, bending, factor
@@ -33,6 +33,16 @@ class Asked(NamedTuple):
     shape: tuple[int, int] | None = None
     like: Grid | None = None
     previous: Grid | None = None
+
+
+class Told(NamedTuple):
+    """What speaks for other numbers than a grid's, see `Grid.others`."""
+
+    number: int
+    what: Others
+
+
+NOTHING = Told(0, Others.NONE)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -269,36 +279,41 @@ def reference_of(grid: Grid) -> Reference:
     return Reference(board, prints, grid.origin, not grid.ambiguous)
 
 
-def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | None, int]:
-    """Return the board that is meant, None without any, and the corners of another that may be, or
-    how many hang on it, or are missing inside it or beside it.
+def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | None, Told]:
+    """Return the board that is meant, None without any, and what speaks for other numbers.
 
     count: corners in the view.
 
     Raises GridError if two are comparable, or the board holds few of the corners.
     """
     if not found:
-        return None, 0
+        return None, NOTHING
+    others = 0
     if asked.like is not None:
         chosen, others = _alike(found)
-        sure, least = False, K.few * count
+        sure = False
     elif asked.shape is not None:
-        chosen, others = _fitting(found, asked.shape), 0
-        sure, least = chosen.fills(asked.shape), K.few * count
+        chosen = _fitting(found, asked.shape)
+        sure = chosen.fills(asked.shape)
     else:
         chosen, others = _alone(found)
-        sure, least = chosen.is_whole, K.few * count
+        sure = chosen.is_whole
+    least = K.few * count
     if not sure and chosen.size < least:
         raise GridError(
             f"the largest board has {chosen.size} of {count} corners, expected at least "
             f"{math.ceil(least)}; give the shape, or a cut-out of the image"
         )
-    if not (sure or chosen.is_whole):
-        others = others or chosen.hanging
-    if asked.shape is None or not chosen.fills(asked.shape):
-        others = others or chosen.across
-    beside = 0 if asked.shape is not None and chosen.fits else chosen.beyond
-    return chosen, others or chosen.gap or beside
+    filled = asked.shape is not None and chosen.fills(asked.shape)
+    fits = asked.shape is not None and chosen.fits
+    told = (
+        Told(others, Others.PATTERN),
+        Told(0 if sure or chosen.is_whole else chosen.hanging, Others.HANGING),
+        Told(0 if filled else chosen.across, Others.ACROSS),
+        Told(chosen.gap, Others.GAP),
+        Told(0 if fits else chosen.beyond, Others.BESIDE),
+    )
+    return chosen, next((each for each in told if each.number), NOTHING)
 
 
 def _alike(found: list[Found]) -> tuple[Found, int]:

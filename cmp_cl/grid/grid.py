@@ -38,6 +38,32 @@ class NodeStatus(enum.IntEnum):
 MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
 
 
+class Others(enum.IntEnum):
+    """What `Grid.others` counts."""
+
+    NONE = 0
+    PATTERN = 1  #: corners of another lattice: squares behind a board, or a part without numbers
+    GAP = 2  #: places between nodes of a row and of a column that show no corner
+    BESIDE = 3  #: corners that lie where its next lines would be
+    HANGING = 4  #: nodes of a region whose cells share no side with the others
+    ACROSS = 5  #: nodes beyond lines without a node, as behind a bar
+
+
+# what a user reads of them
+_SAID = {
+    Others.PATTERN: "another pattern of {} corners is seen, which may be the one that is meant; "
+    "give a cut-out without it",
+    Others.GAP: "{} places between its nodes show no corner: two patterns may touch there, or a "
+    "part may have wrong numbers",
+    Others.BESIDE: "{} corners lie where its next lines would be and are no nodes: it may go on "
+    "there",
+    Others.HANGING: "a region of {} nodes hangs on the others by a single side or by doubtful "
+    "corners, and may have wrong numbers",
+    Others.ACROSS: "{} nodes lie beyond lines of which none is seen, and how many these are is not "
+    "sure",
+}
+
+
 class Sides(NamedTuple):
     """A set of the sides top, bottom, left and right of a grid; each is True if it is in the
     set."""
@@ -91,12 +117,8 @@ class Grid:
     confidence: by how much the numbers are more probable than the second best, nats (the logarithm
         of the ratio); inf if no others are possible, 0 if others are as probable. See `ambiguous`.
     rival: the second best numbering, None if there is no other.
-    others: corners of the largest other lattice in view that may be the pattern that is meant,
-        0 where none is: squares behind a board, or a part of a torn pattern without numbers. Places
-        inside the grid that show no corner count too, if they are many: two patterns that touch
-        leave such a gap, and a part of a torn pattern that is numbered wrongly. So do corners that
-        look like its next lines, and a region that hangs on the grid by a single side, by torn
-        corners, or by ones beside which cells of one colour differ.
+    others: how many corners, places or nodes speak for other numbers, 0 if none or few do;
+        others_are says what they are.
     edge_radius: the `edge_radius` of the corners, px. The filters of positions and displacements
         use it to remove the effect of bent edges. NaN if unknown.
     """
@@ -113,6 +135,7 @@ class Grid:
     confidence: float = math.inf
     rival: Rival | None = None
     others: int = 0
+    others_are: Others = Others.NONE
     edge_radius: float = math.nan
 
     def __repr__(self) -> str:
@@ -161,11 +184,7 @@ class Grid:
             seen = " x ".join(map(str, self.seen_shape))
             found.append(f"the board looks like {seen} corners; {rows} x {columns} were asked for")
         if self.others:
-            found.append(
-                f"another pattern of {self.others} corners is seen, or so many of this one are no "
-                "nodes or hang on it by doubtful ones, and numbers may be wrong; give a cut-out "
-                "without it"
-            )
+            found.append(_SAID[self.others_are].format(self.others))
         if self.ambiguous and self.seen_shape is None:
             other = ""
             if self.rival is not None:
@@ -285,6 +304,7 @@ class Grid:
             raise GridError(f"{str(path)!r} is damaged or holds no grid: {error}") from error
         for name, kind in (("border", Sides), ("rival", Rival)):
             found[name] = found[name] and kind(*found[name])
+        found["others_are"] = Others(found["others_are"])
         return cls(**found)
 
     def to_opencv(self, spacing: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

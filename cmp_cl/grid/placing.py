@@ -3,13 +3,13 @@
 import numpy as np
 
 from cmp_cl.corners import Corners
-from cmp_cl.grid.choice import Asked, Found
+from cmp_cl.grid.choice import NOTHING, Asked, Found, Told
 from cmp_cl.grid.grid import Grid, NodeStatus, Rival, Sides, check_size
 from cmp_cl.lattice.arrays import LOOKED, Board, Mask
 from cmp_cl.lattice.numbers import Decision, Numbering, seen_lines
 
 
-def placed(found: Found, corners: Corners, asked: Asked, others: int) -> Grid:
+def placed(found: Found, corners: Corners, asked: Asked, told: Told = NOTHING) -> Grid:
     """Return the grid of a board with the numbers that were decided."""
     best = found.decision.best
     board = found.board.turned(best.quarters)
@@ -43,7 +43,8 @@ def placed(found: Found, corners: Corners, asked: Asked, others: int) -> Grid:
         seen_shape=seen_lines(board) if misfit else None,
         confidence=found.decision.margin,
         rival=_rival(found.decision, size, first, shape),
-        others=others,
+        others=told.number,
+        others_are=told.what,
         edge_radius=corners.edge_radius,
     )
     return grid.within(first, shape)

@@ -22,6 +22,7 @@ SAVED: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "confidence": ("float64", ()),
     "rival": ("int64", (3,)),
     "others": ("int64", ()),
+    "others_are": ("int64", ()),
     "edge_radius": ("float64", ()),
 }
 _MAY_BE_NONE = ("border", "seen_shape", "rival")  # then the array has no elements

@@ -86,7 +86,7 @@ def test_a_board_that_a_bar_parts_is_told_to_be_one_beside_which_corners_are(run
     cv2.imwrite(str(tmp_path / "bar.png"), view.image)
     status, out, err = run("detect", "bar.png", "--grid", "7x9", "--overlay", "o.png")
     assert (status, "wrote o.png" in out) == (2, True)  # the corners
-    assert "the board looks like 6 x 9 corners; 7 x 9 were asked for; another pattern of 12" in err
+    assert "the board looks like 6 x 9 corners; 7 x 9 were asked for; 12 corners lie where" in err
 
 
 def test_each_image_of_fewer_than_16_bits_gets_a_hint_about_full_scale(run):

@@ -35,7 +35,7 @@ from scenes import (
 from stereo_data import photographs
 
 from cmp_cl import Corners, Detector, Grid, GridError, ImageError, NodeStatus, build_grid, detect
-from cmp_cl.grid import build_grids
+from cmp_cl.grid import Others, build_grids
 from cmp_cl.synthetic import Indenter, random_scene
 from cmp_cl.synthetic.boards import samples
 from cmp_cl.synthetic.scoring import agreeing
@@ -193,7 +193,7 @@ def test_the_larger_board_is_numbered_and_the_other_is_told_or_given_on_demand()
     grid = grid_of(view)
     assert_right_or_told(grid, view)
     assert scored(grid, view).right == 54
-    assert grid.others == 20
+    assert (grid.others, grid.others_are) == (20, Others.PATTERN)
     boards = build_grids(corners_of(view), view.image)
     assert [each.shape for each in boards] == [(6, 9), (5, 4)]
     owned = np.sum([each.index[:, 0] >= 0 for each in boards], axis=0)
@@ -279,8 +279,8 @@ def test_corners_of_a_line_that_no_side_links_are_told():
     view = drawn(camera, SIZE, BOARD, front=tape)
     grid = grid_of(view)
     assert np.count_nonzero(grid.valid) == 48
-    assert grid.others == 6
-    assert "of this one are no nodes" in grid.doubts[0]
+    assert (grid.others, grid.others_are) == (6, Others.BESIDE)
+    assert "6 corners lie where its next lines would be" in grid.doubts[0]
     sized = grid_of(view, shape=BOARD)
     assert scored(sized, view, known="board").right == 48
     assert not sized.doubts
@@ -292,7 +292,7 @@ def test_a_part_of_a_board_beside_a_bar_is_not_taken_for_the_whole_in_silence(mi
     u, _ = camera(*samples(SIZE))
     view = drawn(camera, SIZE, BOARD, front=np.where(abs(u - middle) < width / 2, 120.0, np.nan))
     grid = grid_of(view)
-    assert grid.others == 12  # behind the bar
+    assert (grid.others, grid.others_are) == (12, Others.BESIDE)  # behind the bar
     assert scored(grid, view).wrong == 0
 
 
@@ -305,7 +305,7 @@ def test_rows_on_both_sides_of_a_bar_are_no_neighbours(width, turn):
     score = scored(grid, view)
     assert score.right == 6 * 10
     assert score.clean
-    assert grid.others == 10
+    assert (grid.others, grid.others_are) == (10, Others.BESIDE)
     sized = grid_of(view, shape=(9, 10))  # the row beyond shows that the board goes on there
     assert scored(sized, view, known="board").right == 6 * 10
     assert not sized.doubts
@@ -366,8 +366,7 @@ def test_a_gap_inside_a_board_is_told(shape):
     view = drawn(camera, SIZE, (10, 13), front=np.where(hidden, 120.0, np.nan))
     grid = grid_of(view, shape=shape)
     assert scored(grid, view).right == 10 * 13 - 15
-    assert grid.others == 15
-    assert grid.doubts
+    assert (grid.others, grid.others_are) == (15, Others.GAP)
 
 
 def test_corners_that_lie_anywhere_beside_a_board_are_not_told_as_its():

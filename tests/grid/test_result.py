@@ -9,7 +9,7 @@ from lattices import drawn
 from scenes import board, corners_of
 
 from cmp_cl import Grid, GridError, build_grid, detect
-from cmp_cl.grid import Rival, Sides, align
+from cmp_cl.grid import Others, Rival, Sides, align
 from cmp_cl.grid.choice import Asked, Found, chosen_of
 from cmp_cl.lattice.arrays import Board
 from cmp_cl.lattice.numbers import Decision, Numbering
@@ -26,7 +26,8 @@ def grid() -> Grid:
     [
         {},
         {"border": None, "confidence": 2.5, "rival": Rival(2, -1, 1), "origin": (-3, 4)},
-        {"border": Sides(left=True), "seen_shape": (7, 9), "others": 40, "edge_radius": math.nan},
+        {"border": Sides(left=True), "seen_shape": (7, 9), "edge_radius": math.nan},
+        {"others": 40, "others_are": Others.GAP},
     ],
 )
 def test_a_saved_grid_comes_back_as_it_was(grid, changes, tmp_path):
@@ -145,4 +146,7 @@ def test_regions_are_of_cells_with_firm_nodes_that_share_sides(first, second, co
     board = Board(x=nodes, y=nodes, owner=nodes.astype(int), torn=~firm, firm=firm, sign=1)
     for each in (board, board.turned(1)):
         found = Found(each, Decision(Numbering(0, 0, 0, 0, 0), None, np.inf), 0)
-        assert chosen_of([found], Asked(), firm.size) == (found, counted)
+        assert chosen_of([found], Asked(), firm.size) == (
+            found,
+            (counted, Others.HANGING if counted else Others.NONE),
+        )
