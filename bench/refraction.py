@@ -4,8 +4,8 @@
     python bench/refraction.py              about ten minutes
 
 A ball presses 1 mm into the pattern, seen by two cameras 45 mm away through 5 mm of acrylic. The
-pixels are exact, but in the parts `images`, which finds the corners of rendered images, and
-`drawn`. A row of results/refraction.csv has the part, the gel,
+pixels are exact, by the renderer's bisection of Snell's law, but in the parts `images`, which finds
+the corners of rendered images, and `drawn`. A row of results/refraction.csv has the part, the gel,
 what is changed in the rig, and: what 1 mm reads; the RMS error of the displacement where it is
 over .3 mm, um; the mean error of the position, mm. In `drawn`, where cameras are calibrated on 12
 noisy views of a board, and the window on a noisy view at rest: the error of the deepest node along

@@ -6,6 +6,7 @@ enough for `cmp_cl.media`, `cmp_cl.space` or `cmp_cl.reference`.
 
 import importlib
 import importlib.util
+import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -50,6 +51,9 @@ if TYPE_CHECKING:
     from cmp_cl.space import calibrate as calibrate
 
     __version__: str
+
+# OpenCV reads it when it is imported; its own limit, 2**30, is gigabytes for a hostile file.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 27))
 
 _HOMES = {
     "config": "AdaptiveMean BinaryRings DetectorConfig EdgeLines EdgeStep Fit Midlines "

@@ -1,22 +1,28 @@
-"""Files written whole or not at all, and settings and arrays read."""
+"""Files written whole or not at all, and settings and arrays read within bounds."""
 
 import contextlib
 import csv
 import errno
 import importlib.metadata
+import math
 import os
+import re
 import secrets
 import shutil
 import tomllib
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from io import StringIO
 from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO
+from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.errors import CmpClError
+
+_MOST_TOML = 1 << 16  # bytes
 _WRITABLE = 0o222  # mode bits that allow writing
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -27,6 +33,21 @@ def version() -> str:
         return importlib.metadata.version("cmp-cl")
     except importlib.metadata.PackageNotFoundError:
         return "unknown"
+
+
+def check_path(path: object, error: type[CmpClError | OSError]) -> None:
+    """Raise the error if a path is neither a text nor a PathLike of one, is empty, or holds a null
+    character, which no system allows."""
+    name = os.fspath(path) if isinstance(path, str | PathLike) else None
+    if not isinstance(name, str) or not name or "\0" in name:
+        said = " ".join(repr(path).split())
+        raise error(f"path must be the name of a file, not {said}")
+
+
+def suffix_of(path: str | PathLike[str], error: type[CmpClError]) -> str:
+    """Return the suffix of a path in small letters; raises the error as `check_path` does."""
+    check_path(path, error)
+    return Path(path).suffix.lower()
 
 
 @contextlib.contextmanager
@@ -62,9 +83,10 @@ def whole_path(path: str | PathLike[str], suffix: str = ".tmp") -> Iterator[Path
 def check_target(path: str | PathLike[str]) -> Path:
     """Return the file that an output path names, with links resolved.
 
-    Raises OSError if the path is a folder, a device or a read-only file, or lies in a folder that
-    does not exist or cannot be written.
+    Raises OSError if the path is no name of a file, is a folder, a device or a read-only file, or
+    lies in a folder that does not exist or cannot be written.
     """
+    check_path(path, FileNotFoundError)
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
         raise OSError(errno.EINVAL, "it is a folder or a device, not a file", str(path))
@@ -112,34 +134,83 @@ def write_csv(
 
 
 def csv_bytes(rows: Iterable[Iterable[object]]) -> bytes:
-    """Return rows as CSV in UTF-8."""
+    """Return rows as CSV in UTF-8.
+
+    A text that a spreadsheet would take for a formula begins with an apostrophe (OWASP, CSV
+    injection).
+    """
     text = StringIO(newline="")
-    csv.writer(text, lineterminator="\n").writerows(rows)
+    csv.writer(text, lineterminator="\n").writerows([map(_harmless, row) for row in rows])
     return text.getvalue().encode("utf-8", "backslashreplace")
+
+
+def _harmless(cell: object) -> object:
+    formula = isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r"))
+    return f"'{cell}" if formula else cell
 
 
 def read_toml(path: str | PathLike[str]) -> dict[str, Any]:
     """Read settings in TOML; a byte order mark is skipped.
 
-    Raises OSError if the file cannot be read, ValueError if it is not TOML in UTF-8.
+    Raises OSError if the file cannot be read, ValueError if it is not TOML in UTF-8 or is larger
+    than 64 KiB.
     """
+    with open(path, "rb") as file:
+        data = file.read(_MOST_TOML + 1)
+    if len(data) > _MOST_TOML:
+        raise ValueError(f"over {_MOST_TOML} bytes, no settings")
     try:
-        return tomllib.loads(Path(path).read_text("utf-8-sig"))
-    except ValueError as error:
-        raise ValueError(f"it is not TOML in UTF-8: {error}") from error
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError("it is not text in UTF-8") from error
+    try:
+        return tomllib.loads(text.replace("\r\n", "\n"))
+    except RecursionError as error:
+        raise ValueError("nested too deep, no settings") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"it is not TOML: {error}") from error
 
 
 def read_npz(
-    path: str | PathLike[str], names: Collection[str] | None = None
+    path: str | PathLike[str],
+    names: Collection[str] | None,
+    check: Callable[[dict[str, NDArray[Any]]], None],
 ) -> dict[str, NDArray[Any]]:
     """Return the arrays of those names, as far as they are there, from a file that `numpy.savez`
     wrote; None means all.
 
-    Raises OSError if the file cannot be read; ValueError if it is damaged or of another kind.
+    check: raises ValueError for arrays of other shapes or types. It is given arrays like those that
+        the file promises, without their values, before they are read.
+
+    Raises OSError if the file cannot be read; ValueError if it is damaged or of another kind, or
+    the arrays do not fit into the memory that is free.
     """
     with open(path, "rb") as file:
         try:
             with np.load(file, allow_pickle=False) as data:
-                return {name: data[name] for name in data if names is None or name in names}
+                found = [name for name in data if names is None or name in names]
+                promised = {name: _promised(data.zip, f"{name}.npy") for name in found}
+                check(promised)
+                check_memory(sum(array.nbytes for array in promised.values()))
+                return {name: data[name] for name in found}
         except Exception as why:  # damaged bytes raise any of them, in zipfile and NumPy
             raise ValueError(why) from why
+
+
+def _promised(data: ZipFile, name: str) -> NDArray[Any]:
+    """Return an array that takes no memory, of the shape and type that the header in .npy says."""
+    with data.open(name) as file:
+        old = np.lib.format.read_magic(file) == (1, 0)
+        header = np.lib.format.read_array_header_1_0 if old else np.lib.format.read_array_header_2_0
+        shape, _, dtype = header(file)
+    return np.broadcast_to(np.empty((), dtype), shape)
+
+
+def check_memory(size: int) -> None:
+    """Raise ValueError if arrays of that many bytes do not fit into the memory that is free."""
+    free = math.inf
+    with contextlib.suppress(OSError):  # there is none on other systems than Linux
+        found = re.search(r"MemAvailable: *(\d+) kB", Path("/proc/meminfo").read_text("ascii"))
+        free = 1024 * int(found[1]) if found else free
+    if size > free:
+        raise ValueError(f"its arrays need {size} bytes, and {free} bytes of memory are free")

@@ -4,14 +4,13 @@ Lengths are mm, x points right and y down from the top-left corner of the sheet.
 """
 
 import dataclasses
-import pathlib
 from os import PathLike
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, check_range, check_shape, extra
-from cmp_cl.files import whole_file
+from cmp_cl.files import suffix_of, whole_file
 
 _MM_PER_INCH = 25.4
 _MOST_PIXELS = 10**8
@@ -60,7 +59,7 @@ class Checkerboard:
         Raises ConfigError on another suffix, a dpi outside 10 to 10 000, more than 100 million
         pixels or without matplotlib, OSError if the file cannot be written.
         """
-        suffix = pathlib.Path(path).suffix.lower()
+        suffix = suffix_of(path, ConfigError)
         if suffix not in (".svg", ".png"):
             raise ConfigError(f"{str(path)!r}: the suffix must be .svg or .png")
         check_range("dpi", dpi, 10, 10_000)

@@ -8,6 +8,7 @@ from cmp_cl import (
     CalibrationError,
     CmpClError,
     ConfigError,
+    DetectorConfig,
     FieldError,
     ImageError,
     StereoRig,
@@ -16,6 +17,7 @@ from cmp_cl import (
     detect,
     media,
     reference,
+    series,
 )
 from cmp_cl.field import surface_normals
 from cmp_cl.grid import align
@@ -68,6 +70,25 @@ def test_a_wrong_argument_is_named_in_one_line(call, said, tmp_path, monkeypatch
         call()
     assert "\n" not in str(refusal.value)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("path", [None, b"a.png", "", "a\0b"])
+@pytest.mark.parametrize(
+    ("call", "error"),
+    [
+        (media.read_image, ImageError),
+        (lambda path: next(media.read_frames(path)), ImageError),
+        (lambda path: media.find_inputs([path]), FileNotFoundError),
+        (StereoRig.load, CalibrationError),
+        (toed_in_rig().save, FileNotFoundError),
+        (DetectorConfig.load, ConfigError),
+        (series.read_series, ConfigError),
+        (series.SeriesWriter, ConfigError),
+    ],
+)
+def test_what_names_no_file_is_refused(call, error, path):
+    with pytest.raises(error, match=r"^path must be the name of a file, not .*$"):
+        call(path)
 
 
 @pytest.mark.parametrize("values", ["a", {}, [[1], [2, 3]], np.eye(3) * 1j])

@@ -1,8 +1,13 @@
-"""A recording on two worker processes: the corners of one process."""
+"""A recording on two worker processes: the corners of one process, even if a worker is killed."""
+
+import itertools
+import os
+import threading
+import time
 
 import pytest
 from comparison import assert_same_bytes
-from workers import broken_frame, colour_frame, frame
+from workers import broken_frame, colour_frame, frame, slow_frame
 
 from cmp_cl import Detector, DetectorConfig, EdgeLines, cluster
 from cmp_cl.errors import ConfigError, ImageError
@@ -41,6 +46,19 @@ def test_every_frame_comes_in_order_as_one_process_finds_it(client, config):
     numbers = [*range(30), 7, 3]
     found = cluster.detect(client, frame, numbers, config=config, part=PART)
     assert_right(found, numbers, config)
+
+
+def test_a_killed_worker_loses_no_frame_and_repeats_none(client):
+    before = set(client.run(os.getpid).values())
+    found = cluster.detect(client, slow_frame, range(COUNT), part=PART)
+    first = next(found)
+    victim = min(before)
+    killer = threading.Thread(target=lambda: (time.sleep(0.3), os.kill(victim, 9)))
+    killer.start()
+    assert_right(itertools.chain([first], found), range(COUNT))
+    killer.join()
+    client.wait_for_workers(2, timeout=30)
+    assert victim not in client.run(os.getpid).values()
 
 
 def test_a_few_parts_are_on_their_way_and_those_that_nobody_wants_are_cancelled(client):

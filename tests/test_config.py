@@ -101,6 +101,7 @@ def test_keys_left_out_of_toml_keep_their_defaults(tmp_path):
         ("[refinement]\nkind = 'edge_lines'\nfit = 'linear'", "unknown key 'fit' for EdgeLines"),
         ("nms_radius = 3\nnms_radius = 4", "Cannot overwrite a value"),
         ("nms_radius = " + "9" * 5000, "4300 digits"),
+        ("x = " + "[" * 10_000, "nested too deep"),
     ],
     ids=lambda value: str(value)[:32],
 )

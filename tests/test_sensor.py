@@ -2,16 +2,17 @@
 
 import contextlib
 import threading
+import time
 
 import numpy as np
 import pytest
 from gels import NODES, RIG, SPLIT, pressed
 from videos import write_video
 
-from cmp_cl import ConfigError, GridError, ImageError
+from cmp_cl import ConfigError, FieldError, GridError, ImageError
 from cmp_cl.measure import Sensor, TwoViews, pytac3d
 from cmp_cl.media import read_frames
-from cmp_cl.series import read_series
+from cmp_cl.series import SeriesWriter, read_series
 
 SCRIPT = """
 got = []
@@ -60,6 +61,37 @@ def test_a_script_for_pytac3d_runs_with_only_its_import_changed(video, tmp_path)
     assert [entry[:3] for entry in names["got"]] == [("mine", "gel-1", k) for k in range(3)]
     for (*_, moved), expected in zip(names["got"], fields(video), strict=True):
         np.testing.assert_allclose(moved, expected, atol=1e-4)
+
+
+def test_what_was_recorded_is_replayed_at_its_times(video, tmp_path):
+    path = tmp_path / "press.npz"
+    sensor = Sensor(video, RIG, shape=NODES, maxQSize=9)
+    with sensor:
+        sensor.record(path)
+        live = all_frames(sensor)
+    recorded = read_series(path)["index"]
+    start = time.monotonic()
+    with Sensor.replay(path, serial="again", maxQSize=9) as replayed:
+        again = all_frames(replayed)
+        assert time.monotonic() - start > (again[-1]["sendTimestamp"] or 0) * 0.9
+    assert [frame["index"] for frame in again] == list(recorded)
+    by_index = {frame["index"]: frame for frame in live}
+    for frame in again:
+        assert frame["SN"] == "again"
+        for key in ("3D_Positions", "3D_Displacements", "3D_Normals", "sendTimestamp"):
+            np.testing.assert_allclose(frame[key], by_index[frame["index"]][key], atol=1e-6)
+
+
+def test_a_replay_is_closed_in_a_pause(tmp_path):
+    path = tmp_path / "press.npz"
+    with SeriesWriter(path, rest=np.ones((3, 3, 3)), unit="mm") as series:
+        for number in range(2):
+            time_ms = 1e99 * number
+            series.append(index=number, time_ms=time_ms, displacement=np.zeros((3, 3, 3)))
+    with Sensor.replay(path) as replayed:
+        replayed.waitForFrame(timeout=60)
+        start = time.monotonic()
+    assert time.monotonic() - start < 5
 
 
 def test_a_new_rest_is_taken_while_running(video):
@@ -135,3 +167,13 @@ def test_errors_reach_the_caller(video, tmp_path):
             with pytest.raises(error):  # here, and no error that ends the loop
                 sensor.record(tmp_path / path)
         assert all_frames(sensor)
+    plane = tmp_path / "plane.npz"
+    np.savez(
+        plane,
+        index=[0],
+        time_ms=[0.0],
+        rest=np.zeros((3, 3, 2)),
+        displacement=np.zeros((1, 3, 3, 2)),
+    )
+    with pytest.raises(FieldError, match="in space, of two views"):
+        Sensor.replay(plane)

@@ -21,9 +21,10 @@ import numpy as np
 import pytest
 from cases import some
 from children import ENVIRONMENT, python
+from stereo_data import grid_of
 
-from cmp_cl import SeriesWriter
-from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl import Grid, SeriesWriter
+from cmp_cl.errors import ConfigError, FieldError, GridError
 from cmp_cl.series import SERIES_SUFFIXES, complete, read_series
 
 PACKAGES = {".h5": "h5py", ".mcap": "mcap_ros2"}
@@ -242,6 +243,9 @@ def test_names_and_packages_that_no_format_has_are_refused(tmp_path, monkeypatch
     with pytest.raises(OSError, match="none"):
         SeriesWriter(tmp_path / "none" / "a.npz")
     assert list(tmp_path.iterdir()) == []
+    (tmp_path / "link.npz").symlink_to(tmp_path / "press.bin")
+    with pytest.raises(ConfigError, match=r"press\.bin"):  # now, and not when it is complete
+        SeriesWriter(tmp_path / "link.npz")
 
 
 # what was there before
@@ -392,8 +396,42 @@ def test_a_file_that_is_no_series_is_refused(tmp_path):
             read_series(tmp_path / name)
 
 
-def test_a_flipped_byte_is_refused_or_changes_nothing(tmp_path):
-    path = write(tmp_path / "press.npz")
+def test_what_exceeds_the_memory_is_not_read(tmp_path):
+    path = tmp_path / "big.h5"
+    h5py = pytest.importorskip("h5py", reason="h5py is not installed")
+    with h5py.File(path, "w") as file:
+        for name in ("index", "time_ms"):
+            file.create_dataset(name, (10**13,), np.int64, chunks=(10**6,))  # not written
+    with pytest.raises(FieldError, match="need 160000000000000 bytes"):
+        read_series(path)
+    part = tmp_path / "big.npz.part"
+    (part / "constants").mkdir(parents=True)
+    np.save(part / "constants" / "about.npy", np.array("{}"))
+    for name, shape in (("index", (10**9,)), ("other", (10**9, 500))):  # not written
+        np.lib.format.open_memmap(part / f"{name}.npy", "w+", np.int64, shape)
+    with pytest.raises(FieldError, match=r"need \d{13} bytes"):
+        read_series(part)
+
+
+def test_arrays_that_do_not_fit_are_refused_before_they_are_read(tmp_path):
+    many = np.zeros(1 << 23)
+    series, grid = tmp_path / "press.npz", tmp_path / "rest.npz"
+    np.savez_compressed(series, index=np.arange(3), time_ms=many)
+    grid_of(rest()[..., :2]).save(grid)
+    np.savez_compressed(grid, **{**np.load(grid), "xy": many})
+    tracemalloc.start()
+    with pytest.raises(FieldError, match=r"time_ms must be \(3\) of numbers, not \(8388608,\)"):
+        read_series(series)
+    with pytest.raises(GridError, match=r"xy must be .*, found \(8388608\)"):
+        Grid.load(grid)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < many.nbytes / 10
+
+
+@pytest.mark.parametrize("suffix", READABLE)
+def test_a_flipped_byte_is_refused_or_changes_nothing(tmp_path, suffix):
+    path = write(tmp_path / f"press{suffix}")
     whole, right = path.read_bytes(), read_series(path)
     rng, refused = np.random.default_rng(0), 0
     for place in rng.integers(0, len(whole), 100):

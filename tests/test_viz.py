@@ -1,5 +1,6 @@
 """Pictures: each shows every corner, node and value where it is, with its unit."""
 
+import dataclasses
 import importlib.util
 import os
 import urllib.error
@@ -154,6 +155,14 @@ def test_maps_have_the_recorded_values_with_their_units(recorded):
     else:
         with pytest.raises(FieldError, match="--stereo"):
             map_figure(last, Quantity.HEIGHT)
+
+
+@needs_matplotlib
+@pytest.mark.parametrize("size", [0.0, 1e-320])
+@pytest.mark.parametrize("recorded", [1], indirect=True)
+def test_pixels_that_a_damaged_file_has_at_one_place_are_drawn(recorded, size, tmp_path):
+    last = dataclasses.replace(recorded[-1], rest=size * recorded[-1].rest)
+    save_figure(tmp_path / "map.png", map_figure(last, Quantity.DISPLACEMENT))
 
 
 @needs_matplotlib

@@ -14,6 +14,7 @@ from stereo_data import gel, grid_of, toed_in_rig, views_of
 from cmp_cl import CalibrationError, StereoRig, Window
 from cmp_cl.space import Bias, PointStatus, calibrate_window
 from cmp_cl.synthetic import default_rig
+from cmp_cl.synthetic.camera import straightened
 
 WINDOW = Window((0.02, -0.03, 1.0), 20.0, ((5.0, 1.49),), 1.41)
 
@@ -35,16 +36,20 @@ def windows(draw):
 @settings(deadline=None)
 @given(windows(), st.floats(0, math.radians(60)), st.floats(-4, 4), st.floats(0, 50))
 def test_a_point_on_the_ray_of_a_pixel_is_seen_at_that_pixel(window, angle, azimuth, depth):
-    """Within 1e-6 px of a camera with a focal length of 1000 px, 60 degrees off the normal."""
+    """Within 1e-6 px of a camera with a focal length of 1000 px, up to 60 degrees off the normal,
+    and by bisection as by Newton's method."""
     one, two = window.axes
     across = math.cos(azimuth) * one + math.sin(azimuth) * two
     ray = math.cos(angle) * window.normal + math.sin(angle) * across
     centre = np.array([0.3, -0.2, 0.1])
     at, ahead = window.refracted(centre, ray[None])
     point = at[0] + (depth + 1e-9) * ahead[0]
-    seen = window.apparent(centre, point[None])[0][0]
-    off = np.cross(seen - centre, ray) / np.linalg.norm(seen - centre)
-    assert 1000 * np.linalg.norm(off) < 1e-6
+    for seen in (
+        window.apparent(centre, point[None])[0][0],
+        straightened(window, centre, point),
+    ):
+        off = np.cross(seen - centre, ray) / np.linalg.norm(seen - centre)
+        assert 1000 * np.linalg.norm(off) < 1e-6
 
 
 def test_points_in_front_of_the_last_face_and_rays_that_miss_the_window_are_nan():
@@ -219,7 +224,7 @@ def test_an_index_that_is_given_errs_by_what_it_is_said_to():
         assert low < np.median(np.abs(off) / stated) < high
     with pytest.raises(CalibrationError, match="index_sigma must be a number from 0"):
         fitted(RIG, views(rest, rng), index_sigma=-0.1)
-    with pytest.raises(CalibrationError, match=r"do not fix the window's distance .* index better"):
+    with pytest.raises(CalibrationError, match=r"known to 0.5 does not fix the window's distance"):
         fitted(RIG, views(rest, rng), index_sigma=0.5)
 
 
@@ -229,6 +234,25 @@ def test_errors_that_neighbours_share_make_a_window_less_certain():
         found = fitted(RIG, views(pattern(), rng, shared=True))
         scores.append(errors(found.window)[:3] / np.sqrt(np.diag(found.covariance)[22:25]))
     assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.5
+
+
+@pytest.mark.parametrize("given", [1.38, 1.44])
+def test_a_known_step_of_a_flat_punch_gives_the_index_too(given):
+    rng = np.random.default_rng(4)
+    row, column = np.mgrid[:NODES, :NODES] - (NODES - 1) / 2
+    under = np.clip((9 - np.hypot(row, column)) / 2, 0, 1)[..., None]
+    rest, stepped = (views(pattern() - each * NORMAL, rng) for each in (0 * under, under))
+    found = fitted(RIG, rest, media=(MEDIA[0], (GEL, given)), stepped=stepped, step=1.0)
+    assert abs(errors(found.window)[3]) < 0.004
+    sigma = np.sqrt(np.diag(found.covariance)[22:])
+    assert (np.abs(errors(found.window)) < 4 * sigma).all()
+    for changes, words in (
+        ({}, "stepped and step need each other"),
+        ({"stepped": rest}, "0 nodes moved as one"),
+        ({"stepped": views(pattern() + np.array([0.3, 0, 0]), rng)}, r"last index \(free\)"),
+    ):
+        with pytest.raises(CalibrationError, match=words):
+            fitted(RIG, rest, step=1.0, **changes)
 
 
 def test_a_window_that_the_views_do_not_fix_is_refused_by_name():

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from cmp_cl.cli.messages import shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.files import check_target
 from cmp_cl.grid.grid import MOST_NODES
@@ -22,16 +23,23 @@ Box = tuple[int, int, int, int]  # x, y, width, height, px
 
 
 def check_files(inputs: Iterable[str | Path | None], outputs: Iterable[str | Path | None]) -> None:
-    """Raise ConfigError if an output is an input.
+    """Raise ConfigError if an output is an input, or two outputs are one file.
 
     None stands for a file that was not requested. Raises OSError if an output cannot be written.
     """
     read = {os.path.realpath(path) for path in inputs if path is not None}
+    written = set()
     for path in outputs:
         if path is None:
             continue
-        if os.path.realpath(path) in read:
-            raise ConfigError(f"{path} is an input and would be overwritten; give another name")
+        real = os.path.realpath(path)
+        if real in read:
+            raise ConfigError(
+                f"{shown(path)} is an input and would be overwritten; give another name"
+            )
+        if real in written:
+            raise ConfigError(f"{shown(path)} is given for two outputs")
+        written.add(real)
         check_target(path)
 
 
@@ -40,7 +48,7 @@ def check_suffix(option: str, path: str | None, *suffixes: str) -> None:
     if path is not None and Path(path).suffix.lower() not in suffixes:
         *others, last = suffixes
         endings = f"{', '.join(others)} or {last}" if others else last
-        raise ConfigError(f"{option} {path} must end in {endings}")
+        raise ConfigError(f"{option} {shown(path)} must end in {endings}")
 
 
 def add(group: argparse._ActionsContainer, usage: str, what: str, **how: Any) -> None:

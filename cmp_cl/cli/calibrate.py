@@ -20,7 +20,7 @@ from cmp_cl.cli.arguments import (
     positive_number,
     views_of,
 )
-from cmp_cl.cli.messages import one_line, progress, tell
+from cmp_cl.cli.messages import one_line, progress, shown, tell
 from cmp_cl.cli.window import add_window, through_window, window_files
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
 from cmp_cl.grid import Grid
@@ -93,14 +93,14 @@ def run(arguments: argparse.Namespace) -> int:
         corners = [zip(map(str, files[name]), grids[name], strict=True) for name in files]
         save_corners(arguments.corners, dict(itertools.chain(*corners)))
         written.append(Path(arguments.corners))
-    names = {name: [path.name for path in paths] for name, paths in files.items()}
+    names = {name: [shown(path.name) for path in paths] for name, paths in files.items()}
     try:
         save_figure(picture, calibration_figure(found, names))
         written.append(picture)
     except ConfigError as error:  # matplotlib is not installed
         tell(f"no picture: {one_line(error)}")
     _report(found, names)
-    print(f"wrote {', '.join(map(str, written))}; corners found on {device}")
+    print(f"wrote {', '.join(map(shown, written))}; corners found on {device}")
     return 0
 
 
@@ -141,7 +141,7 @@ def _files(arguments: argparse.Namespace) -> dict[str, list[Path]]:
 def _check(arguments: argparse.Namespace, files: Mapping[str, list[Path]], picture: Path) -> None:
     check_split(arguments, both=arguments.stereo)
     if check_cameras(arguments.out) not in (".yaml", ".yml") and arguments.window is not None:
-        raise ConfigError(f"--window needs a calibration in .yaml: {arguments.out}")
+        raise ConfigError(f"--window needs a calibration in .yaml: {shown(arguments.out)}")
     check_suffix("--corners", arguments.corners, ".vnl")
     outputs = arguments.out, arguments.corners, picture
     inputs = *itertools.chain(*files.values()), *window_files(arguments, list(files))
@@ -179,7 +179,7 @@ def _boards(
                     left_out.append(one_line(error))
                 except GridError as error:
                     which = f" ({name})" if arguments.stereo else ""
-                    left_out.append(f"{path}{which}: {one_line(error)}")
+                    left_out.append(f"{shown(path)}{which}: {one_line(error)}")
                 grids[name].append(grid)
             bar.update()
     for name in files:

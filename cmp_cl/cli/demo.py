@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cmp_cl import media
 from cmp_cl.cli.arguments import add, add_device
+from cmp_cl.cli.messages import shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.measure import Measured, TwoViews
 from cmp_cl.opencl.device import select_device
@@ -52,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     new_figure((1, 1))  # matplotlib is missed now, not after the rendering
     folder = Path(arguments.out)
     if folder.exists() and not folder.is_dir():
-        raise ConfigError(f"--out {folder} is a file; give the name of a folder")
+        raise ConfigError(f"--out {shown(folder)} is a file; give the name of a folder")
     (folder / "frames").mkdir(parents=True, exist_ok=True)
     rig = default_rig(VIEW)
     shape = (SCENE.markers, SCENE.markers)
@@ -83,10 +84,10 @@ def run(arguments: argparse.Namespace) -> int:
     width = max(len(what) for what, _ in table)
     for what, value in table:
         print(f"  {what:{width}}  {value}")
-    print(f"wrote sheet.png, {', '.join(FIELDS)}, rig.yaml and frames to {folder}")
+    print(f"wrote sheet.png, {', '.join(FIELDS)}, rig.yaml and frames to {shown(folder)}")
     print(
         "the same through files: "
-        f"cmp-cl run {folder / 'frames'} --stereo {folder / 'rig.yaml'} "
+        f"cmp-cl run {shown(folder / 'frames')} --stereo {shown(folder / 'rig.yaml')} "
         f"--grid {shape[0]}x{shape[1]} --out press.npz"
     )
     return 0

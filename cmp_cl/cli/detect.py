@@ -18,7 +18,7 @@ from cmp_cl.cli.arguments import (
     check_suffix,
     grid_shape,
 )
-from cmp_cl.cli.messages import NoBar, counted, one_line, progress, tell
+from cmp_cl.cli.messages import NoBar, counted, one_line, progress, shown, tell
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners, Method, Refusal
 from cmp_cl.detector import kept_detector
@@ -98,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
                             else grid_overlay(image, grid, corners=corners)
                         )
                         media.write_image(overlay, picture)
-                        print(f"wrote {overlay}")
+                        print(f"wrote {shown(overlay)}")
                     if shape is not None and grid is None:
                         failed = True
                         continue
@@ -110,9 +110,9 @@ def run(arguments: argparse.Namespace) -> int:
                 tell(one_line(error))
                 failed = True
         if table is not None and failed and not count:  # an error keeps an older table
-            raise ImageError(f"nothing was found, so {out} is not written")
+            raise ImageError(f"nothing was found, so {shown(out)} is not written")
     if out is not None:
-        print(f"wrote {out}: {count} {'corners' if shape is None else 'nodes'}")
+        print(f"wrote {shown(out)}: {count} {'corners' if shape is None else 'nodes'}")
     return 2 if failed else 0
 
 
@@ -136,7 +136,7 @@ def _searched(
             if image is None:
                 broken.append(frame)
                 continue
-            name = str(path) if not frame.index else f"{path}, frame {frame.index}"
+            name = shown(path) if not frame.index else f"{shown(path)}, frame {frame.index}"
             for _ in range(1 if video else 2):  # the first time kernels may have to be compiled
                 start = time.perf_counter()
                 corners = kept_detector(image.shape, image.dtype, config, device)(image)
@@ -165,17 +165,17 @@ def _searched(
     if video:
         what = "corners" if shape is None else f"of {shape[0] * shape[1]} nodes"
         print(
-            f"{path}: {counted(len(counts), 'frame')}, {statistics.fmean(counts):.1f} {what}"
+            f"{shown(path)}: {counted(len(counts), 'frame')}, {statistics.fmean(counts):.1f} {what}"
             f" on average, at least {min(counts)}, in {statistics.median(times):.2f} ms a frame on "
             f"{device}"
         )
     if video and doubtful > 1:
         further = counted(doubtful - 1, "further frame")
-        tell(f"{path}: there are doubts about {further} too")
+        tell(f"{shown(path)}: there are doubts about {further} too")
     if broken:
         left_out = f"{counted(len(broken), 'frame')} left out, the first is {broken[0].index}"
         why = next((f": {frame.why}" for frame in broken if frame.why), "")
-        tell(f"{path}: {left_out}{why}")
+        tell(f"{shown(path)}: {left_out}{why}")
 
 
 def _numbered(

@@ -6,17 +6,17 @@ Exit status: 0 done, 1 `devices` has found no device, 2 the command failed
 
 import argparse
 import contextlib
-import io
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from typing import NoReturn
+from typing import Any, NoReturn, TextIO
 
 import cv2
 
 from cmp_cl.cli import calibrate, demo, detect, devices, pattern, plot, render, run
-from cmp_cl.cli.messages import one_line, tell
+from cmp_cl.cli.messages import one_line, shortened, tell
 from cmp_cl.cli.running.stopping import handled, interrupt
 from cmp_cl.errors import CmpClError, KernelBuildError
 from cmp_cl.files import version
@@ -31,9 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # OpenCV 4 and 5 call it differently; 0 is silent.
     set_log_level = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
     set_log_level(0)
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # any name of a file can be printed
-            stream.reconfigure(errors="backslashreplace")
+    _open_streams()
     try:
         with handled(interrupt), warnings.catch_warnings():
             warnings.showwarning = lambda message, *_: tell(str(message))
@@ -45,8 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KernelBuildError as error:
         return _fail(str(error))
     except BrokenPipeError:
-        with contextlib.suppress(OSError):  # Python would write the rest at its end, and complain
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _silence(sys.stdout)
         return 0
     except (CmpClError, OSError) as error:
         return _fail(one_line(error))
@@ -56,9 +53,33 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail("interrupted", status=130)
 
 
+def _open_streams() -> None:
+    """Open a sink for each closed standard stream; it takes the number that is free."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115, for good
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _silence(stream: TextIO) -> None:
+    """Discard what a stream still buffers, or Python complains at its end."""
+    with contextlib.suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}; {self.prog} --help says more\n")
+        message = re.sub("invalid int value: (.*)", r"\1 is not a whole number", message)
+        message = re.sub("invalid float value: (.*)", r"\1 is not a number", message)
+        self.exit(2, f"{self.prog}: {shortened(message)}; {self.prog} --help says more\n")
+
+    def parse_known_args(self, *given: Any, **how: Any) -> Any:  # what only a command knows
+        found, unknown = super().parse_known_args(*given, **how)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return found, unknown
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -78,5 +99,12 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _fail(message: str, *, status: int = 2) -> int:
-    tell(message)
+    try:
+        sys.stdout.flush()
+    except OSError:
+        _silence(sys.stdout)
+    try:
+        tell(message)
+    except OSError:  # the terminal is closed
+        _silence(sys.stderr)
     return status

@@ -3,6 +3,7 @@
 import argparse
 
 from cmp_cl.cli.arguments import add, grid_shape, positive_number
+from cmp_cl.cli.messages import shown
 from cmp_cl.pattern import Checkerboard
 
 HELP = "draw the checkerboard to print"
@@ -27,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     rows, columns = board.shape
     width, height = board.size
     print(
-        f"wrote {arguments.out}: {rows} x {columns} corners, cells of {board.cell:.4g} mm, "
+        f"wrote {shown(arguments.out)}: {rows} x {columns} corners, cells of {board.cell:.4g} mm, "
         f"{width:.1f} x {height:.1f} mm in all; print it at 100 %"
     )
     return 0

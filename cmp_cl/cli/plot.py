@@ -3,7 +3,7 @@
 import argparse
 
 from cmp_cl.cli.arguments import add, check_files, check_suffix
-from cmp_cl.cli.messages import counted, progress
+from cmp_cl.cli.messages import counted, progress, shown
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.series import read_series
 from cmp_cl.viz import Quantity, map_figure, save_figure, sheet_figure
@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
         with progress(None, "frames") as bar:
             quantity = Quantity(arguments.what or Quantity.DISPLACEMENT.value)
             count = animate(arguments.out, moments, quantity, step=bar.update)
-        print(f"wrote {arguments.out}: {count} of {frames}")
+        print(f"wrote {shown(arguments.out)}: {count} of {frames}")
         return 0
     summary = Summary(moments)
     moment = summary.moment
@@ -63,5 +63,5 @@ def run(arguments: argparse.Namespace) -> int:
         else map_figure(moment, Quantity(arguments.what))
     )
     save_figure(arguments.out, figure)
-    print(f"wrote {arguments.out}: frame {moment.index} of {frames}")
+    print(f"wrote {shown(arguments.out)}: frame {moment.index} of {frames}")
     return 0

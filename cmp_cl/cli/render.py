@@ -7,6 +7,7 @@ import numpy as np
 
 from cmp_cl import media
 from cmp_cl.cli.arguments import add, check_files
+from cmp_cl.cli.messages import shown
 from cmp_cl.files import write_csv
 from cmp_cl.synthetic import Indenter, Mode, Scene, render
 
@@ -56,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     rows, columns = rendered.image.shape
     count = rendered.truth.shape[0] * rendered.truth.shape[1]
     print(
-        f"wrote {arguments.out}: {columns} x {rows} px, {count} corners, "
+        f"wrote {shown(arguments.out)}: {columns} x {rows} px, {count} corners, "
         f"cells of {rendered.cell:.1f} px"
     )
     if arguments.truth is not None:
@@ -65,5 +66,5 @@ def run(arguments: argparse.Namespace) -> int:
             ("row", "column", "x_px", "y_px"),
             ([*index, *rendered.truth[index]] for index in np.ndindex(rendered.truth.shape[:2])),
         )
-        print(f"wrote {arguments.truth}: {count} corners")
+        print(f"wrote {shown(arguments.truth)}: {count} corners")
     return 0

@@ -18,7 +18,7 @@ from cmp_cl.cli.arguments import (
     positive_number,
     split_of,
 )
-from cmp_cl.cli.messages import counted, one_line, progress, tell
+from cmp_cl.cli.messages import counted, one_line, progress, shown, tell
 from cmp_cl.cli.running.pace import Pace
 from cmp_cl.cli.running.recording import Recording
 from cmp_cl.cli.running.results import Results
@@ -168,9 +168,9 @@ def run(arguments: argparse.Namespace) -> int:
         said += f"; {left} left and {right} right frames without a partner"
     report = sys.stderr if arguments.out == "-" else sys.stdout
     stopped = f"stopped by {stop.name}; " if stop.name else ""
-    print(f"{stopped}wrote {arguments.out}: {said}", file=report)
+    print(f"{stopped}wrote {shown(arguments.out)}: {said}", file=report)
     for picture in pictures:
-        print(f"wrote {picture}", file=report)
+        print(f"wrote {shown(picture)}", file=report)
     if found.ambiguous:
         tell(
             f"in {counted(found.ambiguous, 'frame')} no border of the pattern decides which node "
@@ -207,6 +207,8 @@ def _check(arguments: argparse.Namespace) -> None:
         )
     if arguments.out != "-":
         check_suffix("--out", arguments.out, *SERIES_SUFFIXES)
+    elif sys.__stdout__ is None:
+        raise ConfigError("--out - needs standard output, which is closed")
     if arguments.plot is not None:
         new_figure((1, 1))  # matplotlib is missed now, not after the recording
 

@@ -1,15 +1,16 @@
 """The options of `cmp-cl calibrate` for a window, and the window from a pattern seen through it."""
 
 import argparse
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from cmp_cl.cli.arguments import add, grid_shape, positive_number, views_of
-from cmp_cl.cli.messages import one_line
+from cmp_cl.cli.messages import one_line, shown
 from cmp_cl.errors import CalibrationError, ConfigError, GridError
-from cmp_cl.grid import Grid
+from cmp_cl.grid import Grid, align
 from cmp_cl.measure import find_pattern
 from cmp_cl.measure.patterns import align_views
 from cmp_cl.opencl.device import Device
@@ -37,6 +38,11 @@ def add_window(parser: argparse.ArgumentParser) -> None:
     add(group, "--rest IMAGE", what, nargs="+")
     add(group, "--grid 40x40", "rows and columns of its corners", type=grid_shape)
     add(group, "--pitch LENGTH", "side of its squares, mm", type=positive_number)
+    what = (
+        "the pattern when a flat punch has moved by a known length, as in --step 1.0 step.png; the "
+        "index of the last layer, known to 0.01 without it, is then measured too"
+    )
+    add(group, "--step LENGTH IMAGE", what, nargs="+")
 
 
 def media(text: str) -> tuple[tuple[float, float], ...]:
@@ -59,6 +65,7 @@ def window_files(arguments: argparse.Namespace, cameras: Sequence[str]) -> list[
     needed = {"--rest": arguments.rest, "--grid": arguments.grid, "--pitch": arguments.pitch}
     given = [name for name, value in needed.items() if value is not None]
     if arguments.window is None:
+        given += ["--step"] if arguments.step else []
         if given:
             raise ConfigError(f"{given[0]} needs --window LENGTH:INDEX,...: what the layers are")
         return []
@@ -69,10 +76,21 @@ def window_files(arguments: argparse.Namespace, cameras: Sequence[str]) -> list[
         )
     if len(cameras) != 2 or arguments.lens == Lens.FISHEYE.value:
         raise ConfigError("--window is for two cameras, neither of them a fisheye")
-    if len(arguments.rest) != (1 if arguments.stereo else 2):
-        views = "one image with both views" if arguments.stereo else "images of both cameras"
-        raise ConfigError(f"--rest needs {views}")
-    return [Path(path) for path in arguments.rest]
+    images = [arguments.rest]
+    if arguments.step:
+        length, *views = arguments.step
+        try:
+            positive_number(length)
+        except argparse.ArgumentTypeError as error:
+            raise ConfigError(f"--step LENGTH IMAGE: {error}") from error
+        images.append(views)
+    count = 1 if arguments.stereo else 2
+    if any(len(views) != count for views in images):
+        raise ConfigError(
+            f"--rest and --step need {count} image{'s' if count > 1 else ''} each: "
+            + ("one that shows both views" if arguments.stereo else "of the left and right camera")
+        )
+    return [Path(path) for path in itertools.chain(*images)]
 
 
 def through_window(rig: StereoRig, arguments: argparse.Namespace, device: Device) -> StereoRig:
@@ -81,19 +99,38 @@ def through_window(rig: StereoRig, arguments: argparse.Namespace, device: Device
     Raises CalibrationError if a view does not show the pattern, or the views do not fix the window.
     """
 
-    grids = []
-    for path in arguments.rest:
-        for view in views_of(path, arguments):
-            try:
-                _, grid = find_pattern(
-                    view, shape=arguments.grid, full_scale=arguments.full_scale, device=device
-                )
-            except GridError as error:
-                raise CalibrationError(f"{path}: {one_line(error)}") from error
-            grids.append(grid)
-    left, right = grids
+    def seen(paths: list[str]) -> list[Grid]:
+        grids = []
+        for path in paths:
+            for view in views_of(path, arguments):
+                try:
+                    _, grid = find_pattern(
+                        view,
+                        shape=arguments.grid,
+                        full_scale=arguments.full_scale,
+                        device=device,
+                    )
+                except GridError as error:
+                    raise CalibrationError(f"{shown(path)}: {one_line(error)}") from error
+                grids.append(grid)
+        return grids
+
+    left, right = seen(arguments.rest)
     rest = left, align_views(left, right, rig.R)
-    found = calibrate_window(rig, rest, pitch=arguments.pitch, media=arguments.window)
+    stepped, step = None, None
+    if arguments.step:
+        length, *paths = arguments.step
+        step = float(length)
+        left, right = (align([still, now])[1] for still, now in zip(rest, seen(paths), strict=True))
+        stepped = left, right
+    found = calibrate_window(
+        rig,
+        rest,
+        pitch=arguments.pitch,
+        media=arguments.window,
+        stepped=stepped,
+        step=step,
+    )
     _report(found, rest, arguments)
     return found
 
@@ -110,7 +147,9 @@ def _report(rig: StereoRig, rest: tuple[Grid, Grid], arguments: argparse.Namespa
     print(
         f"window: normal ({normal}) (+- {np.degrees(max(tilt, other)):.2g} degrees), "
         f"{window.distance:.3f} {rig.unit} (+- {distance:.2g}) from the left camera"
-        f", index behind it {window.index:.4f} (+- {index:.2g})"
+        f", index behind it {window.index:.4f} (+- {index:.2g}"
+        + ("" if arguments.step else "; --step measures it")
+        + ")"
     )
     print(
         f"the pattern at rest lies {behind.mean():.3f} {rig.unit} deep in the last layer; "

@@ -5,7 +5,6 @@ import functools
 import math
 from collections.abc import Callable
 from os import PathLike
-from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.field.nodes import node_columns, surface
 from cmp_cl.field.strain import principal_of, surface_normals
-from cmp_cl.files import whole_file, write_bytes, write_csv
+from cmp_cl.files import suffix_of, whole_file, write_bytes, write_csv
 from cmp_cl.points import PointStatus, largest_deviation
 
 Array = NDArray[np.float64]
@@ -149,7 +148,7 @@ class DisplacementField:
         ParaView. The raw field is written beside a filtered one; the names of its arrays begin with
         raw_. Raises ConfigError on another suffix, OSError if the file cannot be written.
         """
-        suffix = Path(path).suffix.lower()
+        suffix = suffix_of(path, ConfigError)
         arrays: dict[str, NDArray[Any]] = {}
         for begin, each in (("", self), ("raw_", self.raw)):
             named = {f"{begin}{name}": getattr(each, name, None) for name in _IN_FILES}
@@ -185,25 +184,36 @@ class DisplacementField:
 
         Raises FieldError if the field is not in space, or not in m, cm, mm or um.
         """
-        if self.position.shape[2] != 3 or self.unit not in _MILLIMETRES:
-            raise FieldError(
-                "PyTac3D's frames are in space, in mm: this field has "
-                f"{self.position.shape[2]} coordinates in {self.unit}; measure two views with a "
-                f"rig in {', '.join(_MILLIMETRES)}"
-            )
-        now, size = self.position + self.displacement, _MILLIMETRES[self.unit]
-        return {
-            "SN": serial,
-            "index": index,
-            "sendTimestamp": time_s,
-            "recvTimestamp": time_s,
-            "3D_Positions": size * now.reshape(-1, 3),
-            "3D_Displacements": size * self.displacement.reshape(-1, 3),
-            "3D_Normals": surface_normals(now).reshape(-1, 3),
-        }
+        return frame_of_pytac3d(
+            self.position, self.displacement, self.unit, serial=serial, index=index, time_s=time_s
+        )
 
     def strains(self) -> dict[str, Array]:
         """Return the strain, the principal strains, their direction and sigmas by name; empty
         without a strain."""
         named = {name: getattr(self, name) for name in _STRAIN}
         return {name: values for name, values in named.items() if values is not None}
+
+
+def frame_of_pytac3d(
+    position: Array, displacement: Array, unit: str, *, serial: str, index: int, time_s: float
+) -> dict[str, Any]:
+    """Return a frame as `DisplacementField.as_pytac3d` does.
+
+    position: at rest, and displacement, (R, C, 3), NaN where missing, in `unit`.
+    """
+    if position.shape[2] != 3 or unit not in _MILLIMETRES:
+        raise FieldError(
+            f"PyTac3D's frames are in space, in mm: this field has {position.shape[2]} "
+            f"coordinates in {unit}; measure two views with a rig in {', '.join(_MILLIMETRES)}"
+        )
+    now, size = position + displacement, _MILLIMETRES[unit]
+    return {
+        "SN": serial,
+        "index": index,
+        "sendTimestamp": time_s,
+        "recvTimestamp": time_s,
+        "3D_Positions": size * now.reshape(-1, 3),
+        "3D_Displacements": size * displacement.reshape(-1, 3),
+        "3D_Normals": surface_normals(now).reshape(-1, 3),
+    }

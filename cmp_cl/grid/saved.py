@@ -39,7 +39,7 @@ def packed(grid: Any) -> dict[str, Any]:
     }
 
 
-def _check_shapes(arrays: Arrays) -> None:
+def check_shapes(arrays: Arrays) -> None:
     """Raise ValueError with the name of an array that is missing, or of a shape or type that no
     grid has."""
     sizes: dict[str | int, int] = {}
@@ -62,9 +62,8 @@ def _check_shapes(arrays: Arrays) -> None:
 def unpacked(arrays: Arrays) -> dict[str, Any]:
     """Return the attributes that `packed` packed: arrays, tuples, numbers or None.
 
-    Raises ValueError with the name of an array that no grid has.
+    arrays: of their shapes and types. Raises ValueError with the name of one that no grid has.
     """
-    _check_shapes(arrays)
     _check_values(arrays)
     return {
         name: array if name in _ARRAYS else _plain(array, none=name in _MAY_BE_NONE)

@@ -3,18 +3,22 @@
 import contextlib
 import math
 import threading
-from collections.abc import Callable, Generator
+import time
+from collections.abc import Callable, Generator, Mapping
 from os import PathLike
 from types import SimpleNamespace
 from typing import Any
 
+from numpy.typing import NDArray
+
 from cmp_cl.closing import Closing
-from cmp_cl.errors import ConfigError, ImageError, check_kind
+from cmp_cl.errors import ConfigError, FieldError, ImageError, check_kind
+from cmp_cl.field.field import frame_of_pytac3d
 from cmp_cl.measure.measured import Measured
 from cmp_cl.measure.two_views import TwoViews
 from cmp_cl.media.ahead import Ahead
 from cmp_cl.media.cameras import Source
-from cmp_cl.series import SeriesWriter
+from cmp_cl.series import SeriesWriter, read_series
 from cmp_cl.series.writer import check_series
 from cmp_cl.space import BinocularSplit, StereoRig
 
@@ -22,54 +26,32 @@ Frame = dict[str, Any]
 Callback = Callable[[Frame, Any], object]
 
 
-class Sensor(Closing):
-    """Measures the frames of a source in a thread, against its first frame or a later one.
+class Frames(Closing):
+    """Frames of a thread, of which the newest few wait to be taken, with the calls of PyTac3D.
 
-    source: a camera's number, a device, an address or a video, see `cmp_cl.media.cameras.Source`,
-        whose frames hold two views. The gel is at rest in the first one.
-    rig: the cameras, or the path of their file. split: the two views in a frame; None is halves.
-    shape: (rows, columns) of the pattern's corners; None takes what is seen at rest.
-    serial: the name of the sensor in its frames.
-    recvCallback: is called in the thread with each frame and `callbackParam`.
-    maxQSize: how many frames wait to be taken; older ones are dropped.
-    device: as for `Detector`.
-
-    Raises ConfigError, FileNotFoundError or ImageError for a source or a rig that cannot be opened,
-    and ConfigError if maxQSize is under 1. What happens in the thread is raised by `getFrame` and
-    `waitForFrame`: GridError if the frame at rest shows no pattern, ImageError if a camera fails,
-    what a callback raises.
-
-        with Sensor("0", "rig.yaml", shape=(40, 40)) as sensor:
-            sensor.waitForFrame()
-            moved = sensor.getFrame()["3D_Displacements"]
+    frames: makes them. recvCallback: is called in the thread with each frame and `callbackParam`.
+    maxQSize: how many frames wait; older ones are dropped. Raises ConfigError if that is under 1.
     """
 
     def __init__(
         self,
-        source: str,
-        rig: StereoRig | str | PathLike[str],
-        *,
-        split: BinocularSplit | None = None,
-        shape: tuple[int, int] | None = None,
-        serial: str = "",
+        frames: Generator[Frame, None, None],
         recvCallback: Callback | None = None,
         maxQSize: int = 5,
         callbackParam: Any = None,
-        device: str | None = None,
     ) -> None:
         check_kind("maxQSize", maxQSize, int, ConfigError)
         if maxQSize < 1:
             raise ConfigError(f"maxQSize must be 1 or more, not {maxQSize}")
-        self._source = Source(source)
-        self._rig = rig if isinstance(rig, StereoRig) else StereoRig.load(rig)
-        self._split, self._shape, self._device = split, shape, device
-        self._serial = serial
-        self._callback, self._parameter = recvCallback, callbackParam
-        self._lock = threading.Lock()  # of the three below
-        self._new_rest = True
-        self._series: SeriesWriter | None = None
-        self._path: str | PathLike[str] | None = None
-        self._newest = Ahead(self._frames(), maxQSize, lossy=True)
+
+        def told() -> Generator[Frame, None, None]:
+            with contextlib.closing(frames):
+                for frame in frames:
+                    yield frame
+                    if recvCallback is not None:
+                        recvCallback(frame, callbackParam)
+
+        self._newest = Ahead(told(), maxQSize, lossy=True)
 
     def getFrame(self, SN: str = "") -> Frame | None:
         """Return the oldest frame that waits, None if none does; raise what ended the loop.
@@ -89,6 +71,53 @@ class Sensor(Closing):
             if self._newest.ended:
                 raise ImageError("the source has ended: there are no further frames")
             raise ImageError(f"no frame came within {timeout:g} s")
+
+    def close(self) -> None:
+        """End the loop and wait for it."""
+        self._newest.close()
+
+
+class Sensor(Frames):
+    """Measures the frames of a source in a thread, against its first frame or a later one.
+
+    source: a camera's number, a device, an address or a video, see `cmp_cl.media.cameras.Source`,
+        whose frames hold two views. The gel is at rest in the first one.
+    rig: the cameras, or the path of their file. split: the two views in a frame; None is halves.
+    shape: (rows, columns) of the pattern's corners; None takes what is seen at rest.
+    serial: the name of the sensor in its frames.
+    device: as for `Detector`. The others are those of `Frames`.
+
+    Raises ConfigError, FileNotFoundError or ImageError for a source or a rig that cannot be opened.
+    What happens in the thread is raised by `getFrame` and `waitForFrame`: GridError if the frame at
+    rest shows no pattern, ImageError if a camera fails, what a callback raises.
+
+        with Sensor("0", "rig.yaml", shape=(40, 40)) as sensor:
+            sensor.waitForFrame()
+            moved = sensor.getFrame()["3D_Displacements"]
+    """
+
+    def __init__(
+        self,
+        source: str,
+        rig: StereoRig | str | PathLike[str],
+        *,
+        split: BinocularSplit | None = None,
+        shape: tuple[int, int] | None = None,
+        serial: str = "",
+        recvCallback: Callback | None = None,
+        maxQSize: int = 5,
+        callbackParam: Any = None,
+        device: str | None = None,
+    ) -> None:
+        self._source = Source(source)
+        self._rig = rig if isinstance(rig, StereoRig) else StereoRig.load(rig)
+        self._split, self._shape, self._device = split, shape, device
+        self._serial = serial
+        self._lock = threading.Lock()  # of the three below
+        self._new_rest = True
+        self._series: SeriesWriter | None = None
+        self._path: str | PathLike[str] | None = None
+        super().__init__(self._frames(), recvCallback, maxQSize, callbackParam)
 
     def calibrate(self, SN: str = "") -> None:
         """Take the next frame as the one at rest: nothing may touch the gel then.
@@ -117,9 +146,21 @@ class Sensor(Closing):
                 check_series(path)
             self._path = path
 
+    @staticmethod
+    def replay(path: str | PathLike[str], *, serial: str = "", **settings: Any) -> Frames:
+        """Return the frames of a series, .npz or .h5, at their times.
+
+        settings: recvCallback, maxQSize and callbackParam. Raises FieldError if the file is no
+        series in space.
+        """
+        series = read_series(path, ("rest", "displacement", "time_ms", "unit"))
+        if not {"rest", "displacement"} <= series.keys() or series["rest"].shape[2] != 3:
+            raise FieldError(f"{str(path)!r}: a sensor replays a series in space, of two views")
+        return _Replay(series, serial, **settings)
+
     def close(self) -> None:
         """End the loop, complete the series, and release the device."""
-        self._newest.close()
+        super().close()
         with self._lock:
             self._end_series()
 
@@ -140,12 +181,9 @@ class Sensor(Closing):
                     opened.enter_context(measure)
                 measured = measure(frame.image)
                 self._keep(measure, measured, frame.index, frame.time_ms)
-                found = measured.field.as_pytac3d(
+                yield measured.field.as_pytac3d(
                     serial=self._serial, index=frame.index, time_s=frame.time_ms / 1e3
                 )
-                yield found
-                if self._callback is not None:
-                    self._callback(found, self._parameter)
 
     def _keep(self, measure: TwoViews, measured: Measured, index: int, time_ms: float) -> None:
         with self._lock:
@@ -163,6 +201,38 @@ class Sensor(Closing):
         if self._series is not None:
             series, self._series = self._series, None
             series.close()
+
+
+class _Replay(Frames):
+    """The frames of a series, at their times."""
+
+    def __init__(self, series: Mapping[str, NDArray[Any]], serial: str, **settings: Any) -> None:
+        self._closing = threading.Event()
+        super().__init__(self._frames(series, serial), **settings)
+
+    def _frames(
+        self, series: Mapping[str, NDArray[Any]], serial: str
+    ) -> Generator[Frame, None, None]:
+        start = time.monotonic()
+        for index, time_ms, moved in zip(
+            series["index"], series["time_ms"], series["displacement"], strict=True
+        ):
+            pause = start + float(time_ms) / 1e3 - time.monotonic()
+            if pause > 0 and self._closing.wait(min(pause, threading.TIMEOUT_MAX)):
+                return
+            yield frame_of_pytac3d(
+                series["rest"],
+                moved,
+                str(series["unit"]),
+                serial=serial,
+                index=int(index),
+                time_s=float(time_ms) / 1e3,
+            )
+
+    def close(self) -> None:
+        """End the loop, also in a pause, and wait for it."""
+        self._closing.set()
+        super().close()
 
 
 def pytac3d(source: str, rig: StereoRig | str | PathLike[str], **settings: Any) -> SimpleNamespace:

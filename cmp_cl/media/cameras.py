@@ -21,12 +21,12 @@ from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.image import GreyImage
 from cmp_cl.media.ahead import Ahead
 from cmp_cl.media.images import find_inputs
-from cmp_cl.media.videos import Frame, VideoInfo, read_frames, video_info
+from cmp_cl.media.videos import LONGEST_GAP, Frame, VideoInfo, read_frames, video_info
 
 _WAITING = 64  # the most frames of a camera that wait to be measured
-_LONGEST_GAP = 250  # reads in a row without a frame, after which a camera has ended
 _LONGEST_WAIT = 10.0  # s, the longest wait for a frame of a camera
 _PAIR_WITHIN = 20.0  # ms, between frames that are paired if their interval is unknown
+_DEVICES = Path("/dev")  # where Linux has its cameras
 
 
 def is_live(name: str) -> bool:
@@ -111,10 +111,9 @@ class Source:
     def _capture(self) -> Any:
         capture = cv2.VideoCapture(self._opened_as)
         if not capture.isOpened():
-            raise ImageError(
-                f"there is no camera {self.name} that OpenCV can open: check its number or "
-                "address, its permissions, and that no other program has it open"
-            )
+            what = "stream" if "://" in self.name else "camera"
+            there = "check the address" if what == "stream" else _cameras_here()
+            raise ImageError(f"there is no {what} {self.name} that OpenCV can open; {there}")
         for what, (key, value) in self._settings.items():
             if not capture.set(key, value):
                 capture.release()
@@ -140,7 +139,7 @@ def _captured(capture: Any) -> Generator[Frame, None, None]:
     """Yield every frame of a camera as it arrives; the number of a read without one is missing."""
     index = gap = 0
     try:
-        while gap < _LONGEST_GAP:
+        while gap < LONGEST_GAP:
             read, picture = capture.read()
             now = time.monotonic() * 1e3
             if read:
@@ -248,3 +247,11 @@ class Pairs:
                     raise ImageError("the left and the right frame differ in size or type")
                 whole = cast(GreyImage, np.hstack([one.image, two.image]))
             yield Frame(next(number), whole, one.time_ms)
+
+
+def _cameras_here() -> str:
+    """Return which cameras there are, as far as the folder of devices tells."""
+    devices = sorted(str(path) for path in _DEVICES.glob("video*"))
+    if not devices:
+        return "none is seen in /dev: connect one, or check its driver and its permissions"
+    return f"{', '.join(devices)} can be given, if no other program has it open"

@@ -1,19 +1,20 @@
 """Images, read and written by OpenCV, and the files that a name stands for."""
 
+import contextlib
 import glob
 import os
 import re
-from collections.abc import Sequence
+import struct
+from collections.abc import Iterable, Iterator, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ImageError, check_kind
-from cmp_cl.files import write_bytes
+from cmp_cl.files import check_path, suffix_of, write_bytes
 from cmp_cl.image import GreyImage
 
 IMAGE_SUFFIXES = frozenset(
@@ -26,7 +27,14 @@ VIDEO_SUFFIXES = frozenset(  # a GIF is read as a video: it may have several fra
     | {".webm", ".wmv", ".y4m"}
 )
 _OF_16_BITS = frozenset({".jp2", ".pgm", ".png", ".pnm", ".tif", ".tiff"})
-_MOST_BYTES = 1 << 30  # of an image file
+_SIGNATURES = re.compile(  # of these formats; no other reader of OpenCV gets the bytes of a file
+    rb"\x89PNG|\xff\xd8|BM|P[1-6]|II[*+]\0|MM\0[*+]|RIFF....WEBP|\0\0\0\x0cjP  |\xffO\xffQ",
+    re.DOTALL,
+)
+_WITHOUT_ALPHA = re.compile(rb"\xff\xd8|BM|P")
+_MOST_PAGES = 1 << 20  # those of libtiff
+_BLOCK = 1 << 26  # px of the pages that are decoded at once: OpenCV repeats all earlier ones
+_MOST_OVER_WHITE = 10**9 // 9  # bytes of a grey image: OpenCV has all four channels twice beside it
 
 
 def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
@@ -37,7 +45,7 @@ def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np
     """
     check_kind("image", image, np.ndarray, ImageError)
     known = IMAGE_SUFFIXES if image.dtype == np.uint8 else _OF_16_BITS
-    written = Path(path).suffix.lower() in known and image.dtype in (np.uint8, np.uint16)
+    written = suffix_of(path, ImageError) in known and image.dtype in (np.uint8, np.uint16)
     if written:
         try:
             written, data = cv2.imencode(Path(path).suffix, image)
@@ -54,49 +62,118 @@ def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np
 def read_image(path: str | PathLike[str]) -> GreyImage:
     """Read an image file as (H, W) uint8 or uint16; colour becomes grey as cv2.imread does it.
 
-    It reads the first of several pages, and rotates the image as its EXIF tag says. Raises
-    ImageError if the file cannot be read, is damaged, has over 1 GiB or more pixels than OpenCV's
-    limit, or is not an image of 8 or 16 bits.
+    It reads the first of several pages, rotates the image as its EXIF tag says, and puts what is
+    transparent on white, but not in images of over 111 MB. Raises ImageError if the file cannot be
+    read, is damaged, has more pixels than OpenCV's limit (2**27, unless the variable
+    OPENCV_IO_MAX_IMAGE_PIXELS is set before cmp_cl is imported), or is not an image of 8 or 16
+    bits.
     """
-    return _decoded(path, 1)[0]
+    return next(read_pages(path))
 
 
-def read_pages(path: str | PathLike[str]) -> list[GreyImage]:
-    """Read all pages of an image file as `read_image` does; only a TIFF has several.
+def read_pages(path: str | PathLike[str]) -> Iterator[GreyImage]:
+    """Read the pages of an image file one by one, as `read_image` does; only a TIFF has several.
 
-    Of a TIFF that is cut off the pages before the cut are read.
+    Raises ImageError also after the last page if the file promises more.
     """
-    return _decoded(path, None)
-
-
-def _decoded(path: str | PathLike[str], count: int | None) -> list[GreyImage]:
-    """Return the first `count` pages of an image file, all if that is None."""
-    name = repr(str(path))
+    check_path(path, ImageError)
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise ImageError(f"{str(path)!r} is not a file")
     try:
-        if os.path.getsize(path) > _MOST_BYTES:
-            raise ImageError(f"{name} has over {_MOST_BYTES} bytes, too many for an image")
         data = np.fromfile(path, np.uint8)
     except OSError as error:
-        raise ImageError(f"cannot read {name}: {error.strerror}") from error
-    how = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
-    some: dict[str, Any] = {} if count is None else {"range": (0, count)}
-    pages: Sequence[Any] = ()
-    why = ""
+        raise ImageError(f"cannot read {str(path)!r}: {error.strerror}") from error
+    first, pages = 0, decoded(data, path, 0, 1)
+    promised = max(1, _promised(data))  # OpenCV does not say what is missing
+    count = max(1, _BLOCK // max(pages[0].size, 1))
+    while pages:
+        yield from pages
+        first += len(pages)
+        pages = decoded(data, path, first, count) if first < promised else []
+    if first < promised:
+        raise ImageError(f"{str(path)!r} is damaged or cut off: it has no page {first}, from 0")
+
+
+def _promised(data: NDArray[np.uint8]) -> int:
+    """Return the number of pages that a TIFF leads to, 0 for another format.
+
+    The directory of a page is its number of entries, the entries, and the place of the next one.
+    """
+    head = data[:4].tobytes()
+    order = {b"II": "<", b"MM": ">"}.get(head[:2])
+    if order is None or head[2:] not in (b"*\0", b"\0*", b"+\0", b"\0+"):
+        return 0
+    big = b"+" in head
+    place, entries, size = ("Q", "Q", 20) if big else ("I", "H", 12)
+    seen: set[int] = set()
+    with contextlib.suppress(struct.error, OverflowError):  # it ends within a directory
+        (next_one,) = struct.unpack_from(order + place, data.data, 8 if big else 4)
+        while next_one and next_one not in seen and len(seen) < _MOST_PAGES:
+            seen.add(next_one)
+            (count,) = struct.unpack_from(order + entries, data.data, next_one)
+            after = next_one + struct.calcsize(f"={entries}") + size * count
+            (next_one,) = struct.unpack_from(order + place, data.data, after)
+    return len(seen)
+
+
+def decoded(
+    data: NDArray[np.uint8], path: str | PathLike[str], first: int, count: int
+) -> list[GreyImage]:
+    """Decode at most `count` pages of an image file, from the page `first`; path: for messages.
+
+    Raises ImageError if there is no first page, or as `read_image`.
+    """
+    pages: Sequence[GreyImage] = ()
     try:
-        pages = cv2.imdecodemulti(data, how, **some)[1]
+        if _SIGNATURES.match(data[:12].tobytes()) and _has_chunks(data):
+            how = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+            pages = cv2.imdecodemulti(data, how, range=(first, first + count))[1]  # type: ignore[assignment]
     except cv2.error as error:
-        why = f": {error.err}"
-    if not pages and Path(path).suffix.lower() in VIDEO_SUFFIXES:
-        raise ImageError(f"{name} is a video: give images")
-    if not pages:
-        raise ImageError(f"{name} is not an image that OpenCV can read, or is damaged{why}")
+        if "MAX_IMAGE" in str(error):
+            raise ImageError(
+                f"{str(path)!r} has more pixels than OpenCV's limit; the variable "
+                "OPENCV_IO_MAX_IMAGE_PIXELS raises it"
+            ) from error
+    if not first and not pages:
+        video = suffix_of(path, ImageError) in VIDEO_SUFFIXES
+        what = (
+            "a video: give images" if video else "not an image that OpenCV can read, or is damaged"
+        )
+        raise ImageError(f"{str(path)!r} is {what}")
     for page in pages:
         if page.dtype not in (np.uint8, np.uint16):
             raise ImageError(
-                f"{name} holds {page.dtype} pixels, expected 8 or 16 bits without sign; scale it "
-                "and save it as PNG"
+                f"{str(path)!r} holds {page.dtype} pixels, expected 8 or 16 bits without sign; "
+                "scale it and save it as PNG"
             )
-    return list(pages)
+    return [_over_white(page, data, first + k) for k, page in enumerate(pages)]
+
+
+def _has_chunks(data: NDArray[np.uint8]) -> bool:
+    """Return whether all chunks of a PNG are in the file; True for other formats.
+
+    A chunk is its length, a name, that many bytes, and a sum. OpenCV allocates any length.
+    """
+    place = 8
+    while data[0] == 0x89 and place < data.size:
+        if place + 12 > data.size:
+            return False
+        place += 12 + int.from_bytes(data[place : place + 4].tobytes())
+    return data[0] != 0x89 or place == data.size
+
+
+def _over_white(grey: GreyImage, data: NDArray[np.uint8], page: int) -> GreyImage:
+    """Return a page over a white ground, if its file is a PNG, a WebP or a TIFF with alpha."""
+    if grey.all() or grey.nbytes > _MOST_OVER_WHITE or _WITHOUT_ALPHA.match(data[:2].tobytes()):
+        return grey  # nothing that is transparent is grey 0
+    full = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED, range=(page, page + 1))[1]
+    if not full or full[0].ndim != 3 or full[0].shape != (*grey.shape, 4):
+        return grey
+    white = np.iinfo(grey.dtype).max
+    for row, pixels in zip(grey, full[0], strict=True):  # a whole image of floats is too large
+        alpha = pixels[:, 3] / np.float32(white)
+        row[:] = np.rint(row * alpha + white * (1 - alpha))
+    return grey
 
 
 def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
@@ -107,10 +184,13 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
 
     Raises FileNotFoundError if a path does not exist, or a folder holds no image and no video.
     """
+    if isinstance(paths, str | PathLike) or not isinstance(paths, Iterable):
+        raise FileNotFoundError(f"paths must be several names of files, not {paths!r}")
     found: list[Path] = []
     for name in paths:
+        check_path(name, FileNotFoundError)
         path = Path(name)
-        if os.path.isdir(name):
+        if path.is_dir():
             inside = [
                 entry
                 for entry in sorted(path.iterdir(), key=_by_number)
@@ -121,9 +201,9 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
             if not inside:
                 raise FileNotFoundError(f"no image and no video in the folder {str(path)!r}")
             found += inside
-        elif os.path.exists(name):
+        elif path.exists():
             found.append(path)
-        elif matches := glob.glob(os.fspath(name)):
+        elif matches := glob.glob(str(path)):
             found += sorted(map(Path, matches), key=_by_number)
         else:
             raise FileNotFoundError(f"there is no file {os.fspath(name)!r}")

@@ -6,15 +6,20 @@ import math
 import os
 from collections.abc import Iterator
 from os import PathLike
-from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from cmp_cl.errors import ImageError, extra
+from cmp_cl.files import suffix_of
 from cmp_cl.image import GreyImage
 from cmp_cl.media.images import VIDEO_SUFFIXES, read_pages
 
+LONGEST_GAP = 250  # frames in a row that cannot be read, after which a video or a camera has ended
+_DEMUXERS = (  # real containers: others, such as ffconcat, are lists of files that are followed
+    "asf,avi,flv,gif,h264,hevc,jpeg_pipe,m4v,matroska,mjpeg,mov,mpeg,mpegts,mpegvideo,mxf,ogg,"
+    "yuv4mpegpipe"
+)
 _PLANAR = ("gray", "yuv")  # pixel formats of PyAV whose first plane is the grey levels
 
 
@@ -47,8 +52,8 @@ class VideoInfo(NamedTuple):
 
 
 def is_video(path: str | PathLike[str]) -> bool:
-    """Return whether the suffix of a path is that of a video."""
-    return Path(path).suffix.lower() in VIDEO_SUFFIXES
+    """Return whether the suffix of a path is that of a video; raises ImageError for no path."""
+    return suffix_of(path, ImageError) in VIDEO_SUFFIXES
 
 
 def read_frames(path: str | PathLike[str]) -> Iterator[Frame]:
@@ -57,21 +62,42 @@ def read_frames(path: str | PathLike[str]) -> Iterator[Frame]:
     Frames of more than 8 bits are uint16 with the levels of the file, such as 0 to 4095 for 12 bits
     (colour models other than grey and YUV are stretched to 16 bits). Frames that cannot be decoded,
     and those that the file promises and does not hold, because it is cut off, come without an
-    image. Raises ImageError if the file cannot be read, or is neither an image nor a video;
-    ConfigError if PyAV is not installed.
+    image; it ends early if 250 in a row cannot be read. Raises ImageError if the file cannot be
+    read, or is neither an image nor a video; ConfigError if PyAV is not installed.
     """
     if not is_video(path):
         for index, page in enumerate(read_pages(path)):
             yield Frame(index, page)
         return
-    count = 0
+    index = gap = 0
+    end_ms = math.nan
     with _container(path) as (container, stream):
         for image, time_ms in _timed_frames(container, stream):
-            yield Frame(count, image, time_ms)
-            count += 1
-        promised = stream.frames  # 0 in containers that do not say, such as Matroska
-    for number in range(count, promised):
-        yield Frame(number, None, why="the file is cut off")
+            gap = 0 if image is not None else gap + 1
+            end_ms = time_ms
+            yield Frame(index, image, time_ms)
+            index += 1
+            if gap == LONGEST_GAP:
+                return
+        missing = _missing(container, stream, index, end_ms)
+    for number in range(min(missing, LONGEST_GAP - gap)):
+        yield Frame(index + number, None, why="the file is cut off")
+
+
+def _missing(container: Any, stream: Any, count: int, end_ms: float) -> int:
+    """Return how many frames a file promises beyond the `count` that were read.
+
+    end_ms: the time of the last one. A Matroska promises no number of frames, but a duration.
+    """
+    if stream.frames:
+        return max(0, int(stream.frames) - count)
+    rate = float(stream.average_rate or 0)
+    known = container.format.name.startswith("matroska") and container.duration is not None
+    if not known or math.isnan(end_ms):  # other durations are estimates
+        return 0
+    if len(container.streams) > 1:
+        end_ms += 1e3  # sound may go on
+    return max(0, int((container.duration / 1e3 - end_ms) * rate / 1e3 - 0.5))
 
 
 def video_info(path: str | PathLike[str]) -> VideoInfo:
@@ -93,32 +119,51 @@ def video_info(path: str | PathLike[str]) -> VideoInfo:
 @contextlib.contextmanager
 def _container(path: str | PathLike[str]) -> Iterator[tuple[Any, Any]]:
     """Open a video by PyAV, with its video stream."""
+    try:
+        with open(path, "rb"):
+            pass
+    except OSError as error:
+        raise ImageError(f"cannot read {str(path)!r}: {error.strerror}") from error
     with extra("video", "reading a video"):
         import av
-    try:
-        container = av.open(os.path.abspath(path))  # which is not taken for an address
-    except av.FFmpegError as error:
-        raise ImageError(f"cannot read the video {str(path)!r}: {error.strerror}") from error
+    options = {"format_whitelist": _DEMUXERS, "protocol_whitelist": "file"}
+    try:  # an absolute path is not taken for an address
+        container = av.open(os.path.abspath(path), options=options)
+    except (av.FFmpegError, OSError, ValueError) as error:
+        raise ImageError(
+            f"{str(path)!r} is no video that PyAV can read: it is damaged, not yet complete, or a "
+            "list of other files"
+        ) from error
     with container:
-        streams = container.streams.video
-        if not streams or streams[0].codec_context is None:
-            raise ImageError(f"{str(path)!r} has no video of a codec that PyAV knows")
-        yield container, streams[0]
+        if not container.streams.video:
+            raise ImageError(f"{str(path)!r} has no video")
+        stream = container.streams.video[0]
+        if stream.codec_context is None:
+            raise ImageError(f"{str(path)!r} has a codec that PyAV does not know")
+        yield container, stream
 
 
 def _timed_frames(container: Any, stream: Any) -> Iterator[tuple[GreyImage | None, float]]:
     """Yield the frames of all packets and their times, ms; an unreadable packet gives None."""
     import av
 
+    damage = (av.FFmpegError, OSError, ValueError)
     stream.codec_context.options = {"err_detect": "crccheck+explode"}
     stream.thread_type = "SLICE"  # with a thread per frame, damage would be reported late
     codec = stream.codec_context
     if codec.name == "mjpeg" and str(codec.pix_fmt).startswith("yuv"):
         codec.flags |= av.codec.context.Flags.gray  # a fifth faster; no colour, the same grey
-    for packet in container.demux(stream):
+    packets = container.demux(stream)
+    while True:
+        try:
+            packet = next(packets, None)
+        except damage:  # the file ends within a packet
+            return
+        if packet is None:
+            return
         try:
             frames = packet.decode()
-        except av.FFmpegError:
+        except damage:
             yield None, math.nan
             continue
         for frame in frames:

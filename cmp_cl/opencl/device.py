@@ -3,7 +3,6 @@
 import dataclasses
 import enum
 import os
-from pathlib import Path
 
 import pyopencl as cl
 
@@ -12,6 +11,8 @@ from cmp_cl.opencl import pocl
 
 DEVICE_VARIABLE = "CMP_CL_DEVICE"
 
+_VENDORS_VARIABLE = "OCL_ICD_VENDORS"
+_VENDORS = "/etc/OpenCL/vendors"  # where the loader of OpenCL looks for drivers
 _INSTALL_HINT = (
     "pip install 'pyopencl[pocl]' installs one for the CPU (Linux, x86-64), a GPU needs its "
     "vendor's; `cmp-cl devices` says more"
@@ -73,10 +74,12 @@ def check_process() -> None:
 def list_devices() -> list[Device]:
     """Return all OpenCL devices, in the order of the platforms; empty if there is none.
 
-    Raises DeviceError in a forked child of a process that has used OpenCL.
+    Raises DeviceError in a forked child of a process that has used OpenCL, and if
+    POCL_MAX_PTHREAD_COUNT would end the process.
     """
     global _started_in
     check_process()
+    pocl.check_workers()
     _started_in = os.getpid()
     with pocl.workers_on_own_cores():
         return [
@@ -120,11 +123,33 @@ def why_none() -> str:
     stuck = pocl.reason_stuck()
     if stuck:
         return stuck
-    folder = Path(os.environ.get("OCL_ICD_VENDORS") or "/etc/OpenCL/vendors")
-    drivers = sorted(path.name for path in folder.glob("*.icd"))
+    named = os.environ.get(_VENDORS_VARIABLE)
+    if named and not os.path.exists(named):
+        return f"{_VENDORS_VARIABLE} names {named!r}, which does not exist; unset it or correct it"
+    limit = _memory_limit()
+    if limit is not None:
+        return (
+            f"the memory of a process is limited to {limit >> 20} MB here, and a driver may not "
+            "fit; raise the limit, for example by ulimit -v unlimited"
+        )
+    folder = named or _VENDORS
+    if os.path.isdir(folder):
+        drivers = sorted(name for name in os.listdir(folder) if name.endswith(".icd"))
+    else:
+        drivers = [folder] if os.path.isfile(folder) else []
     if drivers:
         return f"{', '.join(drivers)} in {folder} cannot be loaded or have no device"
     return f"no driver is registered in {folder}; {_INSTALL_HINT}"
+
+
+def _memory_limit() -> int | None:
+    """Return the most bytes of memory that this process may have; None without a limit."""
+    try:
+        import resource
+    except ImportError:  # Windows has no such limit
+        return None
+    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return None if soft == resource.RLIM_INFINITY else soft
 
 
 def describe_handle(handle: cl.Device) -> Device:

@@ -7,6 +7,7 @@ import ctypes
 import functools
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -17,8 +18,11 @@ import numpy as np
 import pyopencl as cl
 
 from cmp_cl.errors import DeviceError
+from cmp_cl.opencl.caches import check_owner
 
+_MOST_WORKERS = 4096
 _POCL_WORKERS = ("POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
+_LEAST_FREE = 32 << 20  # bytes; a plan's kernels take some 10 MB in PoCL's cache
 _PROBE_S = 60.0
 _UNKNOWN = b"generic"  # what LLVM calls a processor that it does not know
 _LONGEST = 32  # bytes, more than a name of a processor has
@@ -75,6 +79,15 @@ def _text_at(memory: int, address: int) -> bytes:
     return b""
 
 
+def check_workers() -> None:
+    """Raise DeviceError if the number of workers is one with which PoCL ends the process."""
+    text = os.environ.get("POCL_MAX_PTHREAD_COUNT", "")
+    if re.fullmatch(r"\s*[+-]?\d+\s*", text) and not 0 <= int(text) <= _MOST_WORKERS:
+        raise DeviceError(
+            f"POCL_MAX_PTHREAD_COUNT is {text!r}, and PoCL takes 1 to {_MOST_WORKERS} workers"
+        )
+
+
 @contextlib.contextmanager
 def workers_on_own_cores() -> Iterator[None]:
     """Make PoCL, if this process starts it, pin each of its workers to its own core.
@@ -103,7 +116,8 @@ def cache_folder() -> Path:
 
 
 def check_compiler() -> None:
-    """Raise DeviceError if PoCL would end the process when it compiles."""
+    """Raise DeviceError if PoCL would end the process when it compiles, or run foreign kernels."""
+    check_owner(cache_folder())
     stuck = reason_stuck()
     if stuck:
         raise DeviceError(stuck)
@@ -145,8 +159,10 @@ def _check_linker() -> None:
 
 
 def reason_stuck() -> str:
-    """Return the reason why PoCL cannot start: without a writable cache it is not even listed; ""
-    if it can."""
+    """Return the reason why PoCL cannot start or compile with its cache; "" if it can.
+
+    Without a writable folder PoCL is not even listed. On a full disk it ends the process.
+    """
     folder = cache_folder()
     there = next((each for each in (folder, *folder.parents) if each.exists()), folder)
     try:
@@ -156,5 +172,11 @@ def reason_stuck() -> str:
         return (
             f"PoCL cannot write to its cache {str(folder)!r}: {error.strerror}; XDG_CACHE_HOME "
             "names another folder"
+        )
+    free = shutil.disk_usage(there).free
+    if free < _LEAST_FREE:
+        return (
+            f"PoCL's cache {str(folder)!r} is on a disk with {free} bytes left, and PoCL ends the "
+            "process if it is full; free some space, or name another folder in XDG_CACHE_HOME"
         )
     return ""

@@ -6,6 +6,7 @@ Each function writes the file `path`, which gets the name `target` when it is co
 import errno
 import json
 import os
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -57,7 +58,7 @@ def write_hdf5(series: Stored, path: Path, _target: Path) -> None:
     """HDF5 with the datasets index (F,), time_ms (F,), every array (F, ...) and the constants.
 
     The attributes of the file are the version, the time and the settings; the attribute `unit` of a
-    dataset is its unit. Arrays have checksums.
+    dataset is its unit. All values have checksums.
 
     HDF5 crashes if it cannot complete a file, so it begins only if there is room.
     """
@@ -67,15 +68,24 @@ def write_hdf5(series: Stored, path: Path, _target: Path) -> None:
     if shutil.disk_usage(path.parent).free < needed + _ROOM:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     units = series.about["units"]
-    with h5py.File(path, "w", libver="latest") as file:
-        file.attrs.update({k: v for k, v in series.about.items() if isinstance(v, str)})
-        for name, array in {**series.constants, **series.arrays}.items():
-            data = np.char.encode(array, "utf-8") if array.dtype.kind == "U" else array
-            chunks = (1, *array.shape[1:]) if array.ndim > 1 and name in series.arrays else None
-            checked = bool(array.ndim and array.size)
-            dataset = file.create_dataset(name, data=data, chunks=chunks, fletcher32=checked)
-            if name in units:
-                dataset.attrs["unit"] = units[name]
+    try:
+        with h5py.File(path, "w", libver="latest") as file:
+            file.attrs.update({k: v for k, v in series.about.items() if isinstance(v, str)})
+            compact = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+            compact.set_layout(h5py.h5d.COMPACT)  # in the header, which has a checksum
+            for name, array in {**series.constants, **series.arrays}.items():
+                data = np.char.encode(array, "utf-8") if array.dtype.kind == "U" else array
+                how: dict[str, Any] = {"dcpl": compact}
+                if array.ndim and array.size:
+                    how = {"fletcher32": True}
+                    if array.ndim > 1 and name in series.arrays:
+                        how["chunks"] = (1, *array.shape[1:])
+                dataset = file.create_dataset(name, data=data, **how)
+                if name in units:
+                    dataset.attrs["unit"] = units[name]
+    except (RuntimeError, OSError) as error:
+        said = re.search(r"errno = (\d+), error message = '([^']*)'", str(error))
+        raise OSError(*((int(said[1]), said[2]) if said else (str(error),))) from error
 
 
 def write_csv(series: Stored, path: Path, target: Path) -> None:

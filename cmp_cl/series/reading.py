@@ -1,8 +1,8 @@
-"""Series read back: .npz and HDF5, and the parts of all formats."""
+"""Series read back and checked: .npz and HDF5, and the parts of all formats."""
 
 import os
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, FieldError, extra
-from cmp_cl.files import read_npz
+from cmp_cl.files import check_memory, check_path, read_npz, suffix_of
 from cmp_cl.series.part import Stored
+
+_LARGEST = np.float64(1e100)  # of a number; the square of a larger one has no float
+_LONGEST = 40  # characters of a unit
+# The axes of the arrays that are drawn and replayed: F frames, R rows, C columns, K = 2 or 3.
+_AXES: dict[str, tuple[str, ...]] = {
+    "index": ("F",),
+    "time_ms": ("F",),
+    "rest": ("R", "C", "K"),
+    "displacement": ("F", "R", "C", "K"),
+    "sigma": ("F", "R", "C"),
+    "unit": (),
+}
+_KINDS = {"index": ("iu", "whole numbers"), "unit": ("USO", "text")}
+
+_Found = dict[str, NDArray[Any]]
 
 
 def read_series(
@@ -25,41 +40,78 @@ def read_series(
     all. Only these are read.
 
     Raises ConfigError on another suffix or without the package of the format, FieldError if the
-    file is damaged or is no series.
+    file is damaged, is no series, does not fit into the memory, or holds one of the arrays that
+    this library writes with another shape or kind of values.
     """
+    check_path(path, ConfigError)
     part = re.search(r"\.part(-\d+)?$", os.fspath(path)) is not None
-    suffix = Path(path).suffix.lower()
+    suffix = suffix_of(path, ConfigError)
     if not (part or suffix in (".npz", ".h5")):
         raise ConfigError(f"{str(path)!r}: a series that is read ends in .npz, .h5 or .part")
-    if not os.path.exists(path):
-        raise FieldError(f"there is no file {str(path)!r}")
+    if not os.access(path, os.R_OK):
+        missing = "right to read" if os.path.exists(path) else "file"
+        raise FieldError(f"there is no {missing} {str(path)!r}")
     wanted = None if names is None else {"index", *names}
     try:
         if part:
             stored = Stored.of(Path(path))
             found = _loaded({**stored.constants, **stored.arrays}, wanted)
         elif suffix == ".npz":
-            found = read_npz(path, wanted)
+            found = read_npz(path, wanted, _check_shapes)
         else:
             with extra("hdf5", "HDF5"):
                 import h5py
             with h5py.File(path, "r") as file:
                 found = _loaded(file, wanted)
+        _check_values(found)
     except ConfigError:
         raise
     except Exception as error:  # damaged bytes raise any of them, in zipfile, NumPy and h5py
         what = "damaged, no series, or only begun" if part else "damaged or no series"
         raise FieldError(f"{str(path)!r} is {what}: {error}") from error
-    if "index" not in found:
-        raise FieldError(f"{str(path)!r} is no series: there is no array `index`")
     return found
 
 
-def _loaded(stored: Any, wanted: set[str] | None) -> dict[str, NDArray[Any]]:
-    """Read the arrays of a part or of an HDF5 file that are wanted, all if that is None."""
-    arrays = {
-        name: np.array(stored[name][()]) for name in stored if wanted is None or name in wanted
-    }
+def _check_shapes(found: _Found) -> None:
+    """Raise ValueError if an array that this library writes has another shape or type."""
+    if "index" not in found:
+        raise ValueError("there is no array `index`")
+    sizes: dict[str, int] = {}
+    for name, axes in _AXES.items():
+        if name not in found:
+            continue
+        array = found[name]
+        kinds, kind = _KINDS.get(name, ("fiu", "numbers"))
+        fits = array.ndim == len(axes) and array.dtype.kind in kinds
+        for axis, size in zip(axes, array.shape, strict=False):
+            fits = fits and size == sizes.get(axis, size) and (axis != "K" or size in (2, 3))
+        if not fits:
+            expected = ", ".join(str(sizes.get(axis, axis)) for axis in axes)
+            raise ValueError(
+                f"{name} must be ({expected}) of {kind}, not {array.shape} of {array.dtype}"
+            )
+        sizes |= zip(axes, array.shape, strict=True)
+    if "unit" in found and found["unit"].dtype.itemsize > 4 * _LONGEST:
+        raise ValueError("unit must be a short text")
+
+
+def _check_values(found: _Found) -> None:
+    """Raise ValueError if an array that this library writes has other values."""
+    for name, array in found.items():
+        if name in _AXES and array.dtype.kind == "f" and (np.abs(array) > _LARGEST).any():
+            raise ValueError(f"{name} must have numbers up to {_LARGEST:g} or NaN, not larger ones")
+    if "rest" in found and np.isnan(found["rest"]).all():
+        raise ValueError("rest must have the positions of nodes, and there are none")
+    if len(str(found.get("unit", ""))) > _LONGEST:
+        raise ValueError("unit must be a short text")
+
+
+def _loaded(stored: Mapping[str, Any], wanted: set[str] | None) -> _Found:
+    """Read arrays of which so far only the shape and the type are known."""
+    chosen = {name: stored[name] for name in stored if wanted is None or name in wanted}
+    _check_shapes(chosen)
+    check_memory(sum(each.nbytes for each in chosen.values()))
+    arrays = {name: np.array(each[()]) for name, each in chosen.items()}
     return {
         name: np.char.decode(array, "utf-8") if array.dtype.kind == "S" else array
         for name, array in arrays.items()

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError, check_kind, extra
-from cmp_cl.files import check_target, new_folder, version, whole_path
+from cmp_cl.files import check_target, new_folder, suffix_of, version, whole_path
 from cmp_cl.series import formats, mcap
 from cmp_cl.series.part import Arrays, Part, Stored
 
@@ -43,10 +43,12 @@ _UNITS = {
 
 
 def check_series(path: str | PathLike[str]) -> Path:
-    """Return the path of a series to write; raises what `SeriesWriter` does for a path."""
+    """Return the file that a series of that name becomes; raises what `SeriesWriter` does for a
+    path."""
     _known_suffix(path)
-    check_target(path)
-    return Path(path)
+    target = check_target(path)
+    _known_suffix(target)  # a link may name a file of another format
+    return target
 
 
 def complete(part: str | PathLike[str], target: str | PathLike[str]) -> None:
@@ -205,7 +207,7 @@ class SeriesWriter(Closing):
 
 def _known_suffix(path: str | PathLike[str]) -> str:
     """Return the suffix of a path; raises ConfigError for an unknown one or without its package."""
-    suffix = Path(path).suffix.lower()
+    suffix = suffix_of(path, ConfigError)
     if suffix not in _FORMATS:
         raise ConfigError(f"{str(path)!r}: the suffix must be one of {', '.join(_FORMATS)}")
     if suffix in _PACKAGES:

@@ -27,11 +27,13 @@ _STEPS = 30
 _DONE = 1e-3  # share of its sigma by which a parameter still moves
 _BLOCKS = 6  # of the pattern along each side, see `_with_neighbours`
 _GROSS = 5.0  # times the scatter: a difference beyond is left out
+_UNDER = 0.02  # share of the step by which the motion of nodes under a punch differs
 _FEWEST = 9  # nodes
 _LEAST_NODES = 0.75  # share of the nodes that must lie behind the window
 # With the largest sigma of one of these, a displacement errs by about half a percent.
 _LARGEST_TILT = 0.015  # rad
 _LARGEST_DISTANCE = 0.02  # share of the depth of the pattern
+_LARGEST_INDEX = 0.01
 _HOPELESS = 30.0  # times the largest sigma: the search ends
 _LARGEST_SCALE = 0.01  # share of the pitch by which the mean side may differ
 
@@ -64,6 +66,8 @@ def calibrate_window(
     pitch: float,
     media: Sequence[tuple[float, float]],
     index_sigma: float = 0.01,
+    stepped: tuple[Grid, Grid] | None = None,
+    step: float | None = None,
 ) -> StereoRig:
     """Return a rig with the window through which it sees a pattern.
 
@@ -73,7 +77,11 @@ def calibrate_window(
     media: (thickness, index) of all that lies between the cameras and the pattern beside air; the
         last one is the medium that holds the pattern, such as the gel. The thickness of that one is
         only where the search begins; the other layers are taken as exact.
-    index_sigma: standard deviation of the index of the last medium.
+    index_sigma: standard deviation of the index of the last medium, unless a step measures it.
+    stepped, step: the grids of a second moment, at which a stage has pressed a flat punch into the
+        pattern by a known length, which is taken as exact. Then the index of the last medium is
+        found too. Nodes that moved as far as most of those that moved farthest, to 2 %, are under
+        the punch.
 
     The surface of the pattern may be of any form. The rig's covariance has 26 parameters, see
     `StereoRig`; it includes what the errors of the cameras and of the index do to the window.
@@ -82,27 +90,27 @@ def calibrate_window(
     Raises CalibrationError if an argument is malformed, the pattern does not lie behind the window,
     or the views do not fix a parameter.
     """
-    check_kind("rig", rig, StereoRig, CalibrationError)
-    if rig.window is not None:
-        raise CalibrationError("rig has a window; give the rig that was calibrated in air")
-    if len(listed("rest", rest, Grid, CalibrationError)) != 2:
-        raise CalibrationError("rest must be the grids of the left and the right view")
+    _check(rig, rest, stepped, step)
     check_positive("pitch", pitch, CalibrationError)
     if not (isinstance(index_sigma, Real) and 0 <= cast(float, index_sigma) < math.inf):
         raise CalibrationError(f"index_sigma must be a number from 0, not {index_sigma!r}")
     window = _start(rig, rest, listed("media", media, object, CalibrationError))
     rig = dataclasses.replace(rig, window=window)
     size = 2 * ESTIMATED + POSE  # parameters of the cameras
-    free = np.arange(size, size + WINDOW - 1)  # the index is given
+    free = np.arange(size, size + WINDOW - (stepped is None))
     given = np.delete(np.arange(size + WINDOW), free)
     covariance = np.zeros((len(free), len(free)))
     known = np.zeros((size + WINDOW, size + WINDOW))
     if rig.covariance is not None:
         known[:size, :size] = rig.covariance[:size, :size]
-    known[-1, -1] = index_sigma**2
+    if stepped is None:
+        known[-1, -1] = index_sigma**2
     for _ in range(_STEPS):
-        surface = _surface(rig, rest)
-        kinds = [_sides(surface, pitch), _listed(surface.missed, surface.missed_by_rig)]
+        before = _surface(rig, rest)
+        kinds = [_sides(before, pitch), _misses(before)]
+        if stepped is not None and step is not None:
+            after = _surface(rig, stepped)
+            kinds += [_misses(after), _steps(before, after, step)]
         off, slopes, block = map(np.concatenate, zip(*map(_weighted, kinds), strict=True))
         normal = slopes.T @ slopes
         inverse = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
@@ -121,16 +129,47 @@ def calibrate_window(
         raise CalibrationError(
             "the search for the window does not end; check the pitch, the layers and the rig"
         )
+    by_index = known[-1, -1] * np.outer(by_known[:, -1], by_known[:, -1])
+    known[-1, -1] = 0
     whole = by_known @ known @ by_known.T
     whole[np.ix_(free, free)] += covariance
     _check_sigma(np.sqrt(np.diag(whole)[free]), rig)
-    mean = float(sides(surface.points).mean())
+    whole += by_index
+    _check_sigma(
+        np.sqrt(np.diag(whole)[free]),
+        rig,
+        what=f"an index of the last layer that is known to {index_sigma:g} does",
+        cure="measure it (step), or give a smaller index_sigma",
+    )
+    mean = float(sides(before.points).mean())
     if abs(mean / pitch - 1) > _LARGEST_SCALE:
         raise CalibrationError(
             f"the squares of the pattern measure {mean:.4g} {rig.unit}, not {pitch:g}; check the "
             "pitch, and the squares of the board that calibrated the cameras"
         )
     return dataclasses.replace(rig, covariance=whole)
+
+
+def _check(
+    rig: StereoRig,
+    rest: tuple[Grid, Grid],
+    stepped: tuple[Grid, Grid] | None,
+    step: float | None,
+) -> None:
+    check_kind("rig", rig, StereoRig, CalibrationError)
+    if rig.window is not None:
+        raise CalibrationError("rig has a window; give the rig that was calibrated in air")
+    for name, views in (("rest", rest), ("stepped", stepped)):
+        if views is not None and len(listed(name, views, Grid, CalibrationError)) != 2:
+            raise CalibrationError(f"{name} must be the grids of the left and the right view")
+    if (stepped is None) != (step is None):
+        raise CalibrationError("stepped and step need each other: the views, and how far it moved")
+    if step is not None:
+        check_positive("step", step, CalibrationError)
+    if stepped is not None and (stepped[0].origin, stepped[0].shape) != (
+        rest[0].origin, rest[0].shape
+    ):  # fmt: skip
+        raise CalibrationError(f"rest has {rest[0].extent}, stepped {stepped[0].extent}")
 
 
 def _start(rig: StereoRig, rest: tuple[Grid, Grid], media: Sequence[tuple[float, float]]) -> Window:
@@ -205,6 +244,28 @@ def _sides(surface: _Surface, pitch: float) -> _Differences:
     return _Differences(*map(np.concatenate, zip(*found, strict=True)))
 
 
+def _misses(surface: _Surface) -> _Differences:
+    """Compare what the rays of both views miss each other by with 0."""
+    return _listed(surface.missed, surface.missed_by_rig)
+
+
+def _steps(before: _Surface, after: _Surface, step: float) -> _Differences:
+    """Compare the motion of the nodes under a punch with its step."""
+    way = after.points - before.points
+    length = np.linalg.norm(way, axis=2)
+    far = length[length > 0.9 * np.nanpercentile(length, 98)]
+    most = np.median(far) if len(far) else 0.0
+    under = np.abs(length - most) < _UNDER * most
+    if under.sum() < _FEWEST:
+        raise CalibrationError(
+            f"{under.sum()} nodes moved as one between rest and stepped, at least {_FEWEST} are "
+            "needed; press with a flat punch"
+        )
+    along = (way / length[..., None])[..., None, :]
+    slopes = (along @ (after.by_rig - before.by_rig))[..., 0, :]
+    return _listed(np.where(under, step - length, np.nan), slopes)
+
+
 def _listed(off: Array, slopes: Array) -> _Differences:
     """Return the differences (R, C) and their derivatives (R, C, P) one after the other."""
     row, column = np.indices(off.shape)
@@ -251,8 +312,20 @@ def _with_neighbours(inverse: Array, scores: Array, block: NDArray[np.intp]) -> 
     return covariance
 
 
-def _check_sigma(sigma: Array, rig: StereoRig, times: float = 1.0) -> None:
-    """Raise CalibrationError if the sigma of a parameter is `times` too large."""
+def _check_sigma(
+    sigma: Array,
+    rig: StereoRig,
+    times: float = 1.0,
+    *,
+    what: str = "the views do",
+    cure: str = (
+        "show more of the pattern at rest, sharper, or calibrate the cameras on more views"
+    ),
+) -> None:
+    """Raise CalibrationError if the sigma of a parameter is `times` too large.
+
+    what, cure: says what leaves it so large, and what helps.
+    """
     window = rig.window
     assert window is not None
     depth = window.distance + window.thickness
@@ -261,13 +334,12 @@ def _check_sigma(sigma: Array, rig: StereoRig, times: float = 1.0) -> None:
         "tilt about its first axis": (sigma[1], _LARGEST_TILT, "rad"),
         "distance": (sigma[2], _LARGEST_DISTANCE * depth, rig.unit),
     }
+    if len(sigma) == WINDOW:
+        limits["last index"] = sigma[3], _LARGEST_INDEX, ""
     wide = [
-        f"{name} ({f'+- {sigma:.2g} {unit}' if sigma < _HOPELESS * largest else 'free'})"
+        f"{name} ({f'+- {sigma:.2g} {unit}'.strip() if sigma < _HOPELESS * largest else 'free'})"
         for name, (sigma, largest, unit) in limits.items()
         if not sigma <= times * largest
     ]
     if wide:
-        raise CalibrationError(
-            f"the views do not fix the window's {', '.join(wide)}: show more of the pattern at "
-            "rest, sharper, calibrate the cameras on more views, or know the index better"
-        )
+        raise CalibrationError(f"{what} not fix the window's {', '.join(wide)}: {cure}")

@@ -1,7 +1,7 @@
 """The cameras that look at the gel, and the pose of the gel in front of them."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -13,6 +13,7 @@ from cmp_cl.synthetic.raster import Array
 from cmp_cl.synthetic.scene import Scene
 
 DISTANCE = 45.0  # mm from the camera to the gel, with one camera
+_HALVINGS = 40  # of the range of a sine: below 1e-8 px
 FILL = 0.92  # share of the shorter image side that the pattern covers
 
 
@@ -63,8 +64,7 @@ class PinholeCamera:
     def project(self, points: Array) -> Array:
         """Project points (..., 3), mm, to (..., 2), px; NaN in front of the window's last face."""
         if self.window is not None:
-            flat, _ = self.window.apparent(-self.T @ self.R, points.reshape(-1, 3))
-            points = flat.reshape(points.shape)
+            points = straightened(self.window, -self.T @ self.R, points)
         seen = points @ self.R.T + self.T
         x, y = seen[..., 0] / seen[..., 2], seen[..., 1] / seen[..., 2]
         if np.any(self.distortion):
@@ -77,6 +77,34 @@ class PinholeCamera:
             )
         (fx, _, cx), (_, fy, cy), _ = self.matrix
         return np.stack([fx * x + cx, fy * y + cy], axis=-1)
+
+
+def straightened(window: Window, centre: Array, points: Array) -> Array:
+    """Return points (..., 3) on the straight rays by which a camera at `centre` sees points.
+
+    The ray of a point with the sine s in air has the sine s / n in a medium of index n, and moves
+    sideways by s / sqrt(n^2 - s^2) per depth there. All media together move it by the lateral
+    distance of the point; s is found by bisection.
+    """
+    across = points - centre
+    depth = across @ window.normal
+    across = across - depth[..., None] * window.normal
+    lateral = np.linalg.norm(across, axis=-1)
+    height = window.distance - centre @ window.normal
+    behind = depth - height - sum(thickness for thickness, _ in window.layers)
+    media: list[tuple[Any, float]] = [*window.layers, (behind, window.index)]
+    low, high = np.zeros_like(depth), np.ones_like(depth)
+    for _ in range(_HALVINGS):
+        s = (low + high) / 2
+        reach = height * s / np.sqrt(1 - s * s)
+        for thickness, index in media:
+            reach += thickness * s / np.sqrt(index**2 - s * s)
+        short = reach < lateral
+        low, high = np.where(short, s, low), np.where(short, high, s)
+    tangent = np.where(behind >= 0, low / np.sqrt(1 - low * low), np.nan)
+    stretch = depth * tangent / np.maximum(lateral, 1e-300)
+    straight: Array = centre + depth[..., None] * window.normal + stretch[..., None] * across
+    return straight
 
 
 class Pose(NamedTuple):

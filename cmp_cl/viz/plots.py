@@ -110,7 +110,7 @@ def _draw_map(axes: "Axes", moment: Moment, shown: Map, top: float) -> None:
     )
     points = nodes[~np.isnan(nodes[..., 0])]
     low, high = points.min(axis=0), points.max(axis=0)
-    extent = float((high - low).max())
+    extent = float((high - low).max()) or 1.0
     names = ("along rows", "along columns") if moment.in_space else ("x", "y")
     title = shown.title if np.isfinite(cells).any() else f"{shown.title}: no cell has a value"
     if shown.title == "displacement":

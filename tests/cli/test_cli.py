@@ -1,7 +1,10 @@
 """All commands: their devices, messages, statuses and signals."""
 
 import os
+import re
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -16,6 +19,18 @@ from cmp_cl.cli import devices
 
 PROJECT = Path(__file__).parents[2]
 BOARD = PROJECT / "cmp_cl" / "data" / "board.png"
+
+
+def of_shell(command, **options):
+    """Run `cmp-cl` and what follows in a shell."""
+    return subprocess.run(
+        ["bash", "-c", f'exec "{sys.executable}" -m cmp_cl {command}'],
+        env={**os.environ, "PYTHONPATH": str(PROJECT)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        **options,
+    )
 
 
 # devices
@@ -50,6 +65,21 @@ def test_without_a_device_devices_says_why_and_what_to_install(run, monkeypatch,
     assert all(place in err for place in places)
     (tmp_path / "broken.icd").write_text("libmissing.so")
     assert f"broken.icd in {tmp_path} cannot be loaded or have no device\n" in run("devices")[2]
+    monkeypatch.setenv("OCL_ICD_VENDORS", str(tmp_path / "elsewhere"))
+    assert "elsewhere', which does not exist" in run("devices")[2]
+
+
+def test_each_device_is_timed_and_its_answer_is_checked(run, monkeypatch):
+    monkeypatch.setattr(devices, "FRAMES", 2)
+    status, out, _ = run("devices", "--time")
+    assert status == 0
+    head, *rows = out.partition("1936 corners")[2].splitlines()[1:]
+    assert head.split()[:2] == ["index", "median"]
+    assert [row.split()[0] for row in rows] == [device.index for device in cmp_cl.list_devices()]
+    for _, median, late, missed, false, rmse in map(str.split, rows):
+        assert 0 < float(median) <= float(late)
+        assert (missed, false) == ("0", "0")
+        assert float(rmse) < 0.3
 
 
 # what is refused
@@ -63,7 +93,7 @@ PATTERN = "pattern", "--grid", "4x4"
     [
         ((), ["COMMAND"]),
         (("bogus",), ["bogus", "detect"]),
-        (("detect", BOARD, "--outt", "c.csv"), ["--outt c.csv; cmp-cl --help"]),
+        (("detect", BOARD, "--outt", "c.csv"), ["--outt c.csv; cmp-cl detect --help"]),
         (("detect", BOARD, "--config", "text.png"), ["text.png: it is not TOML"]),
         (("detect", "missing.png"), ["there is no file 'missing.png'"]),
         (("detect", "empty"), ["no image and no video in the folder 'empty'"]),
@@ -79,6 +109,7 @@ PATTERN = "pattern", "--grid", "4x4"
             ["full_scale must be an integer in [1, 65535], not 0"],
         ),
         (("detect", BOARD, "--grid", "9999x9999"), ["--grid", "'9999x9999'", "nodes"]),
+        (("detect", BOARD, "--config", "long.toml"), ["max_corners", "111 ... 111"]),
         (("render", "--out", "g.png", "--markers", "2"), ["markers must", "[3, 100]", "2"]),
         (("render", "--out", "g.jpg", "--bits", "12"), ["uint16", "g.jpg", ".png"]),
         (("demo", "--out", "text.png"), ["--out text.png is a file", "a folder"]),
@@ -90,6 +121,7 @@ PATTERN = "pattern", "--grid", "4x4"
 def test_a_wrong_argument_is_one_line_and_status_2(run, arguments, words):
     Path("text.png").write_text("hello")
     Path("bad.toml").write_text("windoww = 3")
+    Path("long.toml").write_text(f"max_corners = '{'1' * 60_000}'")
     Path("empty").mkdir()
     cv2.imwrite("float.tif", np.zeros((9, 9), np.float32))
     board, before = BOARD.read_bytes(), sorted(os.listdir())
@@ -105,6 +137,7 @@ def test_a_wrong_argument_is_one_line_and_status_2(run, arguments, words):
         ["detect", BOARD, "--out", "link.csv", "--config", "e.toml"],
         ["run", "a.png", "--config", "e.toml", "--stereo", "rig.npz", "--out", "rig.npz"],
         ["calibrate", "board.yaml", "--board", "3x3", "--square", "1", "--out", "board.yaml"],
+        ["render", "--out", "a.png", "--truth", "./a.png"],
     ],
     ids=lambda arguments: " ".join(map(str, arguments)).replace(str(BOARD), "board.png"),
 )
@@ -120,7 +153,7 @@ def test_no_output_goes_over_an_input_or_another_output(run, arguments):
     before = {path.name: path.read_bytes() for path in Path().iterdir()}
     status, _, err = run(*arguments)
     assert status == 2
-    assert "is an input and would be overwritten" in err
+    assert re.search("is an input and would be overwritten|is given for two outputs", err)
     assert {path.name: path.read_bytes() for path in Path().iterdir()} == before
 
 
@@ -156,3 +189,35 @@ def test_a_terminated_command_leaves_no_temporary_file(run, monkeypatch):
     assert run("detect", BOARD, "--out", "c.csv") == (130, "", "cmp-cl: interrupted\n")
     assert os.listdir() == []
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a signal to one process alone needs POSIX")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_while_modules_are_imported_is_130_and_one_line(tmp_path, name):
+    (tmp_path / "cv2.py").write_text(
+        "import sys, time\nsys.stdout.write('importing\\n')\nsys.stdout.flush()\ntime.sleep(60)\n"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-m", "cmp_cl", "devices"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), str(PROJECT)))},
+        start_new_session=True,
+    )
+    assert child.stdout.readline() == "importing\n"
+    child.send_signal(getattr(signal, name))
+    assert child.communicate(timeout=60) == ("", "cmp-cl: interrupted\n")
+    assert child.returncode == 130
+
+
+@pytest.mark.skipif(os.name == "nt", reason="streams are closed otherwise on Windows")
+def test_closed_and_full_streams_are_no_traceback(tmp_path):
+    done = of_shell(f"detect missing.png {BOARD} --out c.csv <&- >&- 2>&-", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (2, "")
+    if os.path.exists("/dev/full"):
+        done = of_shell("devices > /dev/full")
+        assert (done.returncode, done.stderr) == (2, "cmp-cl: No space left on device\n")
+    done = of_shell(f"run {BOARD} --out - >&-")
+    message = "cmp-cl: --out - needs standard output, which is closed\n"
+    assert (done.returncode, done.stderr) == (2, message)

@@ -108,7 +108,7 @@ def test_each_image_of_fewer_than_16_bits_gets_a_hint_about_full_scale(run):
 
 def test_a_folder_is_searched_and_what_fails_in_it_is_named(run):
     Path("in").mkdir()
-    names = ["a.png", "two  spaces.png"]
+    names = ["a.png", "new\nline.png", "two  spaces.png"]
     for name in names:
         shutil.copy(BOARD, Path("in") / name)
     Path("in/broken.png").write_text("no image")
@@ -116,7 +116,8 @@ def test_a_folder_is_searched_and_what_fails_in_it_is_named(run):
     status, out, err = run("detect", "in", "--out", "all.csv")
     assert status == 2
     assert err == "cmp-cl: 'in/broken.png' is not an image that OpenCV can read, or is damaged\n"
-    assert len(out.splitlines()) == 3
+    assert len(out.splitlines()) == 4
+    assert r"'in/new\nline.png': " in out
     assert {row["image"] for row in rows_of("all.csv")} == {f"in/{name}" for name in names}
 
 

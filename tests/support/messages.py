@@ -2,7 +2,7 @@
 
 import re
 
-OF_PYTHON = r"\b(device|full_scale|like|previous|shape)="
+OF_PYTHON = r"\b(device|full_scale|like|previous|shape)=|invalid (int|float) value"
 
 
 def fails_in_one_line(result, *words):

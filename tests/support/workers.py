@@ -1,5 +1,7 @@
 """Functions that tests run in other processes, which can import this module but no test file."""
 
+import time
+
 import images
 import numpy as np
 
@@ -9,6 +11,12 @@ from cmp_cl import Detector
 def frame(number):
     """Return a frame of a recording: the scene moves by a pixel a frame."""
     return np.ascontiguousarray(np.roll(images.scene().image, number, axis=1))
+
+
+def slow_frame(number):
+    """Return `frame(number)` after a tenth of a second."""
+    time.sleep(0.1)
+    return frame(number)
 
 
 def broken_frame(number):

@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Generator
 
-from cmp_cl.cli.messages import counted
+from cmp_cl.cli.messages import counted, shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.image import GreyImage
 from cmp_cl.media import Frame
@@ -41,7 +41,7 @@ class Recording:
         if not count:
             raise ConfigError(f"no frame comes from {source.name!r}")
         raise ConfigError(
-            f"there is no --rest-frame {number}: {source.name} has "
+            f"there is no --rest-frame {number}: {shown(source.name)} has "
             f"{counted(count, 'frame')}, numbered from 0"
         )
 

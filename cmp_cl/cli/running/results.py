@@ -7,7 +7,7 @@ import time
 from collections import deque
 from typing import Any
 
-from cmp_cl.cli.messages import counted, tell
+from cmp_cl.cli.messages import counted, shown, tell
 from cmp_cl.closing import Closing
 from cmp_cl.errors import CmpClError
 from cmp_cl.measure import Measured, Measurement
@@ -64,7 +64,7 @@ class Results(Closing):
             self._files = stack.pop_all()
         for part in self._series.earlier:
             tell(
-                f"{part} is of a run that was killed, or that still goes on, and is kept: "
+                f"{shown(part)} is of a run that was killed, or that still goes on, and is kept: "
                 "it holds all frames up to then; delete it if you need none of them"
             )
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import signal
+import threading
 from collections.abc import Iterator
 from types import FrameType
 from typing import Any
@@ -13,9 +14,14 @@ _STOPPING = [
 
 @contextlib.contextmanager
 def handled(handler: Any) -> Iterator[None]:
-    """Handle the stopping signals by a function, except those that are ignored, as under nohup."""
-    before = {number: signal.getsignal(number) for number in _STOPPING}
+    """Handle the stopping signals by a function, except those that are ignored, as under nohup.
+
+    Only the main thread of a process can handle signals; in any other, nothing changes.
+    """
+    before: dict[signal.Signals, Any] = {}
     try:
+        if threading.current_thread() is threading.main_thread():
+            before = {number: signal.getsignal(number) for number in _STOPPING}
         for number, old in before.items():
             if old != signal.SIG_IGN:
                 signal.signal(number, handler)
@@ -27,8 +33,9 @@ def handled(handler: Any) -> Iterator[None]:
 
 def ignore() -> None:
     """Ignore the stopping signals until the end of a `handled` block."""
-    for number in _STOPPING:
-        signal.signal(number, signal.SIG_IGN)
+    if threading.current_thread() is threading.main_thread():
+        for number in _STOPPING:
+            signal.signal(number, signal.SIG_IGN)
 
 
 def interrupt(_: int, __: FrameType | None) -> None:
