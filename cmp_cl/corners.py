@@ -13,7 +13,6 @@ BLOCK = 4  # px, over which edges are looked for
 EDGE = 1 / 5  # of the brightest block: a strong edge
 EDGES = 0.01  # share of the blocks that such edges cross
 ASKED = 300  # corners, at most, whose neighbour is looked for
-FEW_LEVELS = 1 / 80  # of full scale, under which a print has no corners
 FEW_BITS = 2**14  # a grey level that an image of 16 bits reaches, unless it is very dark
 MOSAIC = 0.75  # least share of the brightest mean that the darkest of the four pixels of 2 x 2 has
 ALTERNATE = -0.6  # mean cosine of twice the turn to the neighbour; noise has -.24 to -.6
@@ -96,7 +95,7 @@ class Corners:
 
         image: (H, W), which they are of. full_scale: its largest grey level, if that was given.
         """
-        if levels := _misfit(int(image.min()), int(image.max()), image.dtype, full_scale):
+        if levels := _misfit(int(image.max()), image.dtype, full_scale):
             return levels
         if _is_mosaic(image):
             return (
@@ -134,23 +133,16 @@ class Corners:
         return float(np.cos(2 * (angle[asked] - angle[apart.argmin(axis=1)])).mean())
 
 
-def _misfit(darkest: int, brightest: int, dtype: DTypeLike, full_scale: int | None) -> str:
+def _misfit(brightest: int, dtype: DTypeLike, full_scale: int | None) -> str:
     """Return what to do about grey levels above the full scale, and about pixels of 16 bits that
-    seem to come from a camera of fewer, or that use few levels; "" if they are none of these."""
+    seem to come from a camera of fewer; "" if they are none of these."""
     if full_scale is not None:
         above = f"the brightest pixel is {brightest}, above the full scale of {full_scale}: such "
         return f"{above}pixels all look alike" if brightest > full_scale else ""
-    if dtype != np.uint16:
+    if dtype != np.uint16 or not 0 < brightest < FEW_BITS:
         return ""
-    cameras = [bits for bits in (10, 12, 14, 16) if brightest < 2**bits]
-    if 0 < brightest - darkest < FEW_LEVELS * 2 ** cameras[0]:
-        return (
-            f"the 16-bit pixels lie between {darkest} and {brightest}, which is too little "
-            f"contrast; subtract {darkest} and multiply by {65535 // (brightest - darkest)}"
-        )
-    if not 0 < brightest < FEW_BITS:
-        return ""
-    *levels, last = [f"{2**bits - 1} for {bits} bits" for bits in cameras[:-1]]
+    cameras = [bits for bits in (10, 12, 14) if brightest < 2**bits]
+    *levels, last = [f"{2**bits - 1} for {bits} bits" for bits in cameras]
     scales = f"{', '.join(levels)} or {last}" if levels else last
     return f"the brightest of the 16-bit pixels is {brightest}; give a full scale of {scales}"
 

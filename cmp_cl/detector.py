@@ -2,7 +2,6 @@
 
 import functools
 import threading
-from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
@@ -77,12 +76,6 @@ class Detector(Closing):
         if queue is not None and queue.properties & disordered:
             raise DeviceError("queue must run its commands in order, one after the other")
         self.device = describe_handle(queue.device) if queue else select_device(device)
-        needed = self.shape[0] * self.shape[1] * self.dtype.itemsize
-        if needed > self.device.memory:
-            raise CapacityError(
-                f"one image needs {needed} bytes, {self.device} has {self.device.memory}; use "
-                "smaller images"
-            )
         self._programs = (
             programs_of(self.device.handle) if queue is None else Programs(queue.context)
         )
@@ -151,7 +144,7 @@ class Detector(Closing):
         """
         waiting: Plan | None = None
         try:
-            each = (self.begin([frame], still=False) for frame in _iterated("frames", frames))
+            each = (self.begin([frame], still=False) for frame in frames)
             for begun in errors_last(each):
                 ready, waiting = waiting, begun if isinstance(begun, Plan) else None
                 done = [] if ready is None else self.finish(ready)[0].corners
@@ -211,7 +204,7 @@ class Detector(Closing):
         stack: (B, H, W), or a sequence of frames. The results share one block of memory: copy a
         result to keep it without the others. Raises the errors of a call.
         """
-        frames = [self._checked(frame) for frame in _iterated("stack", stack)]
+        frames = [self._checked(frame) for frame in stack]
         if not frames:
             return []
         with self._lock:
@@ -255,34 +248,6 @@ class Detector(Closing):
             corners, lattice = self._numbered(image)
             found = list(boards(lattice, corners.xy))
         return corners, grid_of(found, corners, asked, strict=False)
-
-    def grids(
-        self,
-        frames: Iterable[GreyImage],
-        *,
-        shape: tuple[int, int] | None = None,
-        like: Grid | None = None,
-    ) -> Iterator[tuple[Corners, Grid]]:
-        """Find and number the corners of each frame, in order.
-
-        frames: (H, W) each. shape, like: as in `grid`.
-
-        The kernels of the next frame run while this one is numbered, so a frame must not change
-        before the frame after the next one is requested. To follow a pattern from frame to frame,
-        see `cmp_cl.measure`. Raises the errors of `stream` and of `build_grid`.
-        """
-        from cmp_cl.grid.build import build_grid
-
-        images: deque[GreyImage] = deque()
-
-        def kept() -> Iterator[GreyImage]:
-            for frame in _iterated("frames", frames):
-                images.append(self._checked(frame))
-                yield images[-1]
-
-        for corners in self.stream(kept()):
-            image = images.popleft()
-            yield corners, build_grid(corners, image, shape, like, device=self.device)
 
     def _numbered(self, image: GreyImage) -> tuple[Corners, LatticePlan]:
         """Return the corners of an image, and the plan in which their numbers were started."""
@@ -380,11 +345,3 @@ def detect(
     device = select_device(device)
     with Detector(shape=frame.shape, dtype=frame.dtype, config=config, device=device) as detector:
         return detector(frame)
-
-
-def _iterated(name: str, frames: Iterable[GreyImage]) -> Iterator[GreyImage]:
-    """Return an iterator of an argument of that name; raises ImageError if it has none."""
-    try:
-        return iter(frames)
-    except TypeError as error:
-        raise ImageError(f"{name} must be several images, not {type(frames).__name__}") from error

@@ -44,17 +44,6 @@ def test_the_raw_image_of_a_colour_camera_is_told(dtype):
     assert "COLOR_BayerRG2GRAY" in advice(image)
 
 
-def test_16_bits_of_few_levels_are_told_what_helps(tmp_path, capsys):
-    image, _ = board(*SHAPE, 20, samples=3)
-    faint = 14200 + image.astype(np.uint16) // 4
-    cv2.imwrite(str(tmp_path / "faint.png"), faint)
-    assert main(["detect", str(tmp_path / "faint.png")]) == 0
-    said = capsys.readouterr()
-    low, high = int(faint.min()), int(faint.max())
-    assert f"subtract {low} and multiply by {65535 // (high - low)}" in said.err
-    assert len(detect((faint - low) * np.uint16(65535 // (high - low)))) > 50
-
-
 SHEARED = np.array([[0.6, 0.5, -90], [0, 0.75, 0]])
 QUIET = {
     **{

@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
-from numbers import Integral
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,10 +145,9 @@ def calibrate(
 
     Raises CalibrationError if a camera has fewer than three different views of at least eight
     nodes, if they do not determine the focal length (the board faces the camera in all of them), if
-    a camera shares no moment with the others, if no pose between the cameras fits the views, or if
-    a node lies far outside of its image.
+    a camera shares no moment with the others, or if no pose between the cameras fits the views.
     """
-    views, sizes = _checked(views, sizes)
+    _check(views, sizes)
     check_positive("spacing", spacing, CalibrationError)
     check_kind("lens", lens, Lens, CalibrationError)
     seen, alike = _different(views)
@@ -210,40 +208,24 @@ def calibrate(
     )
 
 
-def _checked(
+def _check(
     views: Mapping[str, Sequence[Grid | None]], sizes: Mapping[str, tuple[int, int]]
-) -> tuple[dict[str, list[Grid | None]], dict[str, tuple[int, int]]]:
-    """Return the arguments of `calibrate`; raises CalibrationError if one is of another kind."""
+) -> None:
+    """Raise CalibrationError if an argument of `calibrate` is of another kind."""
     check_kind("views", views, Mapping, CalibrationError)
     check_kind("sizes", sizes, Mapping, CalibrationError)
-    every = {}
-    for name, values in views.items():
-        check_kind("each name of views", name, str, CalibrationError)
-        every[name] = listed(f"views[{name!r}]", values, object, CalibrationError)
-        listed(
-            f"views[{name!r}]", [g for g in every[name] if g is not None], Grid, CalibrationError
-        )
     if not views or views.keys() != sizes.keys():
         raise CalibrationError(
             f"sizes must be of the cameras in views, at least one: {list(views)}, not {list(sizes)}"
         )
-    known: dict[str, tuple[int, int]] = {}
-    for name in views:
-        size = listed(f"sizes[{name!r}]", sizes[name], Integral, CalibrationError)
+    for name, grids in views.items():
+        seen = listed(f"views[{name!r}]", grids, object, CalibrationError)
+        listed(f"views[{name!r}]", [g for g in seen if g is not None], Grid, CalibrationError)
+        size = listed(f"sizes[{name!r}]", sizes[name], int, CalibrationError)
         if len(size) != 2 or min(size) < 1:
             raise CalibrationError(
                 f"sizes[{name!r}] must be (width, height), px, not {sizes[name]!r}"
             )
-        known[name] = int(size[0]), int(size[1])
-    for name, grids in every.items():
-        for grid in filter(None, grids):
-            far = np.abs(grid.xy) > 2 * np.array(known[name])
-            if far.any():
-                at = grid.xy[far.any(axis=2)][0].tolist()
-                raise CalibrationError(
-                    f"{name}: a node at {at} px is far outside of an image of {known[name]} px"
-                )
-    return every, known
 
 
 def _different(views: Mapping[str, Sequence[Grid | None]]) -> tuple[Seen, list[list[int]]]:
