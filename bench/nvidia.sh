@@ -24,7 +24,7 @@ fi
 out=$(mkdir -p "${OUT:-bench/results/nvidia}" && cd "${OUT:-bench/results/nvidia}" && pwd)
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
-if "$python" -c "import cv2, hypothesis, platformdirs, pyopencl, xdist" 2> "$work/missing"; then
+if "$python" -c "import cv2, hypothesis, pyopencl, xdist" 2> "$work/missing"; then
     export PYTHONPATH="$PWD${PYTHONPATH:+:$PYTHONPATH}"
 else
     "$python" -m venv "$work/venv"

@@ -1,7 +1,6 @@
 """Faults around a detector: memory, caches, kills, threads, processes."""
 
 import ctypes
-import hashlib
 import multiprocessing
 import os
 import platform
@@ -17,8 +16,8 @@ from comparison import assert_same_bytes
 from workers import corners_of_board
 
 from cmp_cl import BinaryRings, Detector, DetectorConfig
-from cmp_cl.errors import CapacityError, DeviceError
-from cmp_cl.opencl import pocl, program
+from cmp_cl.errors import CapacityError
+from cmp_cl.opencl import pocl
 
 BOARD = images.eight_bits()["board"]
 
@@ -72,33 +71,6 @@ def test_a_capacity_that_cannot_grow_leaves_a_detector_that_works(device, monkey
 # --- cached programs -----------------------------------------------------------------------
 
 
-@pytest.fixture
-def cache(own_programs, tmp_path, monkeypatch):
-    """Return an empty folder for compiled programs, used on every device."""
-    monkeypatch.delenv("PYOPENCL_NO_CACHE", raising=False)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(program, "is_pocl", lambda _: False)
-    return tmp_path / "cmp_cl"
-
-
-def build(device, pad=16):
-    """Build a program of one file: the border of an image is repeated."""
-    context = cl.Context([device.handle])
-    names = program.Programs(context).kernels(["border"], {"PIXEL": "uchar", "PAD": pad}).names
-    assert names == {"repeat_border"}
-
-
-def refuse_to_compile(monkeypatch):
-    """Let programs be loaded and not compiled."""
-    whole = cl.Program
-
-    def loaded(context, *parts):
-        assert len(parts) == 2, "compiled"
-        return whole(context, *parts)
-
-    monkeypatch.setattr(cl, "Program", loaded)
-
-
 DETECT = """
 import numpy as np
 import pyopencl
@@ -121,56 +93,6 @@ def test_functions_that_call_kernels_are_never_loaded_from_a_file(tmp_path):
     done = python("-c", DETECT, env=environment)
     assert (done.stdout, done.returncode) == ("0\n", 0), done.stderr
     assert kept.read_bytes() == b"damaged"
-
-
-def test_a_program_is_compiled_once(device, cache, monkeypatch):
-    build(device)
-    build(device, pad=32)
-    kept = set(cache.iterdir())
-    assert len(kept) == 2
-    refuse_to_compile(monkeypatch)
-    build(device)
-    assert set(cache.iterdir()) == kept
-
-
-@pytest.mark.parametrize("damage", ["cut", "changed", "no program"])
-def test_a_damaged_program_is_compiled_and_kept_again(device, cache, monkeypatch, damage):
-    build(device)
-    (kept,) = cache.iterdir()
-    whole = kept.read_bytes()
-    changed = bytearray(whole)
-    changed[len(whole) // 2] ^= 1
-    other = hashlib.sha256(b"other").digest() + b"other"  # whole, but the device does not take it
-    kept.write_bytes({"cut": whole[:-99], "changed": bytes(changed), "no program": other}[damage])
-    build(device)
-    if damage != "no program":
-        refuse_to_compile(monkeypatch)
-        build(device)
-
-
-def test_the_cache_can_be_switched_off(device, cache, monkeypatch):
-    monkeypatch.setenv("PYOPENCL_NO_CACHE", "1")
-    build(device)
-    assert not cache.exists()
-
-
-@pytest.mark.skipif(not hasattr(os, "getuid"), reason="Windows has a folder for each user")
-def test_kernels_of_a_folder_that_everybody_may_write_to_are_refused(device, cache):
-    cache.mkdir()
-    cache.chmod(0o777)
-    with pytest.raises(DeviceError, match="chmod o-w"):
-        build(device)
-    assert list(cache.iterdir()) == []
-
-
-@pytest.mark.skipif(not hasattr(os, "getuid"), reason="Windows has a folder for each user")
-def test_kernels_of_another_user_are_refused(device, cache, monkeypatch):
-    build(device)
-    owner = os.getuid()
-    monkeypatch.setattr(os, "getuid", lambda: owner + 1)
-    os.chown(cache, owner + 2, -1) if owner == 0 else None
-    with pytest.raises(DeviceError, match="another user's"):
-        build(device)
 
 
 def detected(device, **environment):

@@ -1,4 +1,4 @@
-"""The module that builds programs: sources, errors, cached binaries."""
+"""The module that builds programs: sources, errors, what is shared."""
 
 import secrets
 import shutil
@@ -79,7 +79,6 @@ def test_compilers_give_no_warnings(own_programs, device_in_form, monkeypatch, c
         return built
 
     monkeypatch.setattr(program, "_built", compiled)
-    monkeypatch.setattr(program, "_place", lambda *_: None)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", cl.CompilerWarning)
         Detector(shape=(100, 100), dtype=dtype, config=CONFIGS[name], device=device_in_form).close()

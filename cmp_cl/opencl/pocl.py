@@ -8,6 +8,7 @@ import functools
 import os
 import re
 import shutil
+import stat
 import subprocess
 import sys
 import tempfile
@@ -18,7 +19,6 @@ import numpy as np
 import pyopencl as cl
 
 from cmp_cl.errors import DeviceError
-from cmp_cl.opencl.caches import check_owner
 
 _MOST_WORKERS = 4096
 _POCL_WORKERS = ("POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
@@ -115,9 +115,21 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pocl"
 
 
+def _check_owner(folder: Path) -> None:
+    """Raise DeviceError if a folder is another user's, or everybody may write to it."""
+    if not hasattr(os, "getuid") or not folder.exists():  # Windows has a folder for each user
+        return
+    status = folder.stat()
+    if status.st_uid not in (os.getuid(), 0) or status.st_mode & stat.S_IWOTH:
+        raise DeviceError(
+            f"the compiled kernels in {str(folder)!r} may be someone else's: the folder is another "
+            "user's or everybody may write to it; name another one in XDG_CACHE_HOME, or chmod o-w"
+        )
+
+
 def check_compiler() -> None:
     """Raise DeviceError if PoCL would end the process when it compiles, or run foreign kernels."""
-    check_owner(cache_folder())
+    _check_owner(cache_folder())
     stuck = reason_stuck()
     if stuck:
         raise DeviceError(stuck)

@@ -4,17 +4,13 @@
 its own. `Kernels.bind(name, *arguments)` returns a kernel with its arguments set, ready to be
 launched. `programs_of(device)` returns the programs that all detectors of a process share.
 
-A compilation takes seconds. So a file is compiled with only the macros that it names, and the
-binaries are cached: another configuration compiles only the stages that it changes. PoCL has its
-own cache, and compiles everything twice when asked for a binary. Binaries of other implementations
-are kept in the user's cache folder, one file each. A file appears whole or not at all, is checked
-before use, and is replaced if the device rejects it. Without a writable folder every start
-compiles.
+A compilation takes seconds. So a file is compiled with only the macros that it names: another
+configuration compiles only the stages that it changes. Implementations of OpenCL cache what they
+compile, and pyopencl does for those that do not.
 """
 
-import contextlib
 import functools
-import hashlib
+import importlib
 import os
 import re
 import threading
@@ -26,8 +22,7 @@ from typing import Any
 import pyopencl as cl
 
 from cmp_cl.errors import DeviceError, KernelBuildError
-from cmp_cl.files import write_bytes
-from cmp_cl.opencl import caches, pocl
+from cmp_cl.opencl import pocl
 from cmp_cl.opencl.device import check_process
 from cmp_cl.opencl.pocl import is_pocl
 
@@ -35,7 +30,8 @@ _OPTIONS = ("-cl-std=CL1.2", "-cl-kernel-arg-info")
 _ROUNDED = "-cl-fp32-correctly-rounded-divide-sqrt"  # as the host's; cards have faster ones
 _INCLUDE = re.compile(r'#include "(.+)"')
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
-_NO_CACHE_VARIABLE = "PYOPENCL_NO_CACHE"
+# pyopencl reads it where it cannot write its cache, and fails without it.
+os.environ.setdefault("PYOPENCL_CACHE_FAILURE_FATAL", "")
 _WARNINGS = threading.Lock()  # the whole process shares the filters of warnings
 
 
@@ -110,7 +106,7 @@ class Kernels:
     def __init__(
         self, programs: Sequence[cl.Program], arguments: Mapping[str, Sequence[str]]
     ) -> None:
-        caches.guard_invokers()
+        _guard_invokers()
         if not all(each.kernel_names for each in programs):
             raise DeviceError(
                 "a compiled program has no kernels, so the cache of compiled kernels is damaged; "
@@ -147,7 +143,7 @@ class Programs:
         """Return the kernels of the stages.
 
         Raises KernelBuildError with the compiler's log; DeviceError in a forked child, and if PoCL
-        cannot compile or a cache is damaged or someone else's.
+        cannot compile or its cache is damaged or someone else's.
         """
         check_process()
         arguments: dict[str, list[str]] = {}
@@ -190,59 +186,46 @@ def _shared(device: cl.Device) -> Programs:
 
 
 def _compiled(context: cl.Context, stage: str, text: str, options: list[str]) -> cl.Program:
-    kept = _place(context, text, options)
-    program = None if kept is None else _loaded(context, kept, options)
-    if program is None:
-        if any(is_pocl(device) for device in context.devices):
-            pocl.check_compiler()
-        try:
-            program = _built(cl.Program(context, text), options)
-        except cl.Error as error:
-            names = ", ".join(device.name for device in context.devices)
-            raise KernelBuildError(
-                f"the kernels of {stage} do not compile on {names}; the compiler says:\n{error}"
-            ) from error
-        if kept is not None:
-            _keep(kept, program)
-    return program
+    if any(is_pocl(device) for device in context.devices):
+        pocl.check_compiler()
+    try:
+        return _built(cl.Program(context, text), options)
+    except cl.Error as error:
+        names = ", ".join(device.name for device in context.devices)
+        raise KernelBuildError(
+            f"the kernels of {stage} do not compile on {names}; the compiler says:\n{error}"
+        ) from error
 
 
 def _built(program: cl.Program, options: list[str]) -> cl.Program:
-    """Compile or link a program, without the compiler's warnings."""
+    """Compile a program, without the compiler's warnings."""
     with _WARNINGS, warnings.catch_warnings():
         warnings.simplefilter("ignore", cl.CompilerWarning)
-        build: Any = program.build  # its stub does not know that False turns the cache off
-        build(options=options, cache_dir=False)
+        program.build(options=options)
     return program
 
 
-def _place(context: cl.Context, text: str, options: list[str]) -> Path | None:
-    """Return the path of a program's binary; None if there is no folder, or PoCL caches it
-    itself."""
-    device = context.devices[0]
-    switched_off = os.environ.get(_NO_CACHE_VARIABLE, "").lower() in ("1", "true", "on", "yes")
-    if switched_off or len(context.devices) > 1 or is_pocl(device):
-        return None
-    names = (device.platform.name, device.platform.version, device.name, device.driver_version)
-    key = hashlib.sha256("\0".join([*names, *options, text]).encode()).hexdigest()
-    folder = caches.own_folder()
-    return None if folder is None else folder / f"{key}.bin"
+class _InMemory(dict[object, object]):
+    """A cache of pyopencl that ends with the process."""
+
+    store_if_not_present = dict.setdefault
 
 
-def _loaded(context: cl.Context, path: Path, options: list[str]) -> cl.Program | None:
-    """Load a stored program, if the file is whole and the device accepts it."""
-    with contextlib.suppress(OSError, cl.Error):
-        data = path.read_bytes()
-        digest, binary = data[:32], data[32:]
-        if hashlib.sha256(binary).digest() == digest:
-            return _built(cl.Program(context, context.devices, [binary]), options)
-    return None
+_INVOKERS = _InMemory()
 
 
-def _keep(path: Path, program: cl.Program) -> None:
-    with contextlib.suppress(OSError, cl.Error):
-        (binary,) = program.binaries
-        write_bytes(path, hashlib.sha256(binary).digest() + binary)
+def _guard_invokers() -> None:
+    """Let pyopencl make the functions that call kernels in each process, not load them.
+
+    It keeps them in SQLite, and fails if the folder cannot be written or the disk is full.
+    """
+    library: Any = cl
+    before, library._PYOPENCL_NO_CACHE = library._PYOPENCL_NO_CACHE, True
+    try:
+        invoker: Any = importlib.import_module("pyopencl.invoker")  # would open the cache
+    finally:
+        library._PYOPENCL_NO_CACHE = before
+    invoker.invoker_cache = _INVOKERS
 
 
 def sum_of_terms(terms: Sequence[str], kind: str) -> str:
