@@ -65,15 +65,6 @@ def test_a_file_that_is_no_image_is_an_image_error_with_its_name(tmp_path):
         media.read_image(tmp_path / "missing.png")
 
 
-@pytest.mark.parametrize("suffix", [".gif", ".hdr", ".pam", ".pfm", ".ras", ".avif"])
-def test_the_bytes_of_another_format_reach_no_decoder_of_opencv(tmp_path, suffix):
-    kind = np.float32 if suffix in (".hdr", ".pfm") else np.uint8
-    data = cv2.imencode(suffix, np.dstack([NOISE] * 3).astype(kind))[1].tobytes()
-    (tmp_path / "a.png").write_bytes(data)
-    with pytest.raises(ImageError, match="is not an image"):
-        media.read_image(tmp_path / "a.png")
-
-
 def black_png(side, rows=None):
     """Return a black PNG of 16 bits with alpha, (side, side); rows: how many it has of them."""
     row, count = bytes(1 + side * 8), side if rows is None else rows
@@ -142,14 +133,13 @@ def test_an_image_of_any_size_takes_little_time_and_memory(tmp_path, data, says,
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5, 0.99])
-def test_a_stack_that_is_cut_off_gives_its_pages_and_says_so(tmp_path, share):
+def test_a_stack_that_is_cut_off_gives_the_pages_before_the_cut(tmp_path, share):
     pages = [np.roll(NOISE, k) for k in range(5)]
     cv2.imwritemulti(str(tmp_path / "a.tif"), pages)
     whole = (tmp_path / "a.tif").read_bytes()
     (tmp_path / "a.tif").write_bytes(whole[: int(len(whole) * share)])
-    read = []
-    with pytest.raises(ImageError, match="is damaged or cut off: it has no page"):
-        read.extend(media.read_pages(tmp_path / "a.tif"))
+    read = list(media.read_pages(tmp_path / "a.tif"))
+    assert len(read) >= int(share * len(pages))
     for page, expected in zip(read, pages, strict=False):
         np.testing.assert_array_equal(page, expected)
 
