@@ -10,7 +10,6 @@ Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 
-STRAIN_REACH = 2  # nodes on each side of a node to which the planes of a strain are fitted
 _LEAST_SUPPORT = 0.75  # least share of a window's nodes that are measured
 _HALF = 2  # nodes on each side of a node that show the curvature of a line
 _LEAST_SINE = math.sin(math.radians(10))  # of the angle between the two lines at a corner
@@ -81,6 +80,12 @@ def derivatives(n: int) -> Array:
 def bend_half(n: int) -> int:
     """Return the half width of the window along lines of n nodes, at least 3."""
     return min(_HALF, (n - 1) // 2)
+
+
+def strain_half(n: int) -> int:
+    """Return the half width of the window of a strain along lines of n nodes, where all of its
+    nodes stand. The filter has averaged already: a wider one smooths beyond its sigma."""
+    return min(1, (n - 1) // 2)
 
 
 def polynomial(n: int, half: int, degree: int, order: int = 0) -> Array:

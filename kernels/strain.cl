@@ -1,15 +1,27 @@
 #include "field.clh"
 
 /* The strain of a plane or of a surface in its tangent plane at rest, and its covariance:
- * cmp_cl/reference/field/strain.py has the equations. A plane is fitted to the window of
- * (2 STRAIN_REACH + 1)^2 nodes around each node. */
+ * cmp_cl/reference/field/strain.py has the equations. A quadratic surface is fitted to the window
+ * of 3 x 3 nodes around each node, which is moved inwards at a border. */
 
-#define LEAST_NODES 6
-#define LEAST_DETERMINANT 1e-6f
+#define TERMS 6
+#define LEAST_PIVOT 1e-3f   /* of normal equations whose coefficients are integers */
+#define MOST_VARIANCE 10.0f /* of a slope, where that of each node is 1 */
 #define LAGS 3 /* of second differences: with themselves, with the next row, the next column */
 #define MOST_SHARED 0.25f
-#define BIAS 0.5f /* of the covariance of the slopes of the pairs */
-#define WIDE (2 * STRAIN_REACH + 1)
+#define BIAS 0.25f /* of the covariance of the slopes of the pairs */
+#define REACH_DOWN (ROWS > 2) /* nodes on each side of the middle of a window */
+#define REACH_ALONG (COLUMNS > 2)
+#define WIDE_DOWN (2 * REACH_DOWN + 1)
+#define WIDE_ALONG (2 * REACH_ALONG + 1)
+
+/* A row of nodes between two margins. The node that the window at an end is moved to go into the
+ * margin beyond it, so that each window is the WIDE_ALONG numbers around its node. */
+#define TURN_ENDS(line)                                      \
+  if (REACH_ALONG) {                                         \
+    (line)[0] = (line)[WIDE_ALONG];                          \
+    (line)[COLUMNS + 1] = (line)[COLUMNS + 1 - WIDE_ALONG];  \
+  }
 
 /* Second differences along the rows of second differences along the columns, over the deviation of
  * the noise, for one row; `known` is 1 where all nine nodes have a vote. */
@@ -78,22 +90,25 @@ float2 shared_with_neighbours(__global const float *sums) {
 }
 
 /* The slope of the windows around the nodes of a row in a plane whose rows, and whose columns, lie
- * so far apart. down: the weights of the window of the row, (WIDE). along: those of its nodes,
- * (WIDE, LINE). */
+ * so far apart. down: the weights of the window of the row, (WIDE_DOWN). along: those of its nodes,
+ * (WIDE_ALONG, LINE), for the numbers around them. */
 void slopes_of_row(const int row, __global const float *plane, const int apart_down,
                    const int apart_along, __global const float *down,
                    __global const float *along, float *slope) {
-  float line[LINE + 2 * STRAIN_REACH];
-  for (int c = 0; c < LINE + 2 * STRAIN_REACH; ++c) line[c] = 0;
+  float line[LINE + 2 * REACH_ALONG];
+  const int top = WINDOW_START(row, REACH_DOWN, ROWS);
+  for (int t = 0; t < REACH_ALONG; ++t) line[LINE + REACH_ALONG + t] = 0;
   EACH_EIGHT {
     float8 sum = 0;
-    for (int r = max(row - STRAIN_REACH, 0); r <= min(row + STRAIN_REACH, ROWS - 1); ++r)
-      sum += down[r - row + STRAIN_REACH] * EIGHT_AT(plane + apart_down * r + apart_along * c);
-    STORE_EIGHT(line + STRAIN_REACH + c, sum);
+    for (int r = 0; r < WIDE_DOWN; ++r)
+      sum += down[r] * EIGHT_AT(plane + apart_down * (top + r) + apart_along * c);
+    STORE_EIGHT(line + REACH_ALONG + c, sum);
   }
+  TURN_ENDS(line)
   EACH_EIGHT {
     float8 sum = 0;
-    for (int t = 0; t < WIDE; ++t) sum += EIGHT_AT(along + t * LINE + c) * LOAD_EIGHT(line + c + t);
+    for (int t = 0; t < WIDE_ALONG; ++t)
+      sum += EIGHT_AT(along + t * LINE + c) * LOAD_EIGHT(line + c + t);
     STORE_EIGHT(slope + c, sum);
   }
 }
@@ -135,36 +150,38 @@ void spread_of_row(const int row, __global const float *weights, __global const 
  * votes of the window, for each node of a row; NaN where there is no vote. */
 void mean_weights(const int row, __global const float *weights, __global const float *variance,
                   __global const uchar *votes, float (*mean)[COLUMNS]) {
-  const int top = max(row - STRAIN_REACH, 0), bottom = min(row + STRAIN_REACH, ROWS - 1);
-  float scale[WIDE][COLUMNS], share[COLUMNS], line[COLUMNS + 2 * STRAIN_REACH];
-  for (int c = 0; c < COLUMNS + 2 * STRAIN_REACH; ++c) line[c] = 0;
-  for (int r = top; r <= bottom; ++r)
+  const int top = WINDOW_START(row, REACH_DOWN, ROWS);
+  float scale[WIDE_DOWN][COLUMNS], share[COLUMNS], line[COLUMNS + 2 * REACH_ALONG];
+  EACH_COLUMN line[REACH_ALONG + c] = 0;
+  for (int r = 0; r < WIDE_DOWN; ++r)
     EACH_COLUMN {
-      const float size = sqrt(variance[r * LINE + c]);
-      const int counts = votes[r * COLUMNS + c] && size >= 0;
-      scale[r - top][c] = counts ? size : 0.0f;
-      line[STRAIN_REACH + c] += counts;
+      const float size = sqrt(variance[(top + r) * LINE + c]);
+      const int counts = votes[(top + r) * COLUMNS + c] && size >= 0;
+      scale[r][c] = counts ? size : 0.0f;
+      line[REACH_ALONG + c] += counts;
     }
+  TURN_ENDS(line)
   EACH_COLUMN {
     float count = 0;
-    for (int t = 0; t < WIDE; ++t) count += line[c + t];
+    for (int t = 0; t < WIDE_ALONG; ++t) count += line[c + t];
     share[c] = count > 0 ? 1 / count : NAN;
   }
   for (int pair = 0; pair < PAIRS; ++pair) {
-    EACH_COLUMN line[STRAIN_REACH + c] = 0;
-    for (int r = top; r <= bottom; ++r) {
-      __global const float *from = weights + (pair * ROWS + r) * LINE;
-      EACH_COLUMN line[STRAIN_REACH + c] += scale[r - top][c] * from[c];
+    EACH_COLUMN line[REACH_ALONG + c] = 0;
+    for (int r = 0; r < WIDE_DOWN; ++r) {
+      __global const float *from = weights + (pair * ROWS + top + r) * LINE;
+      EACH_COLUMN line[REACH_ALONG + c] += scale[r][c] * from[c];
     }
+    TURN_ENDS(line)
     EACH_COLUMN mean[pair][c] = 0;
-    for (int t = 0; t < WIDE; ++t) EACH_COLUMN mean[pair][c] += line[c + t];
+    for (int t = 0; t < WIDE_ALONG; ++t) EACH_COLUMN mean[pair][c] += line[c + t];
     EACH_COLUMN mean[pair][c] *= share[c];
   }
 }
 
 /* The variance of the noise of a slope, for each node of a row: the quadratic form of the mean
- * weights. Its matrices are products of the filters behind the mean and behind the slope of a
- * window along an axis: `down` of this row, `along` of its nodes; first those of the same node,
+ * weights. Its matrices are products of the filters behind the value and behind the slope at a node
+ * along an axis: `down` of this row, `along` of its nodes; first those of the same node,
  * then those of nodes that are neighbours. shared: see `shared_with_neighbours`. */
 void noise_of_row(__global const float *down, __global const float *along, const float2 shared,
                   const float (*mean)[COLUMNS], float *noise) {
@@ -201,14 +218,15 @@ void noise_of_row(__global const float *down, __global const float *along, const
  * unknown. With the same weights in the whole window, a slope is one combination of its nodes. The
  * bias of smoothing is not in the noise of that, and shows in how far apart the slopes of the pairs
  * are; BIAS of that is added. common: the covariance of the noise of the coordinates over its mean
- * diagonal. span_down, span_along: the weights of the nodes of a window in its mean, and in its
- * slope, (2, ROWS, WIDE) and (2, WIDE, LINE); gram_*: see `noise_of_row`, of both. One work-item a
- * row. */
+ * diagonal. slope_down, slope_along: the weights of the nodes of a window in the value of the line
+ * at its node, and in the slope of the parabola there, (2, ROWS, WIDE_DOWN) and (2, WIDE_ALONG,
+ * LINE), these for the numbers around each node; gram_*: see `noise_of_row`, of both. One work-item
+ * a row. */
 __kernel void slopes(__global const float *weights, __global const float *estimate,
                      __global const float *values, __global const float *variance,
                      __global const uchar *votes,
                      __global const float *common, __global const float *rough,
-                     __global const float *span_down, __global const float *span_along,
+                     __global const float *slope_down, __global const float *slope_along,
                      __global const float *gram_down, __global const float *gram_along,
                      __global float *slopes) {
   const int row = get_global_id(0);
@@ -217,8 +235,8 @@ __kernel void slopes(__global const float *weights, __global const float *estima
   mean_weights(row, weights, variance, votes, mean);
   const float2 shared = shared_with_neighbours(rough);
   for (int turn = 0; turn < 2; ++turn) { /* the slope along the row, down the columns */
-    spread_of_row(row, weights, estimate, values, span_down + (turn * ROWS + row) * WIDE,
-                  span_along + (1 - turn) * WIDE * LINE, spread);
+    spread_of_row(row, weights, estimate, values, slope_down + (turn * ROWS + row) * WIDE_DOWN,
+                  slope_along + (1 - turn) * WIDE_ALONG * LINE, spread);
     noise_of_row(gram_down + (turn * 2 * ROWS + row) * FILTERS_DOWN * FILTERS_DOWN,
                  gram_along + (1 - turn) * 2 * FILTERS_ALONG * FILTERS_ALONG * COLUMNS, shared,
                  mean, noise);
@@ -250,13 +268,12 @@ void add_covariance(const float3 *axis_1, const float3 *axis_2, const float (*in
 }
 
 /* The covariance of a slope of node i, from that of the slope over the whole window; without a
- * filter the errors of the nodes, of that covariance, count as independent. own, whole: the
- * variance of the slope of independent errors of variance 1, over the valid nodes and over the
- * whole window. */
+ * filter the errors of the nodes, of that covariance, count as independent. own, more: see
+ * `fit_surfaces`. */
 void of_slope(__global const float *by_slope, __global const float *covariance, const int i,
-              const float own, const float whole, float3 *result) {
+              const float own, const float more, float3 *result) {
   const int known = !isnan(by_slope[i]);
-  const float share = known ? own / whole : own;
+  const float share = known ? more : own;
   __global const float *from = (known ? by_slope : covariance) + i;
 #if K == 3
   result[0] = share * (float3)(from[0], from[NODES], from[2 * NODES]);
@@ -270,57 +287,127 @@ void of_slope(__global const float *by_slope, __global const float *covariance, 
 #endif
 }
 
-/* Fit planes to the positions in the window around node i, at rest and now; return whether there
- * are enough nodes. slope: of both, by column and by row. own, whole: the variances of the two
- * slopes of independent errors of variance 1, over the valid nodes and over the whole window. */
-int fit_planes(const int i, __global const float *rest_position,
-               __global const float *displacement, __global const uchar *valid,
-               float3 (*slope)[2], float *own, float *whole) {
+/* The derivatives at a node of the terms 1 u v uu uv vv of a quadratic surface, by u and by v. x,
+ * y: the node, from the middle of its window. */
+void derivatives_at(const float x, const float y, float (*by)[TERMS]) {
+  const float by_u[TERMS] = {0, 1, 0, 2 * x, y, 0}, by_v[TERMS] = {0, 0, 1, 0, x, 2 * y};
+  for (int a = 0; a < TERMS; ++a) {
+    by[0][a] = by_u[a];
+    by[1][a] = by_v[a];
+  }
+}
+
+/* The weights of 3 x 3 nodes in the slopes of their surface at (x, y), as polynomials of these
+ * terms. */
+void weights_of_whole(const float x, const float y, float (*weight)[TERMS]) {
+  const float in_u[TERMS] = {-2 * x / 3, 1 / 6.0f, 0, x, y / 4, 0};
+  const float in_v[TERMS] = {-2 * y / 3, 0, 1 / 6.0f, 0, x / 4, y};
+  for (int a = 0; a < TERMS; ++a) {
+    weight[0][a] = in_u[a];
+    weight[1][a] = in_v[a];
+  }
+}
+
+/* The same of the valid ones of BEND_DOWN x BEND_ALONG nodes; return whether they determine the
+ * surface. */
+int weights_of_some(__global const uchar *valid, const int top, const int left,
+                    const float (*by)[TERMS], float (*weight)[TERMS]) {
+  float normal[TERMS][TERMS + 2];
+  for (int a = 0; a < TERMS; ++a)
+    for (int b = 0; b < TERMS + 2; ++b) normal[a][b] = b < TERMS ? 0 : by[b - TERMS][a];
+  for (int r = 0; r < BEND_DOWN; ++r)
+    for (int c = 0; c < BEND_ALONG; ++c) {
+      if (!valid[(top + r) * COLUMNS + left + c]) continue;
+      const float u = (float)(c - BEND_ALONG / 2), v = (float)(r - BEND_DOWN / 2);
+      const float term[TERMS] = {1, u, v, u * u, u * v, v * v};
+      for (int a = 0; a < TERMS; ++a)
+        for (int b = 0; b < TERMS; ++b) normal[a][b] += term[a] * term[b];
+    }
+  for (int pivot = 0; pivot < TERMS; ++pivot) {
+    if (!(normal[pivot][pivot] > LEAST_PIVOT)) return 0;
+    for (int a = 0; a < TERMS; ++a) {
+      if (a == pivot) continue;
+      const float share = normal[a][pivot] / normal[pivot][pivot];
+      for (int b = pivot; b < TERMS + 2; ++b) normal[a][b] -= share * normal[pivot][b];
+    }
+  }
+  for (int a = 0; a < TERMS; ++a)
+    for (int step = 0; step < 2; ++step)
+      weight[step][a] = normal[a][TERMS + step] / normal[a][a];
+  return 1;
+}
+
+/* Fit quadratic surfaces to the positions around node i, at rest and now; return whether the valid
+ * nodes determine them. Where one of the 3 x 3 nodes is missing, the surfaces are of those of
+ * BEND_DOWN x BEND_ALONG that are not. slope: of both at the node, by column and by row. more: the
+ * variances of the two slopes over those of a whole window in `slopes`. own: those of independent
+ * errors of variance 1. */
+int fit_surfaces(const int i, __global const float *rest_position,
+                 __global const float *displacement, __global const uchar *valid,
+                 float3 (*slope)[2], float *own, float *more) {
+  if (!REACH_DOWN || !REACH_ALONG) return 0;
   const int row = i / COLUMNS, column = i % COLUMNS;
-  const int top = max(row - STRAIN_REACH, 0), bottom = min(row + STRAIN_REACH, ROWS - 1);
-  const int left = max(column - STRAIN_REACH, 0), right = min(column + STRAIN_REACH, COLUMNS - 1);
-  float n = 0, x = 0, y = 0, xx = 0, xy = 0, yy = 0;
-  float sum[2][2][3], all[2][3]; /* at rest and now: of x and y times the values; of the values */
+  int down = REACH_DOWN, along = REACH_ALONG;
+  int top = WINDOW_START(row, down, ROWS), left = WINDOW_START(column, along, COLUMNS);
+  float x = (float)(column - left - along), y = (float)(row - top - down);
+  const float whole[2] = {(0.5f + 6 * x * x) * (1 / 3.0f + 0.5f * y * y),
+                          (0.5f + 6 * y * y) * (1 / 3.0f + 0.5f * x * x)};
+  int count = 0;
+  for (int r = top; r < top + WIDE_DOWN; ++r)
+    for (int c = left; c < left + WIDE_ALONG; ++c) count += valid[r * COLUMNS + c] != 0;
+  const int is_whole = count == WIDE_DOWN * WIDE_ALONG;
+  float by[2][TERMS], weight[2][TERMS];
+  if (is_whole) {
+    derivatives_at(x, y, by);
+    weights_of_whole(x, y, weight);
+  } else {
+    down = BEND_DOWN / 2;
+    along = BEND_ALONG / 2;
+    top = WINDOW_START(row, down, ROWS);
+    left = WINDOW_START(column, along, COLUMNS);
+    x = (float)(column - left - along);
+    y = (float)(row - top - down);
+    derivatives_at(x, y, by);
+    if (!weights_of_some(valid, top, left, by, weight)) return 0;
+  }
+  for (int step = 0; step < 2; ++step) {
+    own[step] = 0;
+    for (int a = 0; a < TERMS; ++a) own[step] += by[step][a] * weight[step][a];
+    if (!(own[step] < MOST_VARIANCE)) return 0;
+    more[step] = own[step] / whole[step];
+    if (!is_whole) more[step] = fmax(more[step], 1.0f); /* neighbours err alike */
+  }
+  float sum[2][2][3];
   for (int m = 0; m < 2; ++m)
-    for (int k = 0; k < 3; ++k) sum[m][0][k] = sum[m][1][k] = all[m][k] = 0;
-  for (int r = top; r <= bottom; ++r)
-    for (int c = left; c <= right; ++c) {
-      const int j = r * COLUMNS + c;
+    for (int k = 0; k < 3; ++k) sum[m][0][k] = sum[m][1][k] = 0;
+  for (int r = 0; r <= 2 * down; ++r) {
+    const float v = (float)(r - down);
+    float in_row[2][3];
+    for (int step = 0; step < 2; ++step) {
+      const float *of = weight[step];
+      in_row[step][0] = of[0] + v * (of[2] + v * of[5]);
+      in_row[step][1] = of[1] + v * of[4];
+      in_row[step][2] = of[3];
+    }
+    for (int c = 0; c <= 2 * along; ++c) {
+      const int j = (top + r) * COLUMNS + left + c;
       if (!valid[j]) continue;
-      const float u = (float)(c - column), v = (float)(r - row);
-      n += 1;
-      x += u;
-      y += v;
-      xx += u * u;
-      xy += u * v;
-      yy += v * v;
-      for (int k = 0; k < K; ++k) {
-        const float at_rest = rest_position[k * NODES + j] - rest_position[k * NODES + i];
-        const float now =
-            at_rest + (displacement[k * NODES + j] - displacement[k * NODES + i]);
-        all[0][k] += at_rest;
-        all[1][k] += now;
-        sum[0][0][k] += u * at_rest;
-        sum[0][1][k] += v * at_rest;
-        sum[1][0][k] += u * now;
-        sum[1][1][k] += v * now;
+      const float u = (float)(c - along);
+      for (int step = 0; step < 2; ++step) {
+        const float share = in_row[step][0] + u * (in_row[step][1] + u * in_row[step][2]);
+        for (int k = 0; k < K; ++k) {
+          const int at = k * NODES;
+          sum[0][step][k] += share * (rest_position[at + j] - rest_position[at + i]);
+          sum[1][step][k] += share * (displacement[at + j] - displacement[at + i]);
+        }
       }
     }
-  const float cxx = n * xx - x * x, cxy = n * xy - x * y, cyy = n * yy - y * y;
-  const float determinant = cxx * cyy - cxy * cxy; /* n times that of the normal equations */
-  if (n < LEAST_NODES || !(determinant > LEAST_DETERMINANT * n)) return 0;
-  for (int m = 0; m < 2; ++m) {
-    const float3 total = (float3)(all[m][0], all[m][1], all[m][2]);
-    const float3 by_x = n * (float3)(sum[m][0][0], sum[m][0][1], sum[m][0][2]) - x * total;
-    const float3 by_y = n * (float3)(sum[m][1][0], sum[m][1][1], sum[m][1][2]) - y * total;
-    slope[m][0] = (cyy * by_x - cxy * by_y) / determinant;
-    slope[m][1] = (cxx * by_y - cxy * by_x) / determinant;
   }
-  own[0] = n * cyy / determinant;
-  own[1] = n * cxx / determinant;
-  const float high = bottom - top + 1, wide = right - left + 1;
-  whole[0] = 12 / (high * wide * (wide * wide - 1));
-  whole[1] = 12 / (wide * high * (high * high - 1));
+  for (int step = 0; step < 2; ++step) {
+    slope[0][step] = (float3)(sum[0][step][0], sum[0][step][1], sum[0][step][2]);
+    slope[1][step] =
+        slope[0][step] + (float3)(sum[1][step][0], sum[1][step][1], sum[1][step][2]);
+  }
   return 1;
 }
 
@@ -338,8 +425,8 @@ __kernel void strain(__global const float *rest_position, __global const float *
   for (int p = 0; p < 6; ++p) strain_covariance[p * NODES + i] = NAN;
   if (!valid[i]) return;
   float3 slope[2][2];
-  float own[2], whole[2];
-  if (!fit_planes(i, rest_position, displacement, valid, slope, own, whole)) return;
+  float own[2], more[2];
+  if (!fit_surfaces(i, rest_position, displacement, valid, slope, own, more)) return;
   const float3 a1 = slope[0][0], a2 = slope[0][1];
   if (!(length(cross(a1, a2)) > 1e-9f * (dot_of(a1, a1) + dot_of(a2, a2)))) return;
 #if K == 2
@@ -369,8 +456,8 @@ __kernel void strain(__global const float *rest_position, __global const float *
   float found[6] = {0, 0, 0, 0, 0, 0};
   for (int step = 0; step < 2; ++step) {
     const int at = step * PRODUCTS * NODES;
-    of_slope(slopes + at, covariance, i, own[step], whole[step], by_step[step]);
-    of_slope(rest_slopes + at, rest_covariance, i, own[step], whole[step], rest_by_step[step]);
+    of_slope(slopes + at, covariance, i, own[step], more[step], by_step[step]);
+    of_slope(rest_slopes + at, rest_covariance, i, own[step], more[step], rest_by_step[step]);
   }
   add_covariance(now_1, now_2, inverse, by_step, found);
   add_covariance(before_1, before_2, inverse, rest_by_step, found);

@@ -4,6 +4,7 @@ NumPy, a spreadsheet and ParaView read them."""
 import base64
 import csv
 import dataclasses
+import functools
 import math
 import struct
 import xml.etree.ElementTree
@@ -165,6 +166,31 @@ def test_the_sigma_of_a_strain_counts_the_errors_that_neighbours_share():
         off = (field.strain - green(gradient_of(1e-2))) / field.strain_sigma
         relative.append(np.mean(np.square(off[4:-4, 4:-4])))
     assert math.sqrt(np.mean(relative)) == pytest.approx(1, abs=0.1)
+
+
+@SPACES
+def test_a_strain_is_that_at_its_node_also_at_a_border_and_beside_a_hole(space):
+    """Its gradient is constant: over nodes that lie to one side, their mean would be another."""
+    rest = gel(18, 19, depth=0)
+    x, y, flat = rest[..., 0], rest[..., 1], np.zeros((18, 19))
+    now = rest + np.stack([0.01 * x * x + 0.02 * x * y, 0.01 * y * y, 0.01 * x * x], axis=-1)
+    by_x = np.stack([1 + 0.02 * x + 0.02 * y, flat, 0.02 * x], axis=-1)
+    by_y = np.stack([0.02 * x, 1 + 0.02 * y, flat], axis=-1)
+    if not space:
+        rest, now, by_x, by_y = (each[..., :2] for each in (rest, now, by_x, by_y))
+    products = [(one * two).sum(axis=2) for one, two in ((by_x, by_x), (by_y, by_y), (by_x, by_y))]
+    truth = (np.stack(products, axis=-1) - [1, 1, 0]) / 2
+    now[6:11, 8:10] = now[3, 4] = np.nan
+    missing, beside = np.isnan(now[..., 0]), np.zeros((18, 19), bool)
+    beside[[0, -1]] = beside[:, [0, -1]] = beside[5:12, 7:11] = beside[2:5, 3:6] = True
+    exact = green_lagrange(rest, now)
+    np.testing.assert_allclose(exact[~missing], truth[~missing], rtol=0, atol=1e-9)
+    seen = points if space else functools.partial(grid_of, sigma=0.002)
+    rng = np.random.default_rng(11)
+    field = displacement(*(seen(xy + rng.normal(0, 0.002, xy.shape)) for xy in (rest, now)))
+    off = np.abs((field.with_strain().strain - truth) / field.with_strain().strain_sigma)
+    assert np.mean(off[beside & ~missing] < 1.96) > 0.9
+    assert off[~missing].max() < 6
 
 
 def test_a_homogeneous_deformation_has_its_strain_everywhere():

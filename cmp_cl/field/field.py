@@ -123,9 +123,9 @@ class DisplacementField:
         return principal_of(self.strain, self.strain_covariance)
 
     def with_strain(self) -> Self:
-        """Return the same field with its strain, fitted over 5 x 5 nodes, and its covariance.
+        """Return the same field with its strain, see `field.green_lagrange`, and its covariance.
 
-        Noise and the filter's weights are taken as constant within these nodes. Where the filter
+        Noise and the filter's weights are taken as constant within 3 x 3 nodes. Where the filter
         does not know the error, those of the nodes are taken as independent. Raises FieldError for
         a field before the lattice filter, and for one that was not measured.
         """

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, as_numbers
-from cmp_cl.filter import STRAIN_REACH
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-_LEAST_NODES = 6  # fewest nodes of a window to which a plane is fitted
+_MOST_VARIANCE = 10.0  # of a slope, where that of each node is 1
+_TERMS = ((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0))  # powers of row and column of a surface
 _AXES = {2: [(0, 1)], 3: [(0, 1), (0, 2), (1, 2)]}  # pairs of coordinates
 _UNKNOWN = math.pi / math.sqrt(12)  # rad, standard deviation of a completely unknown direction
 _DISTINCT = 3.0  # standard deviations: noise alone exceeds them in 1 % of cases (Rayleigh)
@@ -22,15 +22,15 @@ def green_lagrange(rest: Array, now: Array) -> Array:
     """Return the Green-Lagrange strain of a plane, or of a surface in its tangent plane at rest.
 
     rest, now: (R, C, 2) or (R, C, 3) positions of the same nodes, NaN where missing. Around each
-    node a plane in (column, row) is fitted to both by least squares, over the valid ones of the
-    5 x 5 nodes, to give the tangent vectors A = (a1, a2) at rest and B now. With A = Q U in
-    orthonormal axes Q, E = (U^-T B^T B U^-1 - I) / 2. In a plane, the axes are x and y. On a
-    surface, axis 1 runs along the rows, and axis 2 is perpendicular to it, towards the columns. A
-    rigid motion gives 0. On an outer line the window lies to one side: the strain is that of its
-    middle, one cell inwards, and half a cell on the next line.
+    node a quadratic surface in (column, row) is fitted to both by least squares, over 3 x 3 nodes,
+    or over the valid ones of 5 x 5 where one of these is missing; at a border they lie to one side.
+    Its tangent vectors at the node are A = (a1, a2) at rest and B now. With A = Q U in orthonormal
+    axes Q, E = (U^-T B^T B U^-1 - I) / 2. In a plane, the axes are x and y. On a surface, axis 1
+    runs along the rows, and axis 2 is perpendicular to it, towards the columns. A rigid motion
+    gives 0. The noise of unfiltered positions is not averaged over more nodes than these.
 
-    Returns (R, C, 3) E11, E22, E12 (half the engineering shear); NaN if the node is missing, if its
-    window has fewer than 6 nodes, or if these lie on a line.
+    Returns (R, C, 3) E11, E22, E12 (half the engineering shear); NaN if the node is missing, or if
+    the valid nodes do not determine the tangents.
 
     Raises FieldError if rest or now has another shape.
     """
@@ -41,7 +41,10 @@ def green_lagrange(rest: Array, now: Array) -> Array:
         )
     both = np.concatenate([rest, now], axis=2)
     valid = np.isfinite(both).all(axis=2)
-    size, slopes = rest.shape[2], _slopes_of(both, valid)
+    size, slopes = rest.shape[2], _slopes_of(both, valid, 2)
+    down, along = (_window(n, 1)[0] for n in valid.shape)
+    whole = down @ valid @ along.T > 8
+    slopes[whole] = _slopes_of(both, valid, 1)[whole]
     at_rest = slopes[..., :size]
     one, two = at_rest[..., 0, :], at_rest[..., 1, :]
     turns = [one[..., i] * two[..., j] - one[..., j] * two[..., i] for i, j in _AXES[size]]
@@ -86,26 +89,41 @@ def principal_of(strain: Array, covariance: Array) -> tuple[Array, Array, Array,
     )
 
 
-def _slopes_of(values: Array, valid: Bools) -> Array:
-    """Return the slopes per step along a row and along a column, (R, C, 2, K), of the plane that
-    fits the valid nodes of the window around each node best; NaN where no plane is determined.
+def _slopes_of(values: Array, valid: Bools, half: int) -> Array:
+    """Return the slopes per step along a row and along a column, (R, C, 2, K), at each node,
+    of the quadratic surface that fits the valid nodes of its window best; NaN where they determine
+    none.
 
-    values: (R, C, K). valid: (R, C).
+    values: (R, C, K). valid: (R, C). half: half width of the windows, nodes.
     """
-    down, along = (_window(n) for n in valid.shape)
+    down, along = (_window(n, half) for n in valid.shape)
     data = np.where(valid[..., None], values, 0).transpose(2, 0, 1)
-    sums = [down[p] @ data @ along[q].T for p, q in ((0, 0), (0, 1), (1, 0))]
-    inverse = _inverse_moments(valid)
-    slopes: Array = inverse[:, :, 1:] @ np.stack(sums).transpose(2, 3, 0, 1)
+    sums = np.stack([down[p] @ data @ along[q].T for p, q in _TERMS]).transpose(2, 3, 0, 1)
+    there = valid.astype(np.float64)
+    powers = [[(p + r, q + s) for r, s in _TERMS] for p, q in _TERMS]
+    moments = np.array([[down[p] @ there @ along[q].T for p, q in row] for row in powers])
+    moments = moments.transpose(2, 3, 0, 1)  # of integers
+    by = np.zeros((*valid.shape, 2, len(_TERMS)))  # the derivatives of the terms at the node
+    y, x = np.meshgrid(*(_aside(n, half) for n in valid.shape), indexing="ij")
+    by[..., 0, 1], by[..., 0, 3], by[..., 0, 4] = 1, 2 * x, y
+    by[..., 1, 2], by[..., 1, 4], by[..., 1, 5] = 1, x, 2 * y
+    fixed = np.linalg.det(moments) > 0.5
+    weights = np.linalg.solve(moments[fixed], by[fixed].swapaxes(1, 2)).swapaxes(1, 2)
+    slopes = np.full((*valid.shape, 2, values.shape[2]), np.nan)
+    slopes[fixed] = weights @ sums[fixed]
+    variance = np.full((*valid.shape, 2), np.inf)
+    variance[fixed] = (weights * by[fixed]).sum(axis=2)
+    slopes[(variance > _MOST_VARIANCE).any(axis=2)] = np.nan
     return slopes
 
 
 def surface_normals(positions: Array) -> Array:
     """Return the unit normals of a surface (R, C, 3) in the frame of the left camera.
 
-    positions: (R, C, 3), NaN where missing. A normal is that of the plane through the 5 x 5 nodes
+    positions: (R, C, 3), NaN where missing. A normal is that of the quadratic surface through
+        the 5 x 5 nodes
         around a node, and points to the side on which the origin is. It is NaN if the node is
-        missing, if fewer than 6 of these nodes are valid, or if all lie on a line.
+        missing, or if the valid ones of these nodes determine none.
 
     Raises FieldError if positions are of another shape.
     """
@@ -113,7 +131,7 @@ def surface_normals(positions: Array) -> Array:
     if positions.ndim != 3 or positions.shape[2] != 3:
         raise FieldError(f"positions must be (R, C, 3), not {positions.shape}")
     valid: NDArray[np.bool_] = np.all(np.isfinite(positions), axis=2)
-    along, down = np.moveaxis(_slopes_of(positions, valid), 2, 0)
+    along, down = np.moveaxis(_slopes_of(positions, valid, 2), 2, 0)
     normal = np.cross(along, down)
     length = np.linalg.norm(normal, axis=2)
     flat = length <= 1e-9 * np.linalg.norm(along, axis=2) * np.linalg.norm(down, axis=2)
@@ -124,24 +142,17 @@ def surface_normals(positions: Array) -> Array:
 
 
 @functools.lru_cache(maxsize=64)
-def _window(n: int) -> Array:
-    """Return three matrices (3, n, n): the offset from node to node to the power 0, 1 and 2, within
-    the window; 0 outside."""
-    offset = np.arange(n) - np.arange(n)[:, None]
-    inside = np.abs(offset) <= STRAIN_REACH
-    return np.stack([inside * offset.astype(np.float64) ** power for power in range(3)])
+def _window(n: int, half: int) -> Array:
+    """Return five matrices (5, n, n): the offset of each node from the middle of the window around
+    one, to the power 0 to 4, within the window; 0 outside."""
+    offset = np.arange(n) - (np.arange(n) - _aside(n, half))[:, None]
+    inside = np.abs(offset) <= min(half, (n - 1) // 2)
+    return np.stack([inside * offset**power for power in range(5)])
 
 
-def _inverse_moments(valid: Bools) -> Array:
-    """Return the inverse (R, C, 3, 3) of the normal equations of a plane a + b column + c row in
-    the window around each node; NaN where they determine none."""
-    down, along = (_window(n) for n in valid.shape)
-    there = valid.astype(np.float64)
-    one, c, r, cc, rc, rr = (
-        down[p] @ there @ along[q].T for p, q in ((0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0))
-    )
-    moments = np.array([[one, c, r], [c, cc, rc], [r, rc, rr]]).transpose(2, 3, 0, 1)
-    fixed = (one >= _LEAST_NODES) & (np.linalg.det(moments) > 1e-6)
-    inverse = np.full(moments.shape, np.nan)
-    inverse[fixed] = np.linalg.inv(moments[fixed])
-    return inverse
+def _aside(n: int, half: int) -> Array:
+    """Return how far each node lies from the middle of its window, (n,), which ends at the
+    border."""
+    nodes, half = np.arange(n), min(half, (n - 1) // 2)
+    aside: Array = (nodes - np.clip(nodes, half, n - 1 - half)).astype(np.float64)
+    return aside

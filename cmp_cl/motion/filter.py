@@ -32,6 +32,7 @@ from cmp_cl.motion.tables import (
     RISK_GAUSSIAN,
     axis_tables,
     in_lines,
+    turned,
 )
 from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.launches import GROUP, Launch, bound, constant, enqueue, multiple
@@ -61,7 +62,7 @@ class Filtered:
     raw_covariance: the same for the values before the filter.
     noise: (R, C), the standard deviation before the filter, by coordinate, NaN where unknown.
     slopes: planes (N, R, C) float32, for `strain_of`: the covariances of the slopes per step along
-        a row and along a column, over all 5 x 5 values around a node; None unless asked for.
+        a row and along a column, over all 3 x 3 values around a node; None unless asked for.
     """
 
     values: Array
@@ -322,8 +323,8 @@ class LatticeFilter:
             "pilot_along": in_lines(along.pilot),
             "pilot_own_down": down.pilot_own,
             "pilot_own_along": in_lines(along.pilot_own),
-            "span_down": down.span,
-            "span_along": in_lines(np.moveaxis(along.span, 1, 2)),
+            "slope_down": down.span,
+            "slope_along": in_lines(turned(along.span).swapaxes(1, 2)),
             "gram_down": down.gram,
             "gram_along": np.moveaxis(along.gram, 2, 4),
             "rows_noise": NOISE_GAUSSIAN,

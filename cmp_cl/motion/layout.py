@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.filter import STRAIN_REACH
 from cmp_cl.motion.tables import LANES, axis_tables
 from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.launches import GROUP, Launch, bound, multiple
@@ -37,7 +36,6 @@ def defines_of(shape: tuple[int, int], axes: int, device: Device) -> dict[str, s
         "FILTERS_DOWN": len(down.sides),
         "FILTERS_ALONG": len(along.sides),
         "PAIRS": len(down.sides) * len(along.sides),
-        "STRAIN_REACH": STRAIN_REACH,
         "BEND_DOWN": down.bend.shape[2],
         "BEND_ALONG": along.bend.shape[2],
     }

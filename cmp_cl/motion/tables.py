@@ -6,7 +6,7 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.filter import STRAIN_REACH, bend_half, derivatives, polynomial
+from cmp_cl.filter import bend_half, derivatives, polynomial, strain_half
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -27,10 +27,10 @@ class AxisTables:
     of a node in its own value, and the sum of the squares of all in it. pilot, pilot_own,
     pilot_side: the same for the filter that shows the noise. bend: (n, 3, S), the weights of the
     value of the line and of the first and second derivative of the parabola fitted to S nodes.
-    span: (2, n, W), the weights of the W nodes of the window of a strain in their mean, and in the
-    slope of the line fitted to them, 0 beyond the axis.
-    gram: (2, 2, n, F, F), for this mean and for this slope of what each filter gives, the products
-    of the weights of the nodes behind it: of a node with itself, and with its two neighbours.
+    span: (2, n, W), the weights of the W nodes of the window of a strain in the value of the line
+    and in the first derivative of the parabola fitted to them.
+    gram: (2, 2, n, F, F), for this value and this derivative of what each filter gives, the
+    products of the weights of the nodes behind it: of a node with itself, and with its neighbours.
     """
 
     sides: NDArray[np.int32]
@@ -52,8 +52,8 @@ def axis_tables(n: int) -> AxisTables:
     filters = np.stack([polynomial(n, *each) for each in fitting])
     pilot_side, pilot_degree = (3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0)
     pilot = polynomial(n, pilot_side, pilot_degree)
-    bends = [_windows(each, bend_half(n)) for each in derivatives(n)]
-    span = _spans(n)
+    half = strain_half(n)
+    fits = polynomial(n, half, 1), polynomial(n, half, 2, 1)
     return AxisTables(
         sides=np.array([side for side, _ in fitting], np.int32),
         filters=filters.transpose(0, 2, 1).astype(np.float32),
@@ -62,36 +62,17 @@ def axis_tables(n: int) -> AxisTables:
         pilot=pilot.T.astype(np.float32),
         pilot_own=np.diag(pilot).astype(np.float32),
         pilot_side=pilot_side,
-        bend=np.stack(bends, axis=1),
-        span=np.stack([_around(each) for each in span]),
-        gram=np.stack([_gram(each, filters) for each in span]),
+        bend=np.stack([_windows(each, bend_half(n)) for each in derivatives(n)], axis=1),
+        span=np.stack([_windows(each, half) for each in fits]),
+        gram=np.stack([_gram(each, filters) for each in fits]),
     )
 
 
-def _spans(n: int) -> Array:
-    """Return the weights of all nodes in the mean of the window of a strain around each node, and
-    in the slope of the line fitted to it, (2, n, n). Windows are cut at the ends."""
-    spans = np.zeros((2, n, n))
-    for node in range(n):
-        window = np.arange(max(node - STRAIN_REACH, 0), min(node + STRAIN_REACH + 1, n))
-        offset = window - window.mean()
-        spans[0, node, window] = 1 / len(window)
-        spans[1, node, window] = offset / max(np.square(offset).sum(), 1)
-    return spans
-
-
-def _around(span: Array) -> Single:
-    """Return the weights (n, n) of the nodes from STRAIN_REACH before each to as many behind."""
-    padded = np.pad(span, [(0, 0), (STRAIN_REACH, STRAIN_REACH)])
-    wide = 2 * STRAIN_REACH + 1
-    return np.stack([row[i : i + wide] for i, row in enumerate(padded)]).astype(np.float32)
-
-
-def _gram(span: Array, filters: Array) -> Single:
-    """Return `AxisTables.gram` of the mean or of the slope, for filters (F, n, n)."""
-    n = len(span)
+def _gram(fit: Array, filters: Array) -> Single:
+    """Return `AxisTables.gram` of a value or a derivative (n, n), for filters (F, n, n)."""
+    n = len(fit)
     apart = np.abs(np.arange(n)[:, None] - np.arange(n))
-    weights = np.einsum("iw,awj->iaj", span, filters)
+    weights = np.einsum("iw,awj->iaj", fit, filters)
     products = [weights @ (apart == lag) @ weights.transpose(0, 2, 1) for lag in (0, 1)]
     return np.stack(products).astype(np.float32)
 
@@ -111,6 +92,15 @@ def in_lines(rows: Single) -> Single:
     """Return rows (..., n) with zeros behind them, up to a whole number of vectors."""
     missing = -rows.shape[-1] % LANES
     return np.pad(rows, [(0, 0)] * (rows.ndim - 1) + [(0, missing)])
+
+
+def turned(weights: Single) -> Single:
+    """Return the weights (2, n, W) of windows for the numbers around each node, where the one
+    beyond an end is that of the node that a window there is moved to."""
+    size, found = weights.shape[2], weights.copy()
+    found[:, 0] = np.roll(weights[:, 0], size // 2, axis=1)
+    found[:, -1] = np.roll(weights[:, -1], -(size // 2), axis=1)
+    return found
 
 
 def _windows(matrix: Array, side: int) -> Single:

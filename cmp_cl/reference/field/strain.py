@@ -1,24 +1,28 @@
 """The strain of a filtered displacement and its covariance, node by node, in float64.
 
-1. A plane in (column, row) is fitted to the valid nodes of the 5 x 5 around a node, at rest and
-   now. A node has no strain with fewer than six of them, or if they lie on a line.
+1. A quadratic surface in (column, row) is fitted to the 3 x 3 nodes around a node, at rest and now,
+   and has slopes at the node. If one of the nine is missing, it is fitted to the valid ones of the
+   5 x 5, 3 on lines of three or four nodes. At a border windows are moved inwards. A node has no
+   strain if these nodes do not determine the surface, or if errors of variance 1 give a slope of a
+   variance of more than 10.
 2. On a surface, Q are orthonormal axes of the tangent plane at rest, axis 1 along its first slope;
    in a plane they are x and y. F are the current slopes along them: E = (F F' - I) / 2.
 3. The slope of a filtered displacement is a combination of nodes before the filter. Each node has
    the weights w_ab of the pairs of filters, times the deviation of its noise. They are replaced by
-   their mean over the votes of the 5 x 5, and the 5 x 5 by all of it that lies inside the lattice:
-   the slope weighs all nodes, by the mean along one axis and the slope of a line along the other.
-   The variance of its noise is the sum of the products of these weights over all pairs of nodes,
-   times their correlation. The coordinates covary as the residuals of the votes around do. The bias
-   of smoothing shows in how far apart the pairs are: half the covariance of their slopes, under the
-   weights of the node in the middle, is added.
+   their mean over the votes of the 3 x 3, of which all nodes count: the slope weighs them by the
+   value of a line at the node along one axis and the slope of a parabola along the other. The
+   variance of its noise is the sum of the products of these weights over all pairs of nodes, times
+   their correlation. The coordinates covary as the residuals of the votes around do. The bias of
+   smoothing shows in how far apart the pairs are: a quarter of the covariance of their slopes,
+   under the weights of the node, is added.
 4. Neighbours in a column correlate by a, those in a row by b. Let r be the second differences along
    rows of the second differences along columns, over the deviation of the noise, where all nine
    nodes have votes. For noise of variance v, the mean of r r is (36 - 48 a - 48 b) v, that of r and
    the r of the next row (42 a + 32 b - 24) v, of the next column (32 a + 42 b - 24) v. a and b are
    clipped to 0 and 1/4.
-5. Where nodes of the 5 x 5 are missing, the variance grows as that of the slope of independent
-   errors does. A slope whose variance is unknown has that of independent errors.
+5. The variance is that times the variance of the slope of independent errors by 1, over the same
+   by 3: less at a corner. Where a node of the 3 x 3 is missing it is not less, since errors of
+   neighbours are alike. A slope whose variance is unknown has that of independent errors.
 6. To first order dE = sym(F' dG + (F - (2 E + I) Q)' dA), with dG and dA the errors of the slopes
    of the displacement and of the position at rest along Q; on a surface the turn of axis 1 by
    Q2 . dA1 comes on top. The errors of different axes of the lattice are independent; those of the
@@ -33,8 +37,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-REACH = 2
+REACH, WIDE_REACH = 1, 2
 MOST_SHARED = 0.25
+MOST_VARIANCE = 10
 
 
 def shared(data: Floats, votes: Bools, variance: Floats) -> tuple[float, float]:
@@ -76,8 +81,7 @@ def slope_covariances(
     estimates: Floats,
     common: Floats,
 ) -> Floats:
-    """Return the covariances of the slopes by column and by row, (R, C, 2, K, K), over windows
-    without a hole.
+    """Return the covariances of the slopes by column and by row, (R, C, 2, K, K), by 3.
 
     weights: (A, B, R, C). size: (R, C), the deviation of the noise. filters: (A, R, R) and (B, C,
     C). correlations: a and b of 4. estimates: (A, B, R, C, K). common: (R, C, K, K), the covariance
@@ -98,37 +102,37 @@ def slope_covariances(
             continue
         mean = scaled[:, :, rows][..., columns].sum(axis=(2, 3)) / count
         down, along = filters[0][:, rows], filters[1][:, columns]
-        (mean_down, line_down), (mean_along, line_along) = (
-            _mean_and_line(down),
-            _mean_and_line(along),
-        )
         near = estimates[:, :, rows][:, :, :, columns]
-        for step, (one, two) in enumerate(((mean_down, line_along), (line_down, mean_along))):
-            slope = np.einsum("ab,ai,bj->ij", mean, one, two)
+        (value_down, slope_down), (value_along, slope_along) = (
+            _line_and_parabola(r, rows),
+            (_line_and_parabola(c, columns)),
+        )
+        for step, (one, two) in enumerate(((value_down, slope_along), (slope_down, value_along))):
+            slope = np.einsum("ab,s,asi,t,btj->ij", mean, one, down, two, along, optimize=True)
             variance = (slope * (together[0] @ slope @ together[1])).sum()
-            spread = _spread(weights[:, :, r, c], near, 3 - step)
-            found[r, c, step] = variance * common[r, c] + spread / 2
+            spread = _spread(weights[:, :, r, c], np.einsum("s,t,abstk->abk", one, two, near))
+            found[r, c, step] = variance * common[r, c] + spread / 4
     return found
 
 
-def _window(i: int, n: int) -> NDArray[np.intp]:
-    return np.arange(max(i - REACH, 0), min(i + REACH + 1, n))
+def _window(i: int, n: int, reach: int = REACH) -> NDArray[np.intp]:
+    """Return the nodes up to `reach` nodes from i, moved to lie within a line of n."""
+    reach = min(reach, (n - 1) // 2)
+    return np.arange(2 * reach + 1) + min(max(i - reach, 0), n - 1 - 2 * reach)
 
 
-def _spread(weights: Floats, near: Floats, axis: int) -> Floats:
-    """Return the covariance (K, K) of the slopes along an axis of windows (A, B, S, T, K) under
-    weights (A, B)."""
-    lines = near.mean(axis=5 - axis)  # (A, B, n, K)
-    off = np.arange(lines.shape[2]) - (lines.shape[2] - 1) / 2
-    slopes = np.einsum("n,abnk->abk", off, lines) / max(np.square(off).sum(), 1)
+def _spread(weights: Floats, slopes: Floats) -> Floats:
+    """Return the covariance (K, K) of slopes (A, B, K) under weights (A, B)."""
     apart = slopes - np.einsum("ab,abk->k", weights, slopes)
     return np.asarray(np.einsum("ab,abj,abk->jk", weights, apart, apart))
 
 
-def _mean_and_line(rows: Floats) -> tuple[Floats, Floats]:
-    """Return the mean and the slope over axis 1 of (A, S, n)."""
-    off = np.arange(rows.shape[1]) - (rows.shape[1] - 1) / 2
-    return rows.mean(axis=1), np.einsum("s,asn->an", off, rows) / max(np.square(off).sum(), 1)
+def _line_and_parabola(i: int, window: NDArray[np.intp]) -> tuple[Floats, Floats]:
+    """Return the weights of the nodes of a window in the value at node i of the line, and in the
+    slope there of the parabola, that fit them best."""
+    off = (window - i).astype(np.float64)
+    line, parabola = (np.linalg.pinv(np.vander(off, n, increasing=True)) for n in (2, 3))
+    return line[0], parabola[1]
 
 
 def strain(
@@ -140,24 +144,30 @@ def strain(
     """Return E11 E22 E12 (R, C, 3), and their covariance, (R, C, 3, 3).
 
     rest, displacement: (R, C, D). covariances: (R, C, D, D), of rest and displacement. slopes: the
-    same by column and by row of whole windows, (R, C, 2, D, D), NaN where unknown.
+    same by column and by row, by 3, (R, C, 2, D, D), NaN where unknown.
     """
     shape, size = rest.shape[:2], rest.shape[2]
     valid = np.isfinite(displacement[..., 0])
     found, covariance = np.full((*shape, 3), np.nan), np.full((*shape, 3, 3), np.nan)
     for r, c in zip(*np.nonzero(valid), strict=True):
-        whole = list(
-            itertools.product(*(_window(i, n) for i, n in zip((r, c), shape, strict=True)))
-        )
-        near = [node for node in whole if valid[node]]
-        of_whole, of_near = (
-            np.array([(1.0, j - c, i - r) for i, j in each]) for each in (whole, near)
-        )
-        if len(near) < 6 or np.linalg.matrix_rank(of_near) < 3:
+        rows, columns = (_window(i, n) for i, n in zip((r, c), shape, strict=True))
+        down, along = (_line_and_parabola(*each) for each in ((r, rows), (c, columns)))
+        whole = bool(valid[np.ix_(rows, columns)].all())
+        if not whole:
+            rows, columns = (_window(i, n, WIDE_REACH) for i, n in zip((r, c), shape, strict=True))
+        near = [node for node in itertools.product(rows, columns) if valid[node]]
+        v, u = np.transpose(near) - [[r], [c]]
+        terms = np.stack([np.ones(len(near)), u, v, u * u, u * v, v * v], axis=1)
+        if np.linalg.matrix_rank(terms) < 6:
             continue
-        fit = np.linalg.pinv(of_near)[1:]
+        fit = np.linalg.pinv(terms)[1:3]
         own = np.square(fit).sum(axis=1)
-        more = own / np.square(np.linalg.pinv(of_whole)[1:]).sum(axis=1)
+        if max(own) > MOST_VARIANCE:
+            continue
+        more = own / [
+            np.square(np.outer(*pair)).sum() for pair in ((down[0], along[1]), (down[1], along[0]))
+        ]
+        more = more if whole else np.maximum(more, 1)
         a = fit @ np.array([rest[node] for node in near])
         b = a + fit @ np.array([displacement[node] for node in near])
         inverse = np.linalg.inv(a if size == 2 else np.linalg.cholesky(a @ a.T))
