@@ -36,11 +36,10 @@
 /* What is counted in each view; a side is top, bottom, left or right. */
 #define LOST 0    /* nodes without a corner */
 #define CROSSED 1 /* nodes whose corner has the other colour */
-#define ASTRAY 2  /* nodes that are far from what the nodes around predict */
-#define BEYOND 3  /* free corners beyond a side, where the next line would be */
-#define GONE 7    /* lost nodes on a side */
-#define ADRIFT 11 /* lost nodes near a corner that is not like those of the neighbours */
-#define COUNTED 12
+#define BEYOND 2  /* free corners beyond a side, where the next line would be */
+#define GONE 6    /* lost nodes on a side */
+#define ADRIFT 10 /* lost nodes near a corner that is not like those of the neighbours */
+#define COUNTED 11
 
 /* The status of a node with this corner. */
 #define STATUS_OF(corner) (isnan((corner).w) ? ATTACHED : DETECTED)
@@ -253,7 +252,6 @@ __kernel void check(__global const float4 *corners, const float bins_per_px, con
   const int lost = kept[OF_NODE] < 0, between = sum > 0.5f;
   const int astray = !lost && between && off > STRAY_PX && off > most * cell;
   look[OF_NODE] = NONE;
-  if (astray) atomic_inc(own + ASTRAY);
   if (lost) {
     NEAREST(at[i], ADRIFT_CELLS * cell, claims[CORNERS + j] == 0)
     if (best >= 0 || nearest[OF_NODE] != NONE) atomic_inc(own + ADRIFT);

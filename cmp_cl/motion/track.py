@@ -28,7 +28,7 @@ BEYOND_ONE = 0.25  # the same of one side
 ADRIFT = 0.005  # largest share of the nodes that are lost beside a corner
 GONE = 0.50  # largest share of a side's nodes that are lost
 KNOWN = 0.95  # least share of the nodes that the frame at rest must show
-COUNTED = 12  # numbers for each view, as in kernels/track.cl
+COUNTED = 11  # numbers for each view, as in kernels/track.cl
 LEAST_ROOM = 4096  # corners of a view
 STENCIL = 24  # nodes that predict a node, at most, as in kernels/track.cl
 _BIN = 1.0  # cells at rest: side of a bin
@@ -39,14 +39,13 @@ _LEAST_BIN = 4.0  # px
 class Tracked:
     """What tracking found in a view.
 
-    lost, crossed, astray: nodes without a corner, with one of the other colour, and far from what
-    the nodes around predict. beyond, gone: by side (top, bottom, left, right), the free corners
-    beyond it and its lost nodes. adrift: lost nodes beside a corner that may be theirs.
+    lost, crossed: nodes without a corner, and with one of the other colour. beyond, gone: by side
+    (top, bottom, left, right), the free corners beyond it and its lost nodes. adrift: lost nodes
+    beside a corner that may be theirs.
     """
 
     lost: int
     crossed: int
-    astray: int
     beyond: tuple[int, ...]
     gone: tuple[int, ...]
     adrift: int
@@ -162,7 +161,7 @@ class Tracker:
         nodes: (V, R, C, 2) float32, px of the view, complete: a node without a position has a
             prediction. seen_status: (V, R, C) uint8 of `NodeStatus`. seen_sigma: (V, R, C) float32,
             px, not positive if unknown. owner: (V, R, C) int32, the corner of each node, -1 without
-            one. tracked: (V, 12) int32, what was counted.
+            one. tracked: (V, 11) int32, what was counted.
         """
         nodes = (views, *shape)
         return {
@@ -246,10 +245,9 @@ class Tracker:
             Tracked(
                 lost=counts[0],
                 crossed=counts[1],
-                astray=counts[2],
-                beyond=tuple(counts[3:7]),
-                gone=tuple(counts[7:11]),
-                adrift=counts[11],
+                beyond=tuple(counts[2:6]),
+                gone=tuple(counts[6:10]),
+                adrift=counts[10],
             )
             for counts in arrays["tracked"].tolist()
         ]

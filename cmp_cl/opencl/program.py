@@ -198,9 +198,10 @@ def _compiled(context: cl.Context, stage: str, text: str, options: list[str]) ->
 
 
 def _built(program: cl.Program, options: list[str]) -> cl.Program:
-    """Compile a program, without the compiler's warnings."""
+    """Compile a program, without the warnings of the compiler and of a cache that cannot be
+    written."""
     with _WARNINGS, warnings.catch_warnings():
-        warnings.simplefilter("ignore", cl.CompilerWarning)
+        warnings.simplefilter("ignore", UserWarning)
         program.build(options=options)
     return program
 

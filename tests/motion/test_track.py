@@ -150,7 +150,7 @@ def test_nodes_are_those_of_the_oracle(tracker_of):
             np.testing.assert_array_equal(arrays["owner"][view], expected.owner)
             np.testing.assert_array_equal(arrays["seen_status"][view], expected.status)
             np.testing.assert_allclose(arrays["nodes"][view], expected.nodes, rtol=0, atol=1e-3)
-            for name in ("crossed", "lost", "astray", "adrift"):
+            for name in ("crossed", "lost", "adrift"):
                 assert getattr(numbers[view], name) == getattr(expected, name), name
             assert numbers[view].beyond == tuple(expected.beyond)
             assert numbers[view].gone == tuple(expected.gone)

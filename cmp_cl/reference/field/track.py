@@ -33,8 +33,8 @@ _LINE = {(0, -1): 4 / 6, (0, 1): 4 / 6, (0, -2): -1 / 6, (0, 2): -1 / 6}
 class Found:
     """nodes: (R, C, 2). owner: (R, C), the corner, -1 without one. status: (R, C), 0 missing, 1
     with a corner, 2 with a rough one, whose sigma is unknown, 4 interpolated. crossed, lost,
-    astray, adrift: numbers of nodes with a corner of another colour, that failed, that are astray,
-    and that failed beside a corner. beyond, gone: (4,), free corners and failed nodes of each side,
+    adrift: numbers of nodes with a corner of another colour, that failed, and that failed beside
+    a corner. beyond, gone: (4,), free corners and failed nodes of each side,
     top, bottom, left, right. margin: the least distance of a quantity from its bound, px."""
 
     nodes: Floats
@@ -42,7 +42,6 @@ class Found:
     status: Ints
     crossed: int
     lost: int
-    astray: int
     adrift: int
     beyond: Ints
     gone: Ints
@@ -160,7 +159,6 @@ def track(before: Floats, nodes: Floats, corners: Floats, colour: int) -> Found:
         status=status,
         crossed=crossed,
         lost=int(np.count_nonzero(lost)),
-        astray=int(np.count_nonzero(astray)),
         adrift=adrift,
         beyond=beyond,
         gone=np.array(gone, np.int32),
