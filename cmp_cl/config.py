@@ -146,8 +146,9 @@ class RingHarmonic(Settings):
     noise: least response of a corner, standard deviations of the noise, 0 to 100; cells
         squeezed under 6 px need twice that.
     relative: least response of a corner as a share of the reference response of the frame, 0 to 1.
-        Half of it is enough if the response is at least 3/4 of the length of the second harmonic;
-        the share for squeezed cells is 5/3 as large.
+        Half of it is enough if the response is at least 3/4 of the length of the second harmonic,
+        a quarter if it is a fifth of the grey levels on the ring; the share for squeezed cells is
+        5/3 as large.
     fine: whether a ring of 3 px searches for cells squeezed under 6 px.
     octaves: how often the frame is halved at most, 0 to 3, to find corners whose squares ink, light
         or blur joins or parts; a shorter side of a halved frame has at least 48 px. With 0, cells

@@ -129,10 +129,11 @@ __kernel void coarse_maxima(__global const ushort *restrict fine_plane,
   const Harmonics middle = harmonics_of(RING_OF(coarse_plane, 4, 3), x, 4, 3);
   const Harmonics outer = harmonics_of(RING_OF(coarse_plane, 5, 4), x, 5, 4);
   if (!looks_alike(r, inner, middle, outer)) return;
-  const bool is_marked =
-      octave ? is_wide(r, harmonics_of(RING_OF(coarse_plane, 8, 6), x, 8, 6)) : is_clean(r, outer);
+  const int marks =
+      octave ? marks_of_halved(r, outer, harmonics_of(RING_OF(coarse_plane, 8, 6), x, 8, 6))
+             : marks_of(r, outer);
   const uint kind = KIND_OF_OCTAVE(octave);
-  append(response, p, x, y, marks_of(outer, is_marked), rows, step, capacity, &COUNT_OF(kind),
+  append(response, p, x, y, marks, rows, step, capacity, &COUNT_OF(kind),
          LIST_OF(kind));
 }
 
@@ -153,7 +154,7 @@ __kernel void fine_maxima(__global const ushort *restrict fine_plane,
   const Harmonics inner = harmonics_of(RING_OF(fine_plane, 2, 1), x, 2, 1);
   const Harmonics outer = harmonics_of(RING_OF(fine_plane, 3, 2), x, 3, 2);
   if (!are_aligned(4, inner, outer)) return;
-  append(response, p, x, y, marks_of(outer, false), rows, step, capacity, &COUNT_OF(1), LIST_OF(1));
+  append(response, p, x, y, direction_of(outer), rows, step, capacity, &COUNT_OF(1), LIST_OF(1));
 }
 
 #endif

@@ -30,6 +30,7 @@ FINEST: Ring = (2, 1)
 ALIGNMENT, FINE_ALIGNMENT = 8, 4
 SUPPORT = 32
 WIDE: Ring = (8, 6)
+CLEAN, DEEP = 1, 2
 LEAST_SIDE = 48  # px, of a halved frame
 OCTAVE_WIDE = 4  # the ring of 8 px responds at least one in so many
 OCTAVE_SHARE = 48  # least response of a corner of a halved frame, 1/128 of the reference
@@ -48,13 +49,15 @@ class Harmonics:
     """The harmonics of a ring at some pixels, each int64 of one shape.
 
     a, b: the second harmonic, a vector. length: about the length of that vector.
-    odd: sum of the differences between opposite samples. centre: |sum of the samples - 8 C|.
+    odd: sum of the differences between opposite samples. total: sum of the samples.
+    centre: |total - 8 C|.
     """
 
     a: Whole
     b: Whole
     length: Whole
     odd: Whole
+    total: Whole
     centre: Whole
 
 
@@ -63,9 +66,9 @@ class Maxima:
     """The maxima of one ring in a frame that was halved `halvings` times, in raster order, that
     pass the checks.
 
-    fine: whether the ring is that of 3 px. x, y: (N,) pixels of the halved frame. response, length:
-    (N,), of the ring. wide: (N,), the response of the ring of 8 px; 0 if `fine`. direction: (N, 2),
-    of the second harmonic, about UNIT long.
+    fine: whether the ring is that of 3 px. x, y: (N,) pixels of the halved frame. response, length,
+    total: (N,), of the ring. wide: (N,), the response of the ring of 8 px; 0 if `fine`. direction:
+    (N, 2), of the second harmonic, about UNIT long.
     """
 
     halvings: int
@@ -75,6 +78,7 @@ class Maxima:
     response: Whole
     length: Whole
     wide: Whole
+    total: Whole
     direction: Whole
 
     def of(self, some: NDArray[np.bool_]) -> "Maxima":
@@ -201,6 +205,7 @@ def layers_of(
                 response=response[y, x],
                 length=seen.length,
                 wide=np.where(fine, 0, wide),
+                total=seen.total,
                 direction=direction_of(seen),
             )
             yield Layer(once=once, thrice=thrice, response=response, maxima=found)
@@ -249,7 +254,10 @@ def decided(
     if not greatest and rule.fine:
         level = reference(layers[1].response)
     strong = [strong_enough(each, rule, level) for each in layers]
-    enough = [each.of(128 * each.response >= rule.coarse_share * level) for each in octaves]
+    enough = [
+        each.of((128 << weakened(each)) * each.response >= rule.coarse_share * level)
+        for each in octaves
+    ]
     every = [[each for each in strong if not each.halvings], *([each] for each in enough[1:])]
     kept: list[Maxima] = []
     for each in strong:
@@ -268,16 +276,25 @@ def decided(
 def strong_enough(found: Maxima, rule: RingHarmonic, level: int) -> Maxima:
     """Return the maxima that are strong enough against the reference.
 
-    Clean ones of the frame may be half as strong. In a halved frame the ring of 8 px must respond a
-    quarter as much: noise that looks like a corner on one ring is independent of it on the next.
+    In a halved frame only deep ones may be weaker, and the ring of 8 px must respond a quarter as
+    much: noise that looks like a corner on one ring is independent of it on the next.
     """
     if found.fine:
         return found.of(128 * found.response >= rule.fine_share * level)
     if found.halvings:
-        strong = 128 * found.response >= OCTAVE_SHARE * level
+        strong = (128 << (weakened(found) & DEEP)) * found.response >= OCTAVE_SHARE * level
         return found.of(strong & (OCTAVE_WIDE * found.wide >= found.response))
-    clean = 4 * found.response >= 3 * found.length  # weak at most in contrast; dirt loses more
-    return found.of(np.where(clean, 256, 128) * found.response >= rule.coarse_share * level)
+    return found.of((128 << weakened(found)) * found.response >= rule.coarse_share * level)
+
+
+def weakened(found: Maxima) -> Whole:
+    """Return how often each response may be half as weak: DEEP times if it is a fifth of the
+    samples' sum, weak at most in light, which multiplies both; else CLEAN times if little was
+    subtracted from the length, weak at most in contrast; dirt loses more. In a halved frame the
+    ring of 8 px must respond half as much."""
+    deep, clean = 5 * found.response >= found.total, 4 * found.response >= 3 * found.length
+    times = np.where(deep, DEEP, np.where(clean, CLEAN, 0))
+    return times if not found.halvings else np.where(2 * found.wide >= found.response, times, 0)
 
 
 def is_lone(
@@ -381,14 +398,15 @@ def harmonics(values: Whole, y: Whole, x: Whole, ring: Ring) -> Harmonics:
         )
         sums.append(one + opposite)
         odd += np.abs(one - opposite)
-    a, b = sums[0] - sums[2], sums[1] - sums[3]
+    a, b, total = sums[0] - sums[2], sums[1] - sums[3], np.sum(sums, axis=0)
     smaller, larger = np.minimum(abs(a), abs(b)), np.maximum(abs(a), abs(b))
     return Harmonics(
         a=a,
         b=b,
         length=larger + (smaller >> 2) + (smaller >> 3),
         odd=odd,
-        centre=np.abs(sum(sums) - 8 * values[y, x]),
+        total=total,
+        centre=np.abs(total - 8 * values[y, x]),
     )
 
 

@@ -405,12 +405,12 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
         if (fine) {
           const Harmonics two = harmonics_of(s1_2, x, 2, 1);
           if (!are_aligned(4, two, three)) continue;
-          marks = marks_of(three, false);
+          marks = direction_of(three);
         } else {
           const Harmonics four = harmonics_of(s3_4, x, 4, 3);
           const Harmonics five = harmonics_of(s3_5, x, 5, 4);
           if (!looks_alike(r, three, four, five)) continue;
-          marks = marks_of(five, n ? is_wide(r, harmonics_of(s3_8, x, 8, 6)) : is_clean(r, five));
+          marks = n ? marks_of_halved(r, five, harmonics_of(s3_8, x, 8, 6)) : marks_of(r, five);
         }
         const uint place = next_place(counts + kind, places + fine);
         if (place < capacity) append(list, place, capacity, x, y, marks, row - 2);

@@ -102,6 +102,15 @@ def test_a_corner_in_a_shadow_is_kept_if_it_is_clean():
     assert np.abs(corners_of(image, fine=False, relative=0.1).x - 184).min() <= 1
 
 
+def test_a_corner_in_a_deep_shadow_is_kept_by_its_contrast_to_the_grey_around_it():
+    """Of two corners with a twelfth of the contrast, only the one in the dark lacks light."""
+    whole = corner(20, 20, 0.4)
+    image = np.hstack([whole] * 3 + [whole // 12, whole // 12 + 100]).astype(np.uint8)
+    found = corners_of(image, fine=False).x
+    assert np.abs(found - 143).min() <= 1
+    assert np.abs(found - 184).min() > 3
+
+
 # --- extremes ------------------------------------------------------------------------------
 
 
