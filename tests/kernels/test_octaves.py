@@ -107,6 +107,21 @@ def test_noise_stronger_than_blurred_ink_is_no_corner(detector_in_form, seed, sm
     assert_found_alone(found, truth, 20)
 
 
+@pytest.mark.parametrize(
+    ("seed", "cell", "angle", "smooth", "strength"),
+    [(57, 43, 0.38, 2.0, 4), (84, 50, 0.64, 1.5, 4)],
+)
+def test_wide_cells_in_the_dark_have_corners_and_noise_there_has_none(
+    detector_in_form, seed, cell, angle, smooth, strength
+):
+    """A side has a tenth of the light. Noise there is as strong for its grey, on one ring."""
+    image, truth = images.board(*SHAPE, cell, angle=angle, blur=3, samples=3)
+    dim = np.geomspace(1, 0.1, SHAPE[1]) * image + strength * grain(SHAPE, smooth, seed)
+    image = dim.clip(0, 255).astype(np.uint8)
+    found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
+    assert_found_alone(found, truth, 20)
+
+
 @pytest.mark.parametrize("cell", [8, 12, 17])
 def test_a_faint_pattern_of_small_cells_beside_wide_ones_is_found(detector_in_form, cell):
     image, _ = images.board(*SHAPE, 60, angle=0.3, blur=0.7, samples=3)
