@@ -9,7 +9,7 @@
 #define MOST_VARIANCE 10.0f /* of a slope, where that of each node is 1 */
 #define LAGS 3 /* of second differences: with themselves, with the next row, the next column */
 #define MOST_SHARED 0.25f
-#define BIAS 0.25f /* of the covariance of the slopes of the pairs */
+#define BIAS 0.2f /* of the covariance of the slopes of the pairs */
 #define REACH_DOWN (ROWS > 2) /* nodes on each side of the middle of a window */
 #define REACH_ALONG (COLUMNS > 2)
 #define WIDE_DOWN (2 * REACH_DOWN + 1)

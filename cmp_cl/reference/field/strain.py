@@ -13,7 +13,7 @@
    value of a line at the node along one axis and the slope of a parabola along the other. The
    variance of its noise is the sum of the products of these weights over all pairs of nodes, times
    their correlation. The coordinates covary as the residuals of the votes around do. The bias of
-   smoothing shows in how far apart the pairs are: a quarter of the covariance of their slopes,
+   smoothing shows in how far apart the pairs are: a fifth of the covariance of their slopes,
    under the weights of the node, is added.
 4. Neighbours in a column correlate by a, those in a row by b. Let r be the second differences along
    rows of the second differences along columns, over the deviation of the noise, where all nine
@@ -111,7 +111,7 @@ def slope_covariances(
             slope = np.einsum("ab,s,asi,t,btj->ij", mean, one, down, two, along, optimize=True)
             variance = (slope * (together[0] @ slope @ together[1])).sum()
             spread = _spread(weights[:, :, r, c], np.einsum("s,t,abstk->abk", one, two, near))
-            found[r, c, step] = variance * common[r, c] + spread / 4
+            found[r, c, step] = variance * common[r, c] + spread / 5
     return found
 
 
