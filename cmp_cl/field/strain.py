@@ -121,9 +121,8 @@ def surface_normals(positions: Array) -> Array:
     """Return the unit normals of a surface (R, C, 3) in the frame of the left camera.
 
     positions: (R, C, 3), NaN where missing. A normal is that of the quadratic surface through
-        the 5 x 5 nodes
-        around a node, and points to the side on which the origin is. It is NaN if the node is
-        missing, or if the valid ones of these nodes determine none.
+        the 5 x 5 nodes around a node, and points to the side on which the origin is. It is NaN if
+        the node is missing, or if the valid ones of these nodes determine none.
 
     Raises FieldError if positions are of another shape.
     """
