@@ -36,12 +36,14 @@ int place_on(const int side, const int line, const int k, const int4 box, const 
 #define LINES_OF(side) ((side) < 2 ? height : width)
 #define LENGTH_OF(side) ((side) < 2 ? width : height)
 
-/* Take off the outer lines of a board that hold too few of their places in view, and keep the rest.
- * Things beside a pattern continue some of its columns, a further line of the pattern continues all
- * of them. node_kind: ROUGH, or FIRM: a corner, not rough, whose two cells of each colour are alike.
+/* Take off the outer lines of a board that hold too few of their places in view, and keep the rest,
+ * upright. Things beside a pattern continue some of its columns, a further line of the pattern
+ * continues all of them. The steps to the next column, and those to the next row turned back by a
+ * quarter, sum to a way that is nearest to the image's x axis then. node_kind: ROUGH, or FIRM: a corner, not rough, whose two cells of each colour are alike.
  * One work-group. */
 #define ROUGH 1
 #define FIRM 2
+#define IN_32THS(v) floor_of(32 * (v) + 0.5f)
 __kernel void cut_board(const uint rows, const uint columns, const float least_line,
                         const float edge, const float passing, __global const int *restrict layout,
                         __global const float2 *restrict result,
@@ -93,8 +95,33 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
   }
   const int height = LARGER(box.y - box.x, 0), across = LARGER(box.w - box.z, 0);
   const int all = height && across ? height * across : 0;
+  __local int way_x, way_y;
+  if (get_local_id(0) == 0) way_x = way_y = 0;
+  ALL_TOGETHER;
   FOR_ALL(place, all) {
     const int from = (box.x + place / across) * width + box.z + place % across;
+    if (owner[from] < 0) continue;
+    if (place % across + 1 < across && owner[from + 1] >= 0) {
+      const float2 step = result[from + 1] - result[from];
+      atomic_add(&way_x, IN_32THS(step.x));
+      atomic_add(&way_y, IN_32THS(step.y));
+    }
+    if (place / across + 1 < height && owner[from + width] >= 0) {
+      const float2 step = result[from + width] - result[from];
+      atomic_add(&way_x, IN_32THS(step.y));
+      atomic_sub(&way_y, IN_32THS(step.x));
+    }
+  }
+  ALL_TOGETHER;
+  const bool flat = MAGNITUDE_OF(way_x) >= MAGNITUDE_OF(way_y);
+  const int quarters = flat ? (way_x < 0 ? 2 : 0) : (way_y < 0 ? 1 : 3);
+  const int2 size = quarters & 1 ? (int2)(across, height) : (int2)(height, across);
+  FOR_ALL(place, all) {
+    const int r = place / size.y, c = place % size.y;
+    const int row = quarters == 0 ? r : quarters == 1 ? c : height - 1 - (quarters == 2 ? r : c);
+    const int column =
+        quarters == 0 ? c : quarters == 3 ? r : across - 1 - (quarters == 2 ? c : r);
+    const int from = (box.x + row) * width + box.z + column;
     nodes[place] = result[from];
     node_owner[place] = owner[from];
     /* The least bright less the greatest dark level of its cells, and twice their contrast. */
@@ -103,9 +130,10 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
     node_kind[place] = rough[from] ? ROUGH : owner[from] >= 0 && alike ? FIRM : 0;
   }
   if (get_local_id(0)) return;
-  border[ROWS_OF] = all ? height : 0;
-  border[COLUMNS_OF] = all ? across : 0;
-  border[SIGN_OF] = (box.x + box.z) & 1 ? -layout[SIGN] : layout[SIGN];
+  const int passed = quarters == 0 ? 0 : quarters == 1 ? across : quarters == 2 ? height + across : height;
+  border[ROWS_OF] = all ? size.x : 0;
+  border[COLUMNS_OF] = all ? size.y : 0;
+  border[SIGN_OF] = (box.x + box.z + passed) & 1 ? -layout[SIGN] : layout[SIGN];
 }
 
 /* The position of a corner's node, NAN without one. */
@@ -150,8 +178,8 @@ float last_over_next(__global const float2 *nodes, __global const int *node_owne
   for (int k = 0; k < LENGTH_OF(side) && LINES_OF(side) > 2; ++k) {
     const float2 inner = AT(side, 1, k), a = AT(side, 0, k) - inner, b = inner - AT(side, 2, k);
     if (!IS_HERE(a) || !IS_HERE(b)) continue;
-    last += floor_of(32 * length_of(a) + 0.5f);
-    before += floor_of(32 * length_of(b) + 0.5f);
+    last += IN_32THS(length_of(a));
+    before += IN_32THS(length_of(b));
   }
   const float root = inverse_root((float)last);
   return last ? (float)before * (root * root) : 1.0f;

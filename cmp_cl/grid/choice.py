@@ -85,6 +85,8 @@ class Found:
         surface through both sides does not bend far more at any other place; 0 if it does."""
         board, unsure = self.board, 0
         for axis, lines in enumerate(self.lines):
+            if lines.all():
+                continue
             held = np.flatnonzero(lines)
             for last in held[:-1][np.diff(held) > 1]:
                 line = np.indices(board.owner.shape)[axis]

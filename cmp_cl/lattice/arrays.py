@@ -1,6 +1,5 @@
 """The arrays of the lattice, from parts to boards."""
 
-import cmath
 import dataclasses
 import functools
 from typing import Any, NamedTuple, TypeVar
@@ -129,7 +128,9 @@ class Board:
     @functools.cached_property
     def at(self) -> Numbers:
         """Return the positions of corners, px, NaN where there is none, (R, C)."""
-        at: Numbers = np.where(self.owner >= 0, self.x + 1j * self.y.astype(np.float64), np.nan)
+        at = np.empty(self.x.shape, np.complex128)
+        at.real, at.imag = self.x, self.y
+        at[self.owner < 0] = np.nan
         return at
 
     @functools.cached_property
@@ -154,12 +155,6 @@ class Board:
             steps.append(complex(known.mean()) if len(known) else 0j)
         along, down = steps
         return along or -1j * down, down or 1j * along
-
-    def upright(self) -> "Board":
-        """Return the board turned so that its columns follow the image's x axis."""
-        along, down = self.steps
-        away = [abs(cmath.phase(way)) for way in (along, down, -along, -down)]
-        return self.turned(away.index(min(away)))
 
     def parity(self) -> Whole:
         """Return `sign` at every node, (R, C)."""

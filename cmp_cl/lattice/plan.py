@@ -288,7 +288,7 @@ class LatticePlan:
             sign=sign,
             border=Border.of(found[kernels.SIDES :]),
         )
-        return layout, board.upright()
+        return layout, board
 
     def fetch(self, *wanted: tuple[str, Any, int]) -> list[NDArray[Any]]:
         """Return the first elements of arrays after the launches: names, dtypes, counts."""

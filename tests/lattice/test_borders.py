@@ -10,7 +10,7 @@ from lattice_plans import K, gel, plan_for, started
 from cmp_cl import detect
 from cmp_cl.lattice.arrays import NONE, UNSEEN, Board, Border
 from cmp_cl.lattice.kernels import FIRM, LAYOUT, ROUGH, SIDES
-from cmp_cl.reference.lattice.borders import Sides, trimmed
+from cmp_cl.reference.lattice.borders import Sides, trimmed, upright
 
 
 def settled(device, image, corners, full_scale=255):
@@ -72,8 +72,8 @@ def test_parts_of_boards(device, seed):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_outer_lines_of_few_nodes_are_taken_off(device, seed):
-    """A full board with up to three lines at each side that hold a share of their nodes, some of
-    whose places lie outside the image."""
+    """A full board, turned by any angle, with up to three lines at each side that hold a share of
+    their nodes, some of whose places lie outside the image."""
     draw = np.random.default_rng(seed)
     shape, (rows, columns) = (240, 320), draw.integers(8, 16, 2)
     nodes = np.ones((rows, columns), np.bool_)
@@ -82,8 +82,9 @@ def test_outer_lines_of_few_nodes_are_taken_off(device, seed):
             way[line] &= draw.random(way.shape[1]) < draw.choice([0.3, 0.75, 0.85, 1.0])
     nodes = np.pad(nodes, 1)
     row, column = np.indices(nodes.shape)
-    turn = np.exp(1j * draw.uniform(-0.4, 0.4))
-    at = (column + 1j * row) * turn * 15 + complex(*draw.uniform(-10, 90, 2))
+    turn = np.exp(1j * draw.uniform(0, 2 * np.pi))
+    away = column - columns / 2 + 1j * (row - rows / 2)
+    at = away * turn * 15 + complex(*draw.uniform((100, 80), (220, 160)))
     x, y = (np.where(nodes, each, np.nan).astype(np.float32) for each in (at.real, at.imag))
     owner = np.where(nodes, row * nodes.shape[1] + column, NONE)
     torn, alike = draw.random((2, *nodes.shape)) < [[[0.1]], [[0.8]]]
@@ -100,7 +101,7 @@ def test_outer_lines_of_few_nodes_are_taken_off(device, seed):
         np.stack([np.where(alike, 40, 30), np.full(nodes.shape, 100)], axis=2).astype(np.int32),
     )
     plan.enqueue([each for each in plan.lay if each[0] == "cut_board"])
-    wanted = trimmed(board, shape, K)
+    wanted = upright(trimmed(board, shape, K))
     count = wanted.owner.size
     assert plan.read("border", np.int32, 3).tolist() == [*wanted.owner.shape, wanted.sign]
     np.testing.assert_array_equal(plan.read("node_owner", np.int32, count), wanted.owner.ravel())

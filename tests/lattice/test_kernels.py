@@ -86,10 +86,9 @@ def assert_equal_to_the_oracle(device, image, corners, *, change=None, full_scal
     board = board_of(numbers, corners.xy, torn)
     taken = numbers[:, 3] == TAKEN
     wanted = lattice_nodes.settled(plane, corners.xy, torn, board, K, taken)
-    wanted = borders.trimmed(wanted, image.shape, K)
+    wanted = borders.upright(borders.trimmed(wanted, image.shape, K))
     sides = borders.Sides(wanted, image, K)
     assert plan.read("border", np.int32)[SIDES:].tolist() == sides.found()
-    wanted = wanted.upright()
     for name in ("owner", "firm", "x", "y"):
         np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), err_msg=name)
     np.testing.assert_array_equal(found.torn & found.there, wanted.torn & wanted.there)

@@ -67,6 +67,21 @@ def trimmed(board: Board, shape: tuple[int, int], k: LatticeConstants) -> Board:
     )
 
 
+def upright(board: Board) -> Board:
+    """Return the board turned so that its columns follow the image's x axis: the sum of the steps
+    to the next column, and of those to the next row, turned back by a quarter, 1/32 px."""
+    x, y = (np.where(board.owner >= 0, each, F(np.nan)) for each in (board.x, board.y))
+    (ax, ay), (dx, dy) = ([_sum_of(np.diff(each, axis=axis)) for each in (x, y)] for axis in (1, 0))
+    way = ax + dy, ay - dx
+    if abs(way[0]) >= abs(way[1]):
+        return board.turned(2 if way[0] < 0 else 0)
+    return board.turned(1 if way[1] < 0 else 3)
+
+
+def _sum_of(steps: Real) -> int:
+    return int(np.floor(F(32) * steps[~np.isnan(steps)] + F(0.5)).astype(np.int64).sum())
+
+
 def _ways(a: NDArray[Any]) -> list[NDArray[Any]]:
     """Return an array as seen from the top, the bottom, the left and the right: row 0 is the last
     line there."""
