@@ -204,7 +204,7 @@ def pressed_by_1_mm(rig, rest, rng):
 
 def test_a_press_is_right_to_a_percent_and_its_bias_sigma_covers_it():
     rng, windows, presses = np.random.default_rng(2), [], []
-    for _ in range(12):
+    for _ in range(8):
         rest = pattern(tilt=rng.normal(0, 0.02, 2))
         found = fitted(drawn(rng), views(rest, rng))
         windows.append(errors(found.window)[:3] / np.sqrt(np.diag(found.covariance)[22:25]))

@@ -53,7 +53,7 @@ def source(stage: str, macros: Mapping[str, str] | None = None) -> str:
     macros: function-like macros, "NAME(ARGUMENTS)" to text. Those that the source names are
         inserted before it.
     """
-    text = "\n".join(_with_headers(f"{stage}.cl", set()))
+    text = _text(kernel_folder(), f"{stage}.cl")
     named = {name: body for name, body in (macros or {}).items() if _names(text, name)}
     return "\n".join([*(f"#define {name} {body}" for name, body in named.items()), text])
 
@@ -68,17 +68,22 @@ def _words(text: str) -> frozenset[str]:
     return frozenset(re.findall(r"\w+", _COMMENT.sub(" ", text)))
 
 
-def _with_headers(name: str, seen: set[str]) -> list[str]:
+@functools.cache
+def _text(folder: Path, name: str) -> str:
+    return "\n".join(_with_headers(folder, name, set()))
+
+
+def _with_headers(folder: Path, name: str, seen: set[str]) -> list[str]:
     """Return the lines of a file, in place of every #include those of the header."""
     lines = [f'#line 1 "{name}"']
-    path = kernel_folder() / name
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 2):
+    text = (folder / name).read_text(encoding="utf-8")
+    for number, line in enumerate(text.splitlines(), 2):
         header = _INCLUDE.fullmatch(line)
         if header is None:
             lines.append(line)
         elif header[1] not in seen:
             seen.add(header[1])
-            lines += [*_with_headers(header[1], seen), f'#line {number} "{name}"']
+            lines += [*_with_headers(folder, header[1], seen), f'#line {number} "{name}"']
         else:
             lines.append("")
     return lines

@@ -1,5 +1,6 @@
 """Images of black and white corners at known positions, for tests."""
 
+import functools
 import math
 
 import cv2
@@ -25,6 +26,7 @@ def corner(x: float, y: float, angle: float, *, opening: float = math.pi / 2) ->
     return np.rint(grey).astype(np.uint8)
 
 
+@functools.cache
 def board(
     rows: int,
     columns: int,
@@ -42,6 +44,7 @@ def board(
     camera = boards.plane(cell=cell, middle=(0, 0), about=(0.37, 0.21), turn=math.degrees(angle))
     size = rows, columns
     view = boards.drawn(camera, size, levels=(40, 200), blur=blur, noise=0, count=samples)
+    view.image.flags.writeable = False  # all who ask for it share it
     return view.image, view.corners[boards.inside(view.corners, size, 6), :2]
 
 

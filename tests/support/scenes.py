@@ -188,6 +188,7 @@ def board(number: int = 0, **given: object) -> View:
     return drawn(camera, SIZE, BOARD, seed=number, **given)
 
 
+@functools.cache
 def endless(number: int = 0, wear: float = 0.03, **camera: object) -> View:
     """Return a pattern without an end; camera: as for `plane`."""
     given = {"cell": 12.0, "middle": (200.0, 150.0), "turn": 4.0, "about": (0.3, 0.2)} | camera
