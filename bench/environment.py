@@ -43,7 +43,6 @@ def environment() -> dict[str, Any]:
         "cpu": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
         "system": f"{platform.system()} {platform.release()}",
-        "threads_opencv": cv2.getNumThreads(),
         "packages": packages,
         "others": others(),
     }
