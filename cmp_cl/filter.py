@@ -82,10 +82,25 @@ def bend_half(n: int) -> int:
     return min(_HALF, (n - 1) // 2)
 
 
-def strain_half(n: int) -> int:
-    """Return the half width of the window of a strain along lines of n nodes, where all of its
-    nodes stand. The filter has averaged already: a wider one smooths beyond its sigma."""
-    return min(1, (n - 1) // 2)
+@functools.lru_cache(maxsize=4)
+def surface_slopes(half: int, degree: int) -> Array:
+    """Return the weights of n x n nodes in the slopes of the surface that fits them best.
+
+    half: half width of the window of n nodes. degree: of the polynomial in (column, row).
+
+    Returns (n, n, 2, n, n): by row and column of the node in the window, the slopes per step along
+    the row and along the column.
+    """
+    size = 2 * half + 1
+    off = np.arange(size) - np.arange(size)[:, None]
+    powers = [(p, q) for p in range(degree + 1) for q in range(degree + 1 - p)]
+    weights = np.empty((size, size, 2, size, size))
+    for r, c in np.ndindex(size, size):
+        terms = [np.outer(off[r] ** p, off[c] ** q).ravel() for p, q in powers]
+        fit = np.linalg.pinv(np.transpose(terms).astype(np.float64))
+        slopes = fit[[powers.index((0, 1)), powers.index((1, 0))]]
+        weights[r, c] = slopes.reshape(2, size, size)
+    return weights
 
 
 def polynomial(n: int, half: int, degree: int, order: int = 0) -> Array:

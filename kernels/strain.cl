@@ -1,15 +1,19 @@
 #include "field.clh"
 
 /* The strain of a plane or of a surface in its tangent plane at rest, and its covariance:
- * cmp_cl/reference/field/strain.py has the equations. A quadratic surface is fitted to the window
- * of 3 x 3 nodes around each node, which is moved inwards at a border. */
+ * cmp_cl/reference/field/strain.py has the equations. A surface is fitted to a window of nodes
+ * around each node, which is moved inwards at a border. */
 
 #define TERMS 6
 #define LEAST_PIVOT 1e-3f   /* of normal equations whose coefficients are integers */
 #define MOST_VARIANCE 10.0f /* of a slope, where that of each node is 1 */
 #define LAGS 3 /* of second differences: with themselves, with the next row, the next column */
 #define MOST_SHARED 0.25f
-#define BIAS 0.2f /* of the covariance of the slopes of the pairs */
+#define CHOSEN 1.15f /* times the variance: the weights were chosen by the noise they average */
+#define APART 3.0f /* times the square of how far apart two surfaces are */
+#define SIDE 3 /* nodes, of the window of a quadratic surface, and of a cubic one */
+#define CUBIC_SIDE 5
+#define WEIGHTS (CUBIC_SIDE * CUBIC_SIDE)
 #define REACH_DOWN (ROWS > 2) /* nodes on each side of the middle of a window */
 #define REACH_ALONG (COLUMNS > 2)
 #define WIDE_DOWN (2 * REACH_DOWN + 1)
@@ -89,63 +93,6 @@ float2 shared_with_neighbours(__global const float *sums) {
   return clamp((float2)(both + apart, both - apart) / (2 * v), 0.0f, MOST_SHARED);
 }
 
-/* The slope of the windows around the nodes of a row in a plane whose rows, and whose columns, lie
- * so far apart. down: the weights of the window of the row, (WIDE_DOWN). along: those of its nodes,
- * (WIDE_ALONG, LINE), for the numbers around them. */
-void slopes_of_row(const int row, __global const float *plane, const int apart_down,
-                   const int apart_along, __global const float *down,
-                   __global const float *along, float *slope) {
-  float line[LINE + 2 * REACH_ALONG];
-  const int top = WINDOW_START(row, REACH_DOWN, ROWS);
-  for (int t = 0; t < REACH_ALONG; ++t) line[LINE + REACH_ALONG + t] = 0;
-  EACH_EIGHT {
-    float8 sum = 0;
-    for (int r = 0; r < WIDE_DOWN; ++r)
-      sum += down[r] * EIGHT_AT(plane + apart_down * (top + r) + apart_along * c);
-    STORE_EIGHT(line + REACH_ALONG + c, sum);
-  }
-  TURN_ENDS(line)
-  EACH_EIGHT {
-    float8 sum = 0;
-    for (int t = 0; t < WIDE_ALONG; ++t)
-      sum += EIGHT_AT(along + t * LINE + c) * LOAD_EIGHT(line + c + t);
-    STORE_EIGHT(slope + c, sum);
-  }
-}
-
-/* How far the slopes that the pairs of filters give are from their mean, for each node of a row:
- * their covariance under the weights of the node, (PRODUCTS, LINE). Slopes are taken less that of
- * the filtered values, which is near their mean. */
-void spread_of_row(const int row, __global const float *weights, __global const float *estimate,
-                   __global const float *values, __global const float *down,
-                   __global const float *along, float (*spread)[LINE]) {
-  float filtered[K][LINE], mean[K][LINE], apart[K][LINE];
-  for (int k = 0; k < K; ++k) {
-    slopes_of_row(row, values + k * PLANE, LINE, 1, down, along, filtered[k]);
-    for (int c = 0; c < LINE; ++c) mean[k][c] = 0;
-  }
-  for (int p = 0; p < PRODUCTS; ++p)
-    for (int c = 0; c < LINE; ++c) spread[p][c] = 0;
-  for (int pair = 0; pair < PAIRS; ++pair) {
-    __global const float *weight = weights + (pair * ROWS + row) * LINE;
-    for (int k = 0; k < K; ++k) {
-      slopes_of_row(row, estimate + (k * PAIRS + pair) * PLANE, LANES, ROWS, down, along, apart[k]);
-      for (int c = 0; c < LINE; ++c) {
-        apart[k][c] -= filtered[k][c];
-        mean[k][c] += weight[c] * apart[k][c];
-      }
-    }
-    int p = 0;
-    for (int j = 0; j < K; ++j)
-      for (int k = j; k < K; ++k, ++p)
-        for (int c = 0; c < LINE; ++c) spread[p][c] += weight[c] * apart[j][c] * apart[k][c];
-  }
-  int p = 0;
-  for (int j = 0; j < K; ++j)
-    for (int k = j; k < K; ++k, ++p)
-      for (int c = 0; c < LINE; ++c) spread[p][c] -= mean[j][c] * mean[k][c];
-}
-
 /* The weights of the pairs of filters, times the deviation of the noise, in their mean over the
  * votes of the window, for each node of a row; NaN where there is no vote. */
 void mean_weights(const int row, __global const float *weights, __global const float *variance,
@@ -215,34 +162,27 @@ void noise_of_row(__global const float *down, __global const float *along, const
 
 /* The covariances of the coordinates of the slopes of the filtered values over whole windows, per
  * node step: PRODUCTS planes along the rows and as many along the columns, NaN where they are
- * unknown. With the same weights in the whole window, a slope is one combination of its nodes. The
- * bias of smoothing is not in the noise of that, and shows in how far apart the slopes of the pairs
- * are; BIAS of that is added. common: the covariance of the noise of the coordinates over its mean
- * diagonal. slope_down, slope_along: the weights of the nodes of a window in the value of the line
- * at its node, and in the slope of the parabola there, (2, ROWS, WIDE_DOWN) and (2, WIDE_ALONG,
- * LINE), these for the numbers around each node; gram_*: see `noise_of_row`, of both. One work-item
- * a row. */
-__kernel void slopes(__global const float *weights, __global const float *estimate,
-                     __global const float *values, __global const float *variance,
+ * unknown. With the same weights in the whole window, a slope is one combination of its nodes.
+ * common: the covariance of the noise of the coordinates over its mean diagonal. gram_*: see
+ * `noise_of_row`, of the value of the line at a node and of the slope of the parabola there. One
+ * work-item a row. */
+__kernel void slopes(__global const float *weights, __global const float *variance,
                      __global const uchar *votes,
                      __global const float *common, __global const float *rough,
-                     __global const float *slope_down, __global const float *slope_along,
                      __global const float *gram_down, __global const float *gram_along,
                      __global float *slopes) {
   const int row = get_global_id(0);
   if (row >= ROWS) return;
-  float mean[PAIRS][COLUMNS], noise[COLUMNS], spread[PRODUCTS][LINE];
+  float mean[PAIRS][COLUMNS], noise[COLUMNS];
   mean_weights(row, weights, variance, votes, mean);
   const float2 shared = shared_with_neighbours(rough);
   for (int turn = 0; turn < 2; ++turn) { /* the slope along the row, down the columns */
-    spread_of_row(row, weights, estimate, values, slope_down + (turn * ROWS + row) * WIDE_DOWN,
-                  slope_along + (1 - turn) * WIDE_ALONG * LINE, spread);
     noise_of_row(gram_down + (turn * 2 * ROWS + row) * FILTERS_DOWN * FILTERS_DOWN,
                  gram_along + (1 - turn) * 2 * FILTERS_ALONG * FILTERS_ALONG * COLUMNS, shared,
                  mean, noise);
     for (int p = 0; p < PRODUCTS; ++p)
       EACH_COLUMN slopes[(turn * PRODUCTS + p) * NODES + row * COLUMNS + c] =
-          noise[c] * SHAPE(common, p, row * COLUMNS + c) + BIAS * spread[p][c];
+          CHOSEN * noise[c] * SHAPE(common, p, row * COLUMNS + c);
   }
 }
 
@@ -287,38 +227,54 @@ void of_slope(__global const float *by_slope, __global const float *covariance, 
 #endif
 }
 
-/* The derivatives at a node of the terms 1 u v uu uv vv of a quadratic surface, by u and by v. x,
- * y: the node, from the middle of its window. */
-void derivatives_at(const float x, const float y, float (*by)[TERMS]) {
-  const float by_u[TERMS] = {0, 1, 0, 2 * x, y, 0}, by_v[TERMS] = {0, 0, 1, 0, x, 2 * y};
-  for (int a = 0; a < TERMS; ++a) {
-    by[0][a] = by_u[a];
-    by[1][a] = by_v[a];
-  }
+/* A window of nodes: its first row and column, and how many it has. */
+typedef struct {
+  int top, left, down, along;
+} Window;
+
+/* The window of up to side x side nodes around node i. */
+Window window_around(const int i, const int side) {
+  const int down = min(side / 2, (ROWS - 1) / 2), along = min(side / 2, (COLUMNS - 1) / 2);
+  const Window window = {WINDOW_START(i / COLUMNS, down, ROWS),
+                         WINDOW_START(i % COLUMNS, along, COLUMNS), 2 * down + 1, 2 * along + 1};
+  return window;
 }
 
-/* The weights of 3 x 3 nodes in the slopes of their surface at (x, y), as polynomials of these
- * terms. */
-void weights_of_whole(const float x, const float y, float (*weight)[TERMS]) {
-  const float in_u[TERMS] = {-2 * x / 3, 1 / 6.0f, 0, x, y / 4, 0};
-  const float in_v[TERMS] = {-2 * y / 3, 0, 1 / 6.0f, 0, x / 4, y};
-  for (int a = 0; a < TERMS; ++a) {
-    weight[0][a] = in_u[a];
-    weight[1][a] = in_v[a];
-  }
+/* Whether there are side x side nodes in a window, and all are valid. */
+int is_whole(__global const uchar *valid, const Window window, const int side) {
+  if (window.down != side || window.along != side) return 0;
+  int count = 0;
+  for (int r = 0; r < side; ++r)
+    for (int c = 0; c < side; ++c)
+      count += valid[(window.top + r) * COLUMNS + window.left + c] != 0;
+  return count == side * side;
 }
 
-/* The same of the valid ones of BEND_DOWN x BEND_ALONG nodes; return whether they determine the
- * surface. */
-int weights_of_some(__global const uchar *valid, const int top, const int left,
-                    const float (*by)[TERMS], float (*weight)[TERMS]) {
+/* The weights of the nodes of a whole window in the slopes at node i, by column and by row. table:
+ * those for each place in the window, (side, side, 2, side, side). */
+void weights_of_whole(const int i, __global const float *table, const Window window,
+                      float (*weight)[WEIGHTS]) {
+  const int count = window.down * window.along;
+  const int place = (i / COLUMNS - window.top) * window.along + i % COLUMNS - window.left;
+  for (int step = 0; step < 2; ++step)
+    for (int n = 0; n < count; ++n) weight[step][n] = table[(place * 2 + step) * count + n];
+}
+
+/* The same of the quadratic surface through the valid nodes of a window; return whether they
+ * determine it. */
+int weights_of_some(const int i, __global const uchar *valid, const Window window,
+                    float (*weight)[WEIGHTS]) {
+  const int middle_down = window.down / 2, middle_along = window.along / 2;
+  const float x = (float)(i % COLUMNS - window.left - middle_along);
+  const float y = (float)(i / COLUMNS - window.top - middle_down);
+  const float by[2][TERMS] = {{0, 1, 0, 2 * x, y, 0}, {0, 0, 1, 0, x, 2 * y}};
   float normal[TERMS][TERMS + 2];
   for (int a = 0; a < TERMS; ++a)
     for (int b = 0; b < TERMS + 2; ++b) normal[a][b] = b < TERMS ? 0 : by[b - TERMS][a];
-  for (int r = 0; r < BEND_DOWN; ++r)
-    for (int c = 0; c < BEND_ALONG; ++c) {
-      if (!valid[(top + r) * COLUMNS + left + c]) continue;
-      const float u = (float)(c - BEND_ALONG / 2), v = (float)(r - BEND_DOWN / 2);
+  for (int r = 0; r < window.down; ++r)
+    for (int c = 0; c < window.along; ++c) {
+      if (!valid[(window.top + r) * COLUMNS + window.left + c]) continue;
+      const float u = (float)(c - middle_along), v = (float)(r - middle_down);
       const float term[TERMS] = {1, u, v, u * u, u * v, v * v};
       for (int a = 0; a < TERMS; ++a)
         for (int b = 0; b < TERMS; ++b) normal[a][b] += term[a] * term[b];
@@ -331,102 +287,110 @@ int weights_of_some(__global const uchar *valid, const int top, const int left,
       for (int b = pivot; b < TERMS + 2; ++b) normal[a][b] -= share * normal[pivot][b];
     }
   }
-  for (int a = 0; a < TERMS; ++a)
-    for (int step = 0; step < 2; ++step)
-      weight[step][a] = normal[a][TERMS + step] / normal[a][a];
+  for (int r = 0; r < window.down; ++r)
+    for (int c = 0; c < window.along; ++c) {
+      const float u = (float)(c - middle_along), v = (float)(r - middle_down);
+      const float term[TERMS] = {1, u, v, u * u, u * v, v * v};
+      for (int step = 0; step < 2; ++step) {
+        float sum = 0;
+        for (int a = 0; a < TERMS; ++a) sum += normal[a][TERMS + step] / normal[a][a] * term[a];
+        weight[step][r * window.along + c] =
+            valid[(window.top + r) * COLUMNS + window.left + c] ? sum : 0;
+      }
+    }
   return 1;
 }
 
-/* Fit quadratic surfaces to the positions around node i, at rest and now; return whether the valid
- * nodes determine them. Where one of the 3 x 3 nodes is missing, the surfaces are of those of
- * BEND_DOWN x BEND_ALONG that are not. slope: of both at the node, by column and by row. more: the
- * variances of the two slopes over those of a whole window in `slopes`. own: those of independent
- * errors of variance 1. */
-int fit_surfaces(const int i, __global const float *rest_position,
-                 __global const float *displacement, __global const uchar *valid,
-                 float3 (*slope)[2], float *own, float *more) {
-  if (!REACH_DOWN || !REACH_ALONG) return 0;
-  const int row = i / COLUMNS, column = i % COLUMNS;
-  int down = REACH_DOWN, along = REACH_ALONG;
-  int top = WINDOW_START(row, down, ROWS), left = WINDOW_START(column, along, COLUMNS);
-  float x = (float)(column - left - along), y = (float)(row - top - down);
-  const float whole[2] = {(0.5f + 6 * x * x) * (1 / 3.0f + 0.5f * y * y),
-                          (0.5f + 6 * y * y) * (1 / 3.0f + 0.5f * x * x)};
-  int count = 0;
-  for (int r = top; r < top + WIDE_DOWN; ++r)
-    for (int c = left; c < left + WIDE_ALONG; ++c) count += valid[r * COLUMNS + c] != 0;
-  const int is_whole = count == WIDE_DOWN * WIDE_ALONG;
-  float by[2][TERMS], weight[2][TERMS];
-  if (is_whole) {
-    derivatives_at(x, y, by);
-    weights_of_whole(x, y, weight);
-  } else {
-    down = BEND_DOWN / 2;
-    along = BEND_ALONG / 2;
-    top = WINDOW_START(row, down, ROWS);
-    left = WINDOW_START(column, along, COLUMNS);
-    x = (float)(column - left - along);
-    y = (float)(row - top - down);
-    derivatives_at(x, y, by);
-    if (!weights_of_some(valid, top, left, by, weight)) return 0;
-  }
-  for (int step = 0; step < 2; ++step) {
-    own[step] = 0;
-    for (int a = 0; a < TERMS; ++a) own[step] += by[step][a] * weight[step][a];
-    if (!(own[step] < MOST_VARIANCE)) return 0;
-    more[step] = own[step] / whole[step];
-    if (!is_whole) more[step] = fmax(more[step], 1.0f); /* neighbours err alike */
-  }
-  float sum[2][2][3];
-  for (int m = 0; m < 2; ++m)
-    for (int k = 0; k < 3; ++k) sum[m][0][k] = sum[m][1][k] = 0;
-  for (int r = 0; r <= 2 * down; ++r) {
-    const float v = (float)(r - down);
-    float in_row[2][3];
-    for (int step = 0; step < 2; ++step) {
-      const float *of = weight[step];
-      in_row[step][0] = of[0] + v * (of[2] + v * of[5]);
-      in_row[step][1] = of[1] + v * of[4];
-      in_row[step][2] = of[3];
-    }
-    for (int c = 0; c <= 2 * along; ++c) {
-      const int j = (top + r) * COLUMNS + left + c;
+/* The slopes at node i of K planes, by column and by row, with these weights of the nodes of a
+ * window; what is not valid may be NaN. */
+void slopes_at(const int i, __global const float *values, __global const uchar *valid,
+               const Window window, const float (*weight)[WEIGHTS], float3 *slope) {
+  float sum[2][3] = {{0, 0, 0}, {0, 0, 0}};
+  for (int r = 0; r < window.down; ++r)
+    for (int c = 0; c < window.along; ++c) {
+      const int j = (window.top + r) * COLUMNS + window.left + c;
       if (!valid[j]) continue;
-      const float u = (float)(c - along);
-      for (int step = 0; step < 2; ++step) {
-        const float share = in_row[step][0] + u * (in_row[step][1] + u * in_row[step][2]);
-        for (int k = 0; k < K; ++k) {
-          const int at = k * NODES;
-          sum[0][step][k] += share * (rest_position[at + j] - rest_position[at + i]);
-          sum[1][step][k] += share * (displacement[at + j] - displacement[at + i]);
-        }
+      for (int k = 0; k < K; ++k) {
+        const float off = values[k * NODES + j] - values[k * NODES + i];
+        for (int step = 0; step < 2; ++step)
+          sum[step][k] += weight[step][r * window.along + c] * off;
       }
     }
+  for (int step = 0; step < 2; ++step)
+    slope[step] = (float3)(sum[step][0], sum[step][1], sum[step][2]);
+}
+
+/* Fit surfaces to the positions around node i, at rest and now; return whether the valid nodes
+ * determine them. They are quadratic ones of 3 x 3 nodes, or of the valid ones of 5 x 5 where one
+ * of these is missing, and cubic ones in the middle of 5 x 5 valid ones. slope: of both at the
+ * node, by column and by row. apart: how far the slopes of the displacement are between the cubic
+ * and the quadratic one; 0 if one of the 5 x 5 is missing. own: the variances of the two slopes
+ * for independent errors of variance 1. more: over those of a whole window in `slopes`. */
+int fit_surfaces(const int i, __global const float *rest_position,
+                 __global const float *displacement, __global const uchar *valid,
+                 __global const float *quadratic, __global const float *cubic,
+                 float3 (*slope)[2], float3 *apart, float *own, float *more) {
+  if (!REACH_DOWN || !REACH_ALONG) return 0;
+  const Window near = window_around(i, SIDE), wide = window_around(i, CUBIC_SIDE);
+  const int near_is_whole = is_whole(valid, near, SIDE);
+  const int wide_is_whole = is_whole(valid, wide, CUBIC_SIDE);
+  Window window = near_is_whole ? near : wide;
+  float weight[2][WEIGHTS];
+  if (near_is_whole) weights_of_whole(i, quadratic, near, weight);
+  else if (!weights_of_some(i, valid, wide, weight)) return 0;
+  float3 moved[2];
+  slopes_at(i, displacement, valid, window, weight, moved);
+  apart[0] = apart[1] = 0;
+  if (wide_is_whole) {
+    float weight_in_cubic[2][WEIGHTS];
+    float3 moved_in_cubic[2];
+    weights_of_whole(i, cubic, wide, weight_in_cubic);
+    slopes_at(i, displacement, valid, wide, weight_in_cubic, moved_in_cubic);
+    const int middle = (wide.top + CUBIC_SIDE / 2) * COLUMNS + wide.left + CUBIC_SIDE / 2;
+    for (int step = 0; step < 2; ++step) {
+      apart[step] = moved_in_cubic[step] - moved[step];
+      if (i != middle) continue;
+      moved[step] = moved_in_cubic[step];
+      for (int n = 0; n < WEIGHTS; ++n) weight[step][n] = weight_in_cubic[step][n];
+    }
+    if (i == middle) window = wide;
   }
+  const float x = (float)(i % COLUMNS - near.left - REACH_ALONG);
+  const float y = (float)(i / COLUMNS - near.top - REACH_DOWN);
+  const float whole[2] = {(0.5f + 6 * x * x) * (1 / 3.0f + 0.5f * y * y),
+                          (0.5f + 6 * y * y) * (1 / 3.0f + 0.5f * x * x)};
   for (int step = 0; step < 2; ++step) {
-    slope[0][step] = (float3)(sum[0][step][0], sum[0][step][1], sum[0][step][2]);
-    slope[1][step] =
-        slope[0][step] + (float3)(sum[1][step][0], sum[1][step][1], sum[1][step][2]);
+    own[step] = 0;
+    for (int n = 0; n < window.down * window.along; ++n)
+      own[step] += weight[step][n] * weight[step][n];
+    if (!(own[step] < MOST_VARIANCE)) return 0;
+    more[step] = own[step] / whole[step];
+    if (!near_is_whole) more[step] = fmax(more[step], 1.0f); /* neighbours err alike */
   }
+  slopes_at(i, rest_position, valid, window, weight, slope[0]);
+  for (int step = 0; step < 2; ++step) slope[1][step] = slope[0][step] + moved[step];
   return 1;
 }
 
 /* Green-Lagrange strain E11 E22 E12 and its covariance, xx xy xz yy yz zz; NaN where there is none.
  * rest: the position at rest, from the middle of the lattice. slopes, rest_slopes: as in `slopes`.
- * One work-item a node. */
+ * quadratic, cubic: tables of `weights_of_whole`. One work-item a node. */
 __kernel void strain(__global const float *rest_position, __global const float *displacement,
                      __global const uchar *valid, __global const float *covariance,
                      __global const float *slopes, __global const float *rest_covariance,
-                     __global const float *rest_slopes, __global float *strain,
+                     __global const float *rest_slopes, __global const float *quadratic,
+                     __global const float *cubic, __global float *strain,
                      __global float *strain_covariance) {
   const int i = get_global_id(0);
   if (i >= NODES) return;
   for (int k = 0; k < 3; ++k) strain[k * NODES + i] = NAN;
   for (int p = 0; p < 6; ++p) strain_covariance[p * NODES + i] = NAN;
   if (!valid[i]) return;
-  float3 slope[2][2];
+  float3 slope[2][2], apart[2];
   float own[2], more[2];
-  if (!fit_surfaces(i, rest_position, displacement, valid, slope, own, more)) return;
+  if (!fit_surfaces(i, rest_position, displacement, valid, quadratic, cubic, slope, apart, own,
+                    more))
+    return;
   const float3 a1 = slope[0][0], a2 = slope[0][1];
   if (!(length(cross(a1, a2)) > 1e-9f * (dot_of(a1, a1) + dot_of(a2, a2)))) return;
 #if K == 2
@@ -441,7 +405,8 @@ __kernel void strain(__global const float *rest_position, __global const float *
 #endif
   const float3 f1 = inverse[0][0] * slope[1][0] + inverse[0][1] * slope[1][1];
   const float3 f2 = inverse[1][0] * slope[1][0] + inverse[1][1] * slope[1][1];
-  const float e11 = (dot_of(f1, f1) - 1) / 2, e22 = (dot_of(f2, f2) - 1) / 2, e12 = dot_of(f1, f2) / 2;
+  const float e11 = (dot_of(f1, f1) - 1) / 2, e22 = (dot_of(f2, f2) - 1) / 2;
+  const float e12 = dot_of(f1, f2) / 2;
   strain[i] = e11;
   strain[NODES + i] = e22;
   strain[2 * NODES + i] = e12;
@@ -457,6 +422,9 @@ __kernel void strain(__global const float *rest_position, __global const float *
   for (int step = 0; step < 2; ++step) {
     const int at = step * PRODUCTS * NODES;
     of_slope(slopes + at, covariance, i, own[step], more[step], by_step[step]);
+    by_step[step][0] += APART * apart[step].x * apart[step];
+    by_step[step][1] += APART * apart[step].y * apart[step];
+    by_step[step][2] += APART * apart[step].z * apart[step];
     of_slope(rest_slopes + at, rest_covariance, i, own[step], more[step], rest_by_step[step]);
   }
   add_covariance(now_1, now_2, inverse, by_step, found);

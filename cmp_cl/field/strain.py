@@ -4,9 +4,11 @@ import functools
 import math
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, as_numbers
+from cmp_cl.filter import surface_slopes
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -22,12 +24,13 @@ def green_lagrange(rest: Array, now: Array) -> Array:
     """Return the Green-Lagrange strain of a plane, or of a surface in its tangent plane at rest.
 
     rest, now: (R, C, 2) or (R, C, 3) positions of the same nodes, NaN where missing. Around each
-    node a quadratic surface in (column, row) is fitted to both by least squares, over 3 x 3 nodes,
-    or over the valid ones of 5 x 5 where one of these is missing; at a border they lie to one side.
-    Its tangent vectors at the node are A = (a1, a2) at rest and B now. With A = Q U in orthonormal
-    axes Q, E = (U^-T B^T B U^-1 - I) / 2. In a plane, the axes are x and y. On a surface, axis 1
-    runs along the rows, and axis 2 is perpendicular to it, towards the columns. A rigid motion
-    gives 0. The noise of unfiltered positions is not averaged over more nodes than these.
+    node a surface in (column, row) is fitted to both by least squares. In the middle of 5 x 5 nodes
+    it is a cubic one. Where one of these is missing it is a quadratic one over 3 x 3, or over the
+    valid ones of 5 x 5; at a border they lie to one side. Its tangent vectors at the node are A =
+    (a1, a2) at rest and B now. With A = Q U in orthonormal axes Q, E = (U^-T B^T B U^-1 - I) / 2.
+    In a plane, the axes are x and y. On a surface, axis 1 runs along the rows, and axis 2 is
+    perpendicular to it, towards the columns. A rigid motion gives 0. The noise of unfiltered
+    positions is not averaged over more nodes than these.
 
     Returns (R, C, 3) E11, E22, E12 (half the engineering shear); NaN if the node is missing, or if
     the valid nodes do not determine the tangents.
@@ -45,6 +48,11 @@ def green_lagrange(rest: Array, now: Array) -> Array:
     down, along = (_window(n, 1)[0] for n in valid.shape)
     whole = down @ valid @ along.T > 8
     slopes[whole] = _slopes_of(both, valid, 1)[whole]
+    if min(valid.shape) >= 5:
+        there = np.where(valid[..., None], both, np.nan)
+        near = sliding_window_view(there, (5, 5), axis=(0, 1))
+        cubic = np.einsum("rckij,sij->rcsk", near, surface_slopes(2, 3)[2, 2])
+        slopes[2:-2, 2:-2] = np.where(np.isnan(cubic), slopes[2:-2, 2:-2], cubic)
     at_rest = slopes[..., :size]
     one, two = at_rest[..., 0, :], at_rest[..., 1, :]
     turns = [one[..., i] * two[..., j] - one[..., j] * two[..., i] for i, j in _AXES[size]]

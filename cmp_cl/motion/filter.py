@@ -32,7 +32,6 @@ from cmp_cl.motion.tables import (
     RISK_GAUSSIAN,
     axis_tables,
     in_lines,
-    turned,
 )
 from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.launches import GROUP, Launch, bound, constant, enqueue, multiple
@@ -196,7 +195,8 @@ def strain_of(
     3), NaN where there is none; cmp_cl/reference/field/strain.py has the equations.
 
     constants: rest_position, rest_covariance, rest_slopes, planes of the filtered positions at
-    rest. displacement, covariance, slopes: as in `Filtered`, without the shift by bent edges.
+    rest; quadratic, cubic, see `surface_slopes`. displacement, covariance, slopes: as in
+    `Filtered`, without the shift by bent edges.
     """
     rows, columns, axes = displacement.shape
     programs = programs_of(device.handle)
@@ -323,8 +323,6 @@ class LatticeFilter:
             "pilot_along": in_lines(along.pilot),
             "pilot_own_down": down.pilot_own,
             "pilot_own_along": in_lines(along.pilot_own),
-            "slope_down": down.span,
-            "slope_along": in_lines(turned(along.span).swapaxes(1, 2)),
             "gram_down": down.gram,
             "gram_along": np.moveaxis(along.gram, 2, 4),
             "rows_noise": NOISE_GAUSSIAN,

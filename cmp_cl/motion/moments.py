@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.field import DisplacementField
-from cmp_cl.filter import bend_shift
+from cmp_cl.filter import bend_shift, surface_slopes
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
 from cmp_cl.motion.filter import (
     Filtered,
@@ -143,13 +143,15 @@ class AtRest:
 
     @functools.cached_property
     def strain_constants(self) -> dict[str, NDArray[np.float32]]:
-        """Return the planes of the positions that the strain's kernel takes."""
+        """Return the planes of the positions, and the tables, that the strain's kernel takes."""
         found = self.filtered if self._slopes else self._filter(slopes=True)
         assert found.slopes is not None
         return {
             "rest_position": planes(self.position - np.nanmean(self.position, axis=(0, 1))),
             "rest_covariance": flat(found.covariance),
             "rest_slopes": found.slopes,
+            "quadratic": surface_slopes(1, 2).astype(np.float32),
+            "cubic": surface_slopes(2, 3).astype(np.float32),
         }
 
     def change(

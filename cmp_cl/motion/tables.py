@@ -6,7 +6,7 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.filter import bend_half, derivatives, polynomial, strain_half
+from cmp_cl.filter import bend_half, derivatives, polynomial
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -27,10 +27,9 @@ class AxisTables:
     of a node in its own value, and the sum of the squares of all in it. pilot, pilot_own,
     pilot_side: the same for the filter that shows the noise. bend: (n, 3, S), the weights of the
     value of the line and of the first and second derivative of the parabola fitted to S nodes.
-    span: (2, n, W), the weights of the W nodes of the window of a strain in the value of the line
-    and in the first derivative of the parabola fitted to them.
-    gram: (2, 2, n, F, F), for this value and this derivative of what each filter gives, the
-    products of the weights of the nodes behind it: of a node with itself, and with its neighbours.
+    gram: (2, 2, n, F, F), for the value of the line and the first derivative of the parabola fitted
+    to three nodes of what each filter gives, the products of the weights of the nodes behind it: of
+    a node with itself, and with its neighbours.
     """
 
     sides: NDArray[np.int32]
@@ -41,7 +40,6 @@ class AxisTables:
     pilot_own: Single
     pilot_side: int
     bend: Single
-    span: Single
     gram: Single
 
 
@@ -52,7 +50,7 @@ def axis_tables(n: int) -> AxisTables:
     filters = np.stack([polynomial(n, *each) for each in fitting])
     pilot_side, pilot_degree = (3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0)
     pilot = polynomial(n, pilot_side, pilot_degree)
-    half = strain_half(n)
+    half = min(1, (n - 1) // 2)
     fits = polynomial(n, half, 1), polynomial(n, half, 2, 1)
     return AxisTables(
         sides=np.array([side for side, _ in fitting], np.int32),
@@ -63,7 +61,6 @@ def axis_tables(n: int) -> AxisTables:
         pilot_own=np.diag(pilot).astype(np.float32),
         pilot_side=pilot_side,
         bend=np.stack([_windows(each, bend_half(n)) for each in derivatives(n)], axis=1),
-        span=np.stack([_windows(each, half) for each in fits]),
         gram=np.stack([_gram(each, filters) for each in fits]),
     )
 
@@ -92,15 +89,6 @@ def in_lines(rows: Single) -> Single:
     """Return rows (..., n) with zeros behind them, up to a whole number of vectors."""
     missing = -rows.shape[-1] % LANES
     return np.pad(rows, [(0, 0)] * (rows.ndim - 1) + [(0, missing)])
-
-
-def turned(weights: Single) -> Single:
-    """Return the weights (2, n, W) of windows for the numbers around each node, where the one
-    beyond an end is that of the node that a window there is moved to."""
-    size, found = weights.shape[2], weights.copy()
-    found[:, 0] = np.roll(weights[:, 0], size // 2, axis=1)
-    found[:, -1] = np.roll(weights[:, -1], -(size // 2), axis=1)
-    return found
 
 
 def _windows(matrix: Array, side: int) -> Single:

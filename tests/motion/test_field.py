@@ -254,7 +254,7 @@ def test_the_strain_is_the_oracles(run, device, case, views, at_once):
     assert min(shape) < 5 or max(correlations) > 0.1
     common = found.common if views == 2 else np.broadcast_to(np.eye(2), found.common.shape)
     slopes = strains.slope_covariances(
-        found.weights, found.noise, votes, filters, correlations, found.estimates, common
+        found.weights, found.noise, votes, filters, correlations, common
     )
     quiet = AtRest(moment, device, slopes=True)
     entries = [0, 1, 2, 1, 3, 4, 2, 4, 5] if views == 2 else [0, 1, 1, 2]

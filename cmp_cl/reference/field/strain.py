@@ -1,10 +1,10 @@
 """The strain of a filtered displacement and its covariance, node by node, in float64.
 
-1. A quadratic surface in (column, row) is fitted to the 3 x 3 nodes around a node, at rest and now,
-   and has slopes at the node. If one of the nine is missing, it is fitted to the valid ones of the
-   5 x 5, 3 on lines of three or four nodes. At a border windows are moved inwards. A node has no
-   strain if these nodes do not determine the surface, or if errors of variance 1 give a slope of a
-   variance of more than 10.
+1. A surface in (column, row) is fitted to the nodes around a node, at rest and now, and has slopes
+   at the node. In the middle of 5 x 5 nodes it is a cubic one. Else it is a quadratic one of 3 x 3;
+   if one of the nine is missing, of the valid ones of 5 x 5, 3 on lines of three or four nodes. At
+   a border windows are moved inwards. A node has no strain if these nodes do not determine the
+   surface, or if errors of variance 1 give a slope of a variance of more than 10.
 2. On a surface, Q are orthonormal axes of the tangent plane at rest, axis 1 along its first slope;
    in a plane they are x and y. F are the current slopes along them: E = (F F' - I) / 2.
 3. The slope of a filtered displacement is a combination of nodes before the filter. Each node has
@@ -12,9 +12,8 @@
    their mean over the votes of the 3 x 3, of which all nodes count: the slope weighs them by the
    value of a line at the node along one axis and the slope of a parabola along the other. The
    variance of its noise is the sum of the products of these weights over all pairs of nodes, times
-   their correlation. The coordinates covary as the residuals of the votes around do. The bias of
-   smoothing shows in how far apart the pairs are: a fifth of the covariance of their slopes,
-   under the weights of the node, is added.
+   their correlation, times 1.15, since the weights were chosen by the noise that they average. The
+   coordinates covary as the residuals of the votes around do.
 4. Neighbours in a column correlate by a, those in a row by b. Let r be the second differences along
    rows of the second differences along columns, over the deviation of the noise, where all nine
    nodes have votes. For noise of variance v, the mean of r r is (36 - 48 a - 48 b) v, that of r and
@@ -22,7 +21,9 @@
    clipped to 0 and 1/4.
 5. The variance is that times the variance of the slope of independent errors by 1, over the same
    by 3: less at a corner. Where a node of the 3 x 3 is missing it is not less, since errors of
-   neighbours are alike. A slope whose variance is unknown has that of independent errors.
+   neighbours are alike. A slope whose variance is unknown has that of independent errors. What a
+   surface cannot follow shows in how far apart the slopes of the displacement are in the cubic and
+   in the quadratic one, where all 5 x 5 nodes stand: three times the square of that is added.
 6. To first order dE = sym(F' dG + (F - (2 E + I) Q)' dA), with dG and dA the errors of the slopes
    of the displacement and of the position at rest along Q; on a surface the turn of axis 1 by
    Q2 . dA1 comes on top. The errors of different axes of the lattice are independent; those of the
@@ -38,6 +39,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 REACH, WIDE_REACH = 1, 2
+CHOSEN, APART = 1.15, 3
 MOST_SHARED = 0.25
 MOST_VARIANCE = 10
 
@@ -78,14 +80,13 @@ def slope_covariances(
     votes: Bools,
     filters: tuple[Floats, Floats],
     correlations: tuple[float, float],
-    estimates: Floats,
     common: Floats,
 ) -> Floats:
     """Return the covariances of the slopes by column and by row, (R, C, 2, K, K), by 3.
 
     weights: (A, B, R, C). size: (R, C), the deviation of the noise. filters: (A, R, R) and (B, C,
-    C). correlations: a and b of 4. estimates: (A, B, R, C, K). common: (R, C, K, K), the covariance
-    of the noise over its mean diagonal.
+    C). correlations: a and b of 4. common: (R, C, K, K), the covariance of the noise over its mean
+    diagonal.
     """
     shape = votes.shape
     found = np.full((*shape, 2, *common.shape[2:]), np.nan)
@@ -102,7 +103,6 @@ def slope_covariances(
             continue
         mean = scaled[:, :, rows][..., columns].sum(axis=(2, 3)) / count
         down, along = filters[0][:, rows], filters[1][:, columns]
-        near = estimates[:, :, rows][:, :, :, columns]
         (value_down, slope_down), (value_along, slope_along) = (
             _line_and_parabola(r, rows),
             (_line_and_parabola(c, columns)),
@@ -110,8 +110,7 @@ def slope_covariances(
         for step, (one, two) in enumerate(((value_down, slope_along), (slope_down, value_along))):
             slope = np.einsum("ab,s,asi,t,btj->ij", mean, one, down, two, along, optimize=True)
             variance = (slope * (together[0] @ slope @ together[1])).sum()
-            spread = _spread(weights[:, :, r, c], np.einsum("s,t,abstk->abk", one, two, near))
-            found[r, c, step] = variance * common[r, c] + spread / 5
+            found[r, c, step] = CHOSEN * variance * common[r, c]
     return found
 
 
@@ -119,12 +118,6 @@ def _window(i: int, n: int, reach: int = REACH) -> NDArray[np.intp]:
     """Return the nodes up to `reach` nodes from i, moved to lie within a line of n."""
     reach = min(reach, (n - 1) // 2)
     return np.arange(2 * reach + 1) + min(max(i - reach, 0), n - 1 - 2 * reach)
-
-
-def _spread(weights: Floats, slopes: Floats) -> Floats:
-    """Return the covariance (K, K) of slopes (A, B, K) under weights (A, B)."""
-    apart = slopes - np.einsum("ab,abk->k", weights, slopes)
-    return np.asarray(np.einsum("ab,abj,abk->jk", weights, apart, apart))
 
 
 def _line_and_parabola(i: int, window: NDArray[np.intp]) -> tuple[Floats, Floats]:
@@ -148,19 +141,26 @@ def strain(
     """
     shape, size = rest.shape[:2], rest.shape[2]
     valid = np.isfinite(displacement[..., 0])
+    still, moved = (
+        np.where(valid[..., None], each, 0).reshape(-1, size) for each in (rest, displacement)
+    )
     found, covariance = np.full((*shape, 3), np.nan), np.full((*shape, 3, 3), np.nan)
     for r, c in zip(*np.nonzero(valid), strict=True):
-        rows, columns = (_window(i, n) for i, n in zip((r, c), shape, strict=True))
-        down, along = (_line_and_parabola(*each) for each in ((r, rows), (c, columns)))
-        whole = bool(valid[np.ix_(rows, columns)].all())
-        if not whole:
-            rows, columns = (_window(i, n, WIDE_REACH) for i, n in zip((r, c), shape, strict=True))
-        near = [node for node in itertools.product(rows, columns) if valid[node]]
-        v, u = np.transpose(near) - [[r], [c]]
-        terms = np.stack([np.ones(len(near)), u, v, u * u, u * v, v * v], axis=1)
-        if np.linalg.matrix_rank(terms) < 6:
+        near, wide = (
+            [_window(i, n, reach) for i, n in zip((r, c), shape, strict=True)]
+            for reach in (REACH, WIDE_REACH)
+        )
+        down, along = (_line_and_parabola(*each) for each in zip((r, c), near, strict=True))
+        whole = bool(valid[np.ix_(*near)].all())
+        fit = _slopes_of_surface((r, c), near if whole else wide, valid, 2)
+        if fit is None:
             continue
-        fit = np.linalg.pinv(terms)[1:3]
+        apart = np.zeros((2, size))
+        if valid[np.ix_(*wide)].all() and [len(each) for each in wide] == [5, 5]:
+            cubic = _slopes_of_surface((r, c), wide, valid, 3)
+            assert cubic is not None
+            apart = (cubic - fit) @ moved
+            fit = cubic if (r, c) == (wide[0][2], wide[1][2]) else fit
         own = np.square(fit).sum(axis=1)
         if max(own) > MOST_VARIANCE:
             continue
@@ -168,8 +168,8 @@ def strain(
             np.square(np.outer(*pair)).sum() for pair in ((down[0], along[1]), (down[1], along[0]))
         ]
         more = more if whole else np.maximum(more, 1)
-        a = fit @ np.array([rest[node] for node in near])
-        b = a + fit @ np.array([displacement[node] for node in near])
+        a = fit @ still
+        b = a + fit @ moved
         inverse = np.linalg.inv(a if size == 2 else np.linalg.cholesky(a @ a.T))
         q, f = inverse @ a, inverse @ b
         e = (f @ f.T - np.eye(2)) / 2
@@ -184,10 +184,30 @@ def strain(
             (off[1] / 2 + (e[1, 1] - e[0, 0]) * turned, off[0] / 2),
         ]
         total = np.zeros((3, 3))
-        for gradients, of_values, of_slopes in zip((before, now), covariances, slopes, strict=True):
+        moments = zip((before, now), covariances, slopes, (0 * apart, apart), strict=True)
+        for gradients, of_values, of_slopes, off_by in moments:
             by_step = np.array([inverse.T @ np.array(each) for each in gradients])  # (3, 2, D)
             for k, slope in enumerate(of_slopes[r, c]):
                 step = own[k] * of_values[r, c] if np.isnan(slope).any() else more[k] * slope
+                step = step + APART * np.outer(off_by[k], off_by[k])
                 total += by_step[:, k] @ step @ by_step[:, k].T
         covariance[r, c] = total
     return found, covariance
+
+
+def _slopes_of_surface(
+    node: tuple[int, int], window: list[NDArray[np.intp]], valid: Bools, degree: int
+) -> Floats | None:
+    """Return the weights (2, R * C) of all nodes in the slopes by column and by row, at a node, of
+    the surface that fits the valid ones of a window best; None if they do not determine it."""
+    there = np.zeros_like(valid)
+    there[np.ix_(*window)] = True
+    near = np.nonzero(there & valid)
+    v, u = near[0] - node[0], near[1] - node[1]
+    powers = [(p, total - p) for total in range(degree + 1) for p in range(total, -1, -1)]
+    terms = np.stack([u**p * v**q for p, q in powers], axis=1).astype(np.float64)
+    if np.linalg.matrix_rank(terms) < len(powers):
+        return None
+    weights = np.zeros((2, *valid.shape))
+    weights[:, near[0], near[1]] = np.linalg.pinv(terms)[1:3]
+    return weights.reshape(2, -1)
