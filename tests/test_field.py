@@ -193,6 +193,23 @@ def test_a_strain_is_that_at_its_node_also_at_a_border_and_beside_a_hole(space):
     assert off[~missing].max() < 6
 
 
+def test_a_strain_follows_a_cubic_displacement_where_all_nodes_around_stand():
+    rest = gel(9, 11, depth=0)[..., :2]
+    x, y = np.moveaxis(rest, 2, 0)
+    now = rest + np.stack([1e-3 * x**3 + 2e-3 * x * y * y, 1e-3 * y**3], axis=-1)
+    by_x = np.stack([1 + 3e-3 * x * x + 2e-3 * y * y, np.zeros_like(x)], axis=-1)
+    by_y = np.stack([4e-3 * x * y, 1 + 3e-3 * y * y], axis=-1)
+    products = [(one * two).sum(axis=2) for one, two in ((by_x, by_x), (by_y, by_y), (by_x, by_y))]
+    truth = (np.stack(products, axis=-1) - [1, 1, 0]) / 2
+    now[0, 0] = np.nan
+    off = np.abs(green_lagrange(rest, now) - truth).max(axis=2)
+    whole = np.zeros((9, 11), bool)
+    whole[2:-2, 2:-2] = True
+    whole[2, 2] = False
+    assert off[whole].max() < 1e-9
+    assert np.nanmax(off[~whole]) > 1e-4
+
+
 def test_a_homogeneous_deformation_has_its_strain_everywhere():
     flat = gel(9, 11, depth=0)
     gradient = np.array([[1.10, 0.06], [-0.02, 0.93]])
