@@ -14,6 +14,7 @@ from videos import write_video
 
 import cmp_cl
 from cmp_cl import GridError, NodeStatus, StereoRig, measure
+from cmp_cl.measure import OneView
 from cmp_cl.measure.views import View
 from cmp_cl.media import read_frames
 from cmp_cl.opencl import memory
@@ -114,10 +115,10 @@ def torn(node, half, by):
 )
 def test_a_changed_frame_is_the_same_tracked_or_numbered(at_rest, now, seen):
     rest, frame = at_rest(pressed(FILM[0]).left.image), now(pressed(FILM[1]).left.image)
-    with measure.OneView(rest, shape=NODES) as following:
+    with OneView(rest, shape=NODES) as following:
         following(rest)
         tracked = following(frame)
-    with measure.OneView(rest, shape=NODES) as alone:
+    with OneView(rest, shape=NODES) as alone:
         anew = alone(frame)
     assert (tracked.tracked, anew.tracked) == (True, False)
     grid, corners = tracked.grids[0], tracked.corners[0]
@@ -136,7 +137,7 @@ def test_a_changed_frame_is_the_same_tracked_or_numbered(at_rest, now, seen):
 def test_tracked_corners_of_any_refinement_have_their_sigma_and_a_field(refinement):
     config = cmp_cl.DetectorConfig.for_cell(15).replace(refinement=refinement)
     rest, frame = (pressed(each).left.image for each in FILM[:2])
-    with measure.OneView(rest, shape=NODES, config=config) as following:
+    with OneView(rest, shape=NODES, config=config) as following:
         following(rest)
         tracked = following(frame)
     assert tracked.tracked
@@ -239,13 +240,13 @@ def test_a_frame_with_more_corners_than_there_is_room_for_is_measured_and_so_is_
     y, x = np.indices((len(images[2]), 240)) // 12 % 2
     images[2][:, -240:] = np.where(x == y, 200, 40)  # a board beside the pattern
     config = cmp_cl.DetectorConfig.for_cell(12).replace(max_corners=most)
-    with measure.OneView(images[0], shape=NODES, config=config) as following:
+    with OneView(images[0], shape=NODES, config=config) as following:
         _, few, crowded, after = map(following, images)
     assert len(crowded.corners[0]) > 2 * len(few.corners[0])
     assert few.tracked
     assert crowded.nodes == after.nodes == 144
     assert after.tracked
-    with measure.OneView(images[0], shape=NODES, config=config) as alone:
+    with OneView(images[0], shape=NODES, config=config) as alone:
         np.testing.assert_array_equal(after.field.displacement, alone(images[3]).field.displacement)
 
 
@@ -264,7 +265,7 @@ def test_a_frame_after_one_that_failed_is_numbered_anew(film, monkeypatch):
 
 def test_a_view_is_measured_against_the_view_at_rest():
     rest, now = pressed(0.0).left.image, pressed(0.4).left.image
-    with measure.OneView(rest, shape=NODES) as against_rest:
+    with OneView(rest, shape=NODES) as against_rest:
         still, moved = against_rest(rest), against_rest(now)
         empty = against_rest(np.zeros_like(rest))
     assert against_rest.unit == "px"
@@ -282,7 +283,7 @@ def test_a_view_is_measured_against_the_view_at_rest():
 
 def test_a_torn_view_at_rest_has_not_moved():
     torn = pressed(1.8).left.image
-    with measure.OneView(torn, shape=NODES) as against_rest:
+    with OneView(torn, shape=NODES) as against_rest:
         assert (against_rest.rest_grids[0].status == NodeStatus.ATTACHED).any()
         anew, tracked = against_rest(torn), against_rest(torn)
     assert (anew.tracked, tracked.tracked) == (False, True)
@@ -291,7 +292,7 @@ def test_a_torn_view_at_rest_has_not_moved():
 
 def test_values_before_the_filter_are_there_too_and_less_certain():
     rest, now = (pressed(severity).left.image for severity in (0.0, 0.4))
-    with measure.OneView(rest, shape=NODES) as view:
+    with OneView(rest, shape=NODES) as view:
         arrays, constants = view(now).arrays, view.constants
     moved = arrays["xy"] - constants["xy_rest"]
     np.testing.assert_allclose(arrays["raw_displacement"], moved, rtol=0, atol=1e-4)
@@ -314,20 +315,22 @@ def test_a_camera_of_the_rig_may_be_rolled(degrees):
     assert np.sqrt(np.mean(off**2)) < 0.05
 
 
+AHEAD = [[600, 0, 120], [0, 600, 150], [0, 0, 1]]
+BESIDE = StereoRig(AHEAD, [], AHEAD, [], np.eye(3), np.array([-4.0, 0, 0]))  # parallel cameras
+
+
 def test_views_that_may_show_different_parts_of_a_pattern_are_refused():
-    camera = [[600, 0, 120], [0, 600, 100], [0, 0, 1]]
-    rig = StereoRig(camera, [], camera, [], np.eye(3), np.array([-4.0, 0, 0]))
     split = cmp_cl.BinocularSplit.halves(580, 240)
     sheet, _ = drawn(14, 30)  # cells of 20 px; the first column of nodes is at 60 px
     bordered, inside = (
         np.hstack([sheet[90:330, x : x + 290], sheet[90:330, x + 4 : x + 294]]) for x in (0, 107)
     )
-    with measure.TwoViews(bordered, rig, split) as against_rest:
+    with measure.TwoViews(bordered, BESIDE, split) as against_rest:
         np.testing.assert_allclose(against_rest.rest.xyz[..., 2], 600, atol=60)
     _, seen = measure.find_pattern(np.ascontiguousarray(inside[:, :290]))
     for shape in (None, seen.shape):
         with pytest.raises(GridError, match=r"different parts .* by 0 rows and -?2 columns"):
-            measure.TwoViews(inside, rig, split, shape=shape)
+            measure.TwoViews(inside, BESIDE, split, shape=shape)
 
 
 def knocked(shot, *, across=0.0, degrees=0.0, zoom=1.0):
@@ -403,21 +406,19 @@ def test_neither_a_press_nor_wear_nor_dim_light_nor_a_gel_that_moves_is_a_knock(
             measured = against_rest(Shot(*render_stereo(scene, RIG)).frame)
             assert measured.nodes > 70
             assert not measured.misfit, change
-    with measure.OneView(pressed(0.0).left.image, shape=NODES) as one:
+    with OneView(pressed(0.0).left.image, shape=NODES) as one:
         measured = one(pressed(0.4).left.image)
     assert not measured.misfit
     assert "misfit" not in measured.arrays
 
 
 def test_a_known_size_pairs_views_that_see_opposite_borders():
-    camera = [[600, 0, 120], [0, 600, 200], [0, 0, 1]]
-    rig = StereoRig(camera, [], camera, [], np.eye(3), np.array([-4.0, 0, 0]))
     sheet, _ = drawn(14, 12)  # from 40 to 300 px; the outer columns of nodes lie 20 px inside
     frame = np.hstack([sheet[:, 10:290], sheet[:, 50:330]])
     split = cmp_cl.BinocularSplit.halves(560, len(sheet))
     with pytest.raises(GridError, match="different parts"):
-        measure.TwoViews(frame, rig, split)
-    with measure.TwoViews(frame, rig, split, shape=(14, 12)) as against_rest:
+        measure.TwoViews(frame, BESIDE, split)
+    with measure.TwoViews(frame, BESIDE, split, shape=(14, 12)) as against_rest:
         np.testing.assert_allclose(against_rest.rest.xyz[..., 2], 60, atol=1)
 
 
@@ -465,50 +466,49 @@ def moved_by(cells: float) -> np.ndarray:
     return boards.drawn(camera, (146, 148), count=3).image
 
 
-def shifts_of(frames: list[float | None], *, track: bool) -> tuple[list[float], list[bool]]:
-    """Return the mean displacement of each frame, in cells along x, and which are ambiguous.
+def blank(view):
+    """Measure a frame without a pattern, as when a hand covers the sensor."""
+    assert view(np.full((146, 148), 90, np.uint8)).nodes == 0
 
-    frames: how far the pattern has moved in each, in cells; None for a frame without a pattern.
+
+def measured_at(places: list[float | None], *, track: bool = True, miss=OneView.skip):
+    """Return the mean displacement of each frame that is not missing, in cells along x, and which
+    are ambiguous.
+
+    places: how far the pattern has moved in each frame, in cells; None for a frame that `miss`
+    makes missing.
     """
     shifts, ambiguous = [], []
     config = cmp_cl.DetectorConfig.for_cell(12)
-    with measure.OneView(moved_by(0), config=config, track=track) as view:
-        for cells in frames:
-            seen = np.full((146, 148), 90, np.uint8) if cells is None else moved_by(cells)
-            measured = view(seen)
-            moved = measured.field.displacement
-            known = ~np.isnan(moved[..., 0])
-            shifts.append(float(moved[known][:, 0].mean() / 12) if known.any() else np.nan)
+    with OneView(moved_by(0), config=config, track=track) as view:
+        for cells in places:
+            if cells is None:
+                miss(view)
+                continue
+            measured = view(moved_by(cells))
+            shifts.append(np.nanmean(measured.field.displacement[..., 0]) / 12)
             ambiguous.append(measured.ambiguous)
     return shifts, ambiguous
 
 
-def test_tracking_follows_a_pattern_without_a_border_over_a_missing_frame():
-    frames = [0.4, 0.8, 1.2, None, 1.6, 2.0, 2.4]
-    shifts, ambiguous = shifts_of(frames, track=True)
-    known = [cells is not None for cells in frames]
-    np.testing.assert_allclose(
-        np.array(shifts)[known], [cells for cells in frames if cells is not None], atol=0.02
-    )
+missing = pytest.mark.parametrize("miss", [blank, OneView.skip])
+
+
+@missing
+def test_tracking_follows_a_pattern_without_a_border_over_a_missing_frame(miss):
+    places = [0.4, 0.8, 1.2, None, 1.6, 2.0, 2.4]
+    shifts, ambiguous = measured_at(places, miss=miss)
+    np.testing.assert_allclose(shifts, [0.4, 0.8, 1.2, 1.6, 2.0, 2.4], atol=0.02)
     assert not any(ambiguous)
-    shifts, ambiguous = shifts_of([0.0, 0.4, 2.0], track=False)
+
+
+def test_without_tracking_a_pattern_without_a_border_is_ambiguous():
+    shifts, ambiguous = measured_at([0.0, 0.4, 2.0], track=False)
     assert ambiguous == [True, True, True]
     assert shifts[2] == pytest.approx(0, abs=1.1)
 
 
-@pytest.mark.parametrize("broken", [[0.4, None, None, 0.4, 0.8], [0.4, 1.3, 1.6]])
-def test_tracking_that_lost_the_pattern_is_ambiguous_from_then_on(broken):
-    _, ambiguous = shifts_of(broken, track=True)
-    assert ambiguous[0] is False
-    assert ambiguous[-2:] == [True, True]
-
-
-def test_a_skipped_frame_counts_as_one_that_is_missing():
-    config = cmp_cl.DetectorConfig.for_cell(12)
-    with measure.OneView(moved_by(0), config=config, track=True) as view:
-        assert not view(moved_by(0.3)).ambiguous
-        view.skip()
-        assert not view(moved_by(0.4)).ambiguous
-        view.skip()
-        view.skip()
-        assert view(moved_by(0.4)).ambiguous
+@missing
+@pytest.mark.parametrize("places", [[0.4, None, None, 0.4, 0.8], [0.4, 1.3, 1.6]])
+def test_tracking_that_lost_the_pattern_is_ambiguous_from_then_on(places, miss):
+    assert measured_at(places, miss=miss)[1] == [False, True, True]

@@ -9,11 +9,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scenes import barred
 from videos import write_video
 
 import cmp_cl
 from cmp_cl import Method, media
-from cmp_cl.synthetic import boards
 from cmp_cl.viz import METHOD_COLOURS
 
 BOARD = Path(cmp_cl.__file__).parent / "data" / "board.png"
@@ -79,11 +79,7 @@ def test_a_pattern_of_known_size_is_numbered_and_looked_at_twice(run):
 
 
 def test_a_board_that_a_bar_parts_is_told_to_be_one_beside_which_corners_are(run, tmp_path):
-    camera = boards.plane(cell=30, middle=(200, 150), about=(4, 2.5))
-    u, _ = camera(*boards.samples((300, 400)))
-    bar = np.where(abs(u - 2) < 0.5, 120.0, np.nan)
-    view = boards.drawn(camera, (300, 400), (6, 9), front=bar)
-    cv2.imwrite(str(tmp_path / "bar.png"), view.image)
+    cv2.imwrite(str(tmp_path / "bar.png"), barred((6, 9), 30, 0, columns=(2, 1)).image)
     status, out, err = run("detect", "bar.png", "--grid", "7x9", "--overlay", "o.png")
     assert (status, "wrote o.png" in out) == (2, True)  # the corners
     assert "the board looks like 6 x 9 corners; 7 x 9 were asked for; 12 corners lie where" in err
