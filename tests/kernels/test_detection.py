@@ -142,13 +142,6 @@ def test_any_number_of_bands_gives_the_same_corners(device, monkeypatch, bands):
     assert len(corners) > 0
 
 
-@pytest.mark.parametrize("factor", some([0.05, 1 / 3, 0.999, 1.001, 1.5, 4.0], (1 / 3, 1.5)))
-def test_odd_scales(detector_for, factor):
-    for shape in ((30, 23), (2, 2)):
-        image = noise(shape, seed=2)
-        assert_maps_equal(detector_for(image, rings(PLAIN, scale=factor)), image)
-
-
 # the largest numbers
 
 
@@ -215,15 +208,6 @@ def test_the_percentile_of_short_lists_has_the_right_rank(detector_for, dtype):
         maps = assert_maps_equal(detector_for(image, config), image)
         counts.add(int((maps.candidate & (maps.contrast != 0)).sum()))
     assert len(counts) > 3
-
-
-@pytest.mark.parametrize("relative", [0.3, 1])
-def test_both_levels_of_the_percentile(detector_for, relative):
-    """The lower eight bits of the contrasts decide, frame after frame."""
-    texture = images.texture((90, 80)).astype(np.uint16) * 3 + 100
-    config = rings(PLAIN, contrast=SectorContrast(minimum=0, relative=relative, noise=0))
-    for image in (texture, texture[::-1].copy(), texture):
-        assert_maps_equal(detector_for(image, config), image)
 
 
 # masks, batches, capacity
