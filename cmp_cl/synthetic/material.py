@@ -53,7 +53,16 @@ def _wear(scene: Scene, points: Image) -> tuple[Image, Image, Image]:
     if scene.corrosion == 0:
         none = np.zeros((1, 1, 2), dtype=np.float32)
         return none, none[..., 0], none[..., 0] + 1
-    texel = scene.side / _TEXTURE
+    texels = points / np.float32(scene.side / _TEXTURE) + np.float32(_TEXTURE / 2 - 0.5)
+    x, y = cv2.split(texels)
+    fields = _fields(scene)
+    sampled = cv2.remap(fields, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return sampled[..., :2], sampled[..., 2], sampled[..., 3]
+
+
+@functools.lru_cache(maxsize=1)  # both views of a scene have one wear
+def _fields(scene: Scene) -> Image:
+    """Return the wear over the material's texels (T, T, 4): warp in x and y, growth, smear, px."""
     strain, area = _strain(scene)
     # Chosen so that the detector of the paper finds every corner in nearly all frames at severity
     # 0.5, in half of them at 1 and in hardly any at 1.5.
@@ -63,11 +72,7 @@ def _wear(scene: Scene, points: Image) -> tuple[Image, Image, Image]:
     growth = scene.corrosion * area + worn * (1.0 * wide + 0.5 * fine)
     growth = 2.2 * np.tanh(growth / 2.2)
     smear = 1 + worn * np.abs(soft)
-    texels = points / np.float32(texel) + np.float32(_TEXTURE / 2 - 0.5)
-    fields = np.dstack([warp, growth, smear]).astype(np.float32)
-    x, y = cv2.split(texels)
-    sampled = cv2.remap(fields, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return sampled[..., :2], sampled[..., 2], sampled[..., 3]
+    return np.dstack([warp, growth, smear]).astype(np.float32)
 
 
 @functools.lru_cache(maxsize=1)  # both views of a scene, and all its frames, have one print
