@@ -1,5 +1,7 @@
 """The command line in an empty folder, for all of its tests."""
 
+import signal
+
 import pytest
 
 from cmp_cl.cli import main as cli
@@ -18,3 +20,14 @@ def run(capsys, tmp_path, monkeypatch):
         return (status, *capsys.readouterr())
 
     return run_in_folder
+
+
+@pytest.fixture
+def without_nohup():
+    """Restore SIGHUP in a process that nohup has started."""
+    if not hasattr(signal, "SIGHUP"):
+        yield
+        return
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)

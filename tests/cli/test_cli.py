@@ -192,6 +192,7 @@ def test_a_terminated_command_leaves_no_temporary_file(run, monkeypatch):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a signal to one process alone needs POSIX")
+@pytest.mark.usefixtures("without_nohup")
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_while_modules_are_imported_is_130_and_one_line(tmp_path, name):
     (tmp_path / "cv2.py").write_text(

@@ -208,17 +208,6 @@ def test_a_run_that_waits_for_its_frames_is_limited_by_decoding(run, recording, 
 STOPS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
-@pytest.fixture
-def without_nohup():
-    """Restore SIGHUP in a process that nohup has started."""
-    if not hasattr(signal, "SIGHUP"):
-        yield
-        return
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    yield
-    signal.signal(signal.SIGHUP, before)
-
-
 @pytest.mark.usefixtures("without_nohup")
 @pytest.mark.parametrize("times", [1, 2])
 @pytest.mark.parametrize("name", some(STOPS, ("SIGINT", "SIGTERM")))
