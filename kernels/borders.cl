@@ -5,7 +5,7 @@
  * A side is read along squares that share its last two lines of nodes. From one square to the next
  * the colours change, so the difference of two neighbours, with its sign, is the pattern's own
  * signal: it is there inside, it is gone where the pattern ends, and it comes back where cells
- * follow. Levels are those of the image; decisions rest on their sums.
+ * follow. Decisions rest on sums of levels.
  *
  * nodes: the positions of a board, row by row; node_owner: their corners; only nodes with one are
  * read here. Sides are top, bottom, left, right; line 0 of a side is its last one. */
@@ -39,7 +39,8 @@ int place_on(const int side, const int line, const int k, const int4 box, const 
 /* Take off the outer lines of a board that hold too few of their places in view, and keep the rest,
  * upright. Things beside a pattern continue some of its columns, a further line of the pattern
  * continues all of them. The steps to the next column, and those to the next row turned back by a
- * quarter, sum to a way that is nearest to the image's x axis then. node_kind: ROUGH, or FIRM: a corner, not rough, whose two cells of each colour are alike.
+ * quarter, sum to a way that is nearest to the image's x axis then. node_kind: ROUGH, or FIRM: a
+ * corner, not rough, whose two cells of each colour are alike.
  * One work-group. */
 #define ROUGH 1
 #define FIRM 2
@@ -144,17 +145,9 @@ float2 corner_at(__global const float2 *nodes, __global const int *node_owner, c
 }
 #define IS_HERE(p) ((p).x == (p).x)
 
-#define IMAGE image, step, rows, columns
-#define IMAGE_OF_BOARD                                                              \
-  __global const PIXEL *restrict image, const uint step, const uint rows, const uint columns
 bool is_in_view(const float2 p, const uint rows, const uint columns) {
   return p.x >= 0 && p.y >= 0 && p.x < (float)columns && p.y < (float)rows;
 }
-int grey_at(IMAGE_OF_BOARD, const float2 p) {
-  const int column = floor_of(p.x + 0.5f), row = floor_of(p.y + 0.5f);
-  return image[(HELD(row, rows) + 1) * (int)step + PAD + HELD(column, columns)];
-}
-
 /* A square at a side: the middle of its side on the last line, and the steps out of the board and
  * along the line, px. */
 typedef struct {
@@ -264,14 +257,13 @@ int common_reach(__local const int *reach, const int count) {
 }
 
 /* Measure the sides of a board. One work-group. */
-__kernel void measure_border(__global const PIXEL *restrict image, const uint step, const uint rows,
-                             const uint columns, const float passing,
+__kernel void measure_border(LEVELS_OF_IMAGE, const float passing,
                              __global const float2 *restrict nodes,
                              __global const int *restrict node_owner,
                              __global int *restrict border) {
   const int height = border[ROWS_OF], width = border[COLUMNS_OF];
   __local int first[SIDES * PAIRS], pairs[SIDES], near[SIDES], shown[SIDES * PAIRS];
-  __local int levels[SIDES * PAIRS * DEPTHS * 2], squares[SIDES * PAIRS];
+  __local int sums[SIDES * PAIRS * DEPTHS * 2], squares[SIDES * PAIRS];
   __local int room[SIDES], any_longer;
   if (get_local_id(0) == 0) any_longer = 0;
   FOR_ALL(side, SIDES) {
@@ -289,7 +281,7 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
     if (near[side]) PAIRS_IN_SIGHT(side, NEAR_CELL);
   }
   ALL_TOGETHER;
-#define LEVEL(n, depth, square) levels[((n) * 2 + (square)) * DEPTHS + (depth)]
+#define LEVEL(n, depth, square) sums[((n) * 2 + (square)) * DEPTHS + (depth)]
   FOR_ALL(m, SIDES * PAIRS * 2) {
     const int pair = m / 2, side = pair / PAIRS;
     if (pair % PAIRS >= pairs[side] || !shown[pair]) continue;
@@ -300,9 +292,11 @@ __kernel void measure_border(__global const PIXEL *restrict image, const uint st
       const float out = depth == 0 ? -0.5f : depth == 1 ? far : STEP_OF_LEVELS * (float)depth;
       int sum = 0;
       const float2 at = square.middle + out * square.out;
-      for (int spot = -1; spot <= 1; ++spot)
-        sum += grey_at(IMAGE, at + STEP_OF_LEVELS * (float)spot * square.along);
-      levels[m * DEPTHS + depth] = sum;
+      for (int spot = -1; spot <= 1; ++spot) {
+        const float2 p = at + STEP_OF_LEVELS * (float)spot * square.along;
+        sum += level_at(LEVELS, p.x, p.y);
+      }
+      sums[m * DEPTHS + depth] = sum;
     }
   }
   ALL_TOGETHER;

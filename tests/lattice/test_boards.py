@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from lattice_plans import K, gel, started
+from scenes import board
 
 from cmp_cl import Detector, DetectorConfig, detect
 from cmp_cl.lattice.boards import boards
@@ -35,8 +36,8 @@ def right(corners, board, truth):
 def test_a_gel_torn_all_around_a_ring_is_one_board_with_right_numbers(device, seed):
     scene = random_scene(720_000 + seed, markers=40 + seed, indenter=Indenter.TORUS, severity=2.0)
     shot = render(scene)
-    corners, (board, *_) = found(device, shot.image)
-    nodes, agreed = right(corners, board, shot.truth)
+    corners, (largest, *_) = found(device, shot.image)
+    nodes, agreed = right(corners, largest, shot.truth)
     assert agreed == nodes
     assert nodes > 0.88 * shot.truth[..., 0].size
 
@@ -47,9 +48,18 @@ def test_a_corner_is_a_node_of_one_board_at_most(device, seed):
     image = gel(1.0, seed=seed)
     _, every = found(device, image, agree=0.05, join_votes=np.inf)
     assert len(every) > 3
-    assert all(np.count_nonzero(board.there) >= K.least_board for board in every)
-    owner = np.concatenate([board.owner[board.owner >= 0] for board in every])
+    assert all(np.count_nonzero(each.there) >= K.least_board for each in every)
+    owner = np.concatenate([each.owner[each.owner >= 0] for each in every])
     assert len(np.unique(owner)) == len(owner)
+
+
+@pytest.mark.parametrize("number", range(1, 5))
+def test_the_edge_of_a_shadow_parts_no_board(device, number):
+    """An eighth of the light is left behind it."""
+    image = board(number).image
+    light = 0.125 + 0.875 / (1 + np.exp((200.0 - np.arange(image.shape[1])) / 12))
+    _, (seen, *_) = found(device, (light * image).astype(np.uint8))
+    assert np.count_nonzero(seen.owner >= 0) == 54
 
 
 def test_an_image_without_a_lattice_has_no_board(device):

@@ -11,6 +11,7 @@ from cmp_cl import detect
 from cmp_cl.lattice.arrays import NONE, UNSEEN, Board, Border
 from cmp_cl.lattice.kernels import FIRM, LAYOUT, ROUGH, SIDES
 from cmp_cl.reference.lattice.borders import Sides, trimmed, upright
+from cmp_cl.reference.lattice.parts import levels_of
 
 
 def settled(device, image, corners, full_scale=255):
@@ -23,13 +24,13 @@ def part_of(board, box):
     return Board(**arrays, sign=1)
 
 
-def assert_equal_to_the_oracle(plan, board, image):
+def assert_equal_to_the_oracle(plan, board, image, full_scale=255):
     plan.write("border", np.array(board.owner.shape, np.int32))
     plan.write("nodes", np.stack([board.x, board.y], axis=2))
     plan.write("node_owner", board.owner.astype(np.int32))
     plan.enqueue([each for each in plan.lay if each[0] == "measure_border"])
     found = plan.read("border", np.int32)[SIDES:]
-    border, sides = Border.of(found), Sides(board, image, K)
+    border, sides = Border.of(found), Sides(board, levels_of(image, full_scale), K)
     assert found.tolist() == sides.found()
     np.testing.assert_array_equal(border.ends, sides.reach != UNSEEN)
     return border
@@ -40,7 +41,7 @@ def test_a_whole_gel_ends_at_all_sides(device, bits):
     image = gel(0.5, bits=bits)
     corners = detect(image)
     plan, board = settled(device, image, corners, 2**bits - 1)
-    border = assert_equal_to_the_oracle(plan, board, image)
+    border = assert_equal_to_the_oracle(plan, board, image, 2**bits - 1)
     assert border.ends.all()
     np.testing.assert_allclose(border.reach, 1, atol=0.1)
 

@@ -10,7 +10,6 @@ from scenes import SCENES
 from cmp_cl import detect
 from cmp_cl.lattice.arrays import LOOKED, NONE, Board
 from cmp_cl.lattice.kernels import ROUNDS, SIDES, TAKEN
-from cmp_cl.reference import harmonic
 from cmp_cl.reference.lattice import borders
 from cmp_cl.reference.lattice import nodes as lattice_nodes
 from cmp_cl.reference.lattice import parts as lattice
@@ -72,7 +71,7 @@ def assert_equal_to_the_oracle(device, image, corners, *, change=None, full_scal
     makes of its. Return the parts and the board."""
     count, torn = len(corners), corners.refusal != 0
     plan = started(device, image, corners, full_scale=full_scale)
-    plane = harmonic.smoothed(image, full_scale)[0]
+    plane = lattice.levels_of(image, full_scale)
     parts = lattice.parts(plane, corners.xy, corners.edges, torn, K)
     assert_half_edges_equal(plan, plane, parts)
     numbers = numbers_of(parts, count)
@@ -87,7 +86,7 @@ def assert_equal_to_the_oracle(device, image, corners, *, change=None, full_scal
     taken = numbers[:, 3] == TAKEN
     wanted = lattice_nodes.settled(plane, corners.xy, torn, board, K, taken)
     wanted = borders.upright(borders.trimmed(wanted, image.shape, K))
-    sides = borders.Sides(wanted, image, K)
+    sides = borders.Sides(wanted, plane, K)
     assert plan.read("border", np.int32)[SIDES:].tolist() == sides.found()
     for name in ("owner", "firm", "x", "y"):
         np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), err_msg=name)

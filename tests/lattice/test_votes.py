@@ -6,7 +6,6 @@ from lattice_plans import K, gel, started
 
 from cmp_cl import detect
 from cmp_cl.lattice import kernels
-from cmp_cl.reference import harmonic
 from cmp_cl.reference.lattice import parts as lattice
 from cmp_cl.reference.lattice import votes as lattice_votes
 from cmp_cl.synthetic import Indenter
@@ -16,7 +15,7 @@ def linked(device, image):
     """Return a plan whose parts have been found, the corners, and the same from the oracle."""
     corners = detect(image)
     plan = started(device, image, corners)
-    plane = harmonic.smoothed(image, 255)[0]
+    plane = lattice.levels_of(image, 255)
     directed = lattice.directed(plane, corners.xy, corners.edges, K)
     twin = lattice.links(plane, directed, K)
     return plan, corners, plane, directed, twin

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.image import GreyImage
 from cmp_cl.lattice.arrays import UNSEEN, WHOLE, Board
 from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.reference.lattice.nodes import inverse
+from cmp_cl.reference.lattice.nodes import Plane, inverse
 from cmp_cl.reference.lattice.parts import (
     F,
     Mask,
     Real,
     Whole,
     length_of,
+    read,
 )
 
 PAIRS = 16  # pairs of neighbouring squares of a side that are read
@@ -96,9 +96,9 @@ class Sides:
     where the pattern is not seen to end.
     """
 
-    def __init__(self, board: Board, image: GreyImage, k: LatticeConstants) -> None:
+    def __init__(self, board: Board, plane: Plane, k: LatticeConstants) -> None:
         there = board.owner >= 0
-        self.image, self.k = image, k
+        self.plane, self.k = plane, k
         self.x = np.where(there, board.x, F(np.nan))
         self.y = np.where(there, board.y, F(np.nan))
         self.ways = list(zip(_ways(self.x), _ways(self.y), strict=True))
@@ -124,17 +124,9 @@ class Sides:
         ]
 
     def _in_view(self, x: Real, y: Real) -> Mask:
-        rows, columns = self.image.shape
+        rows, columns = self.plane.shape
         inside: Mask = (x >= 0) & (y >= 0) & (x < F(columns)) & (y < F(rows))
         return inside
-
-    def _grey(self, x: Real, y: Real) -> Whole:
-        """Return the levels of the nearest pixels."""
-        rows, columns = self.image.shape
-        column = np.floor(x + F(0.5)).astype(np.int64).clip(0, columns - 1)
-        row = np.floor(y + F(0.5)).astype(np.int64).clip(0, rows - 1)
-        levels: Whole = self.image[row, column].astype(np.int64)
-        return levels
 
     def _has_room(self, x: Real, y: Real) -> bool:
         known = inside = 0
@@ -176,7 +168,7 @@ class Sides:
         step = F(self.k.border_step_cells)
         depths = [F(-0.5), cells[near], *(step * F(n) for n in DEPTHS)]
         spots = [step * F(n) for n in (-1, 0, 1)]
-        level = np.array([sum(self._grey(*at(d, spot)) for spot in spots) for d in depths])
+        level = np.array([sum(read(self.plane, *at(d, spot)) for spot in spots) for d in depths])
         inside, beyond = (abs(int((level[n, :, 0] - level[n, :, 1]).sum())) for n in (0, 1))
         change = int(np.abs(level[0] - level[1]).sum())
         follows = bool(F(change) < F(2) * F(self.k.passing) * F(inside))

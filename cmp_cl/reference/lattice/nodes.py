@@ -162,7 +162,7 @@ def cells_at(
     plane: Plane, x: Real, y: Real, steps: Steps, parity: Whole, k: LatticeConstants
 ) -> tuple[Whole, Whole]:
     """Return of the four cells at each node the least bright less the greatest dark level, and
-    twice their contrast, in sixteenths of a grey level."""
+    twice their contrast."""
     f = depth_within(k.cell_depth, inverse_root(np.maximum(steps.cell * steps.cell, F(1))), k)
     sx, sy = f * (steps.ux + steps.vx), f * (steps.uy + steps.vy)
     tx, ty = f * (steps.vx - steps.ux), f * (steps.vy - steps.uy)
@@ -255,7 +255,7 @@ def _sides_to(
     k: LatticeConstants,
 ) -> list[Whole]:
     """Return the evidence of the four sides from positions to the board's own neighbours, (R, C)
-    each, as sums of five differences in sixteenths of a grey level, read from the upper or the left
+    each, as sums of five differences, read from the upper or the left
     end; 0 where one is missing."""
     sums = []
     for r, c in FOUR:

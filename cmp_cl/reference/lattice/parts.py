@@ -9,7 +9,9 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.image import GreyImage
 from cmp_cl.lattice.constants import LatticeConstants
+from cmp_cl.reference.harmonic import smoothed
 
 Whole = NDArray[np.int64]
 Real = NDArray[np.float32]
@@ -49,7 +51,7 @@ class Parts:
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Directed:
     """Corners with their boundaries: x, y (N,) float32; angle (N, 4), 1/65536 turn; contrast (N,),
-    twice the contrast of their cells in sixteenths of a grey level; placed, known (N,), False
+    twice the contrast of their cells, see `levels_of`; placed, known (N,), False
     without a position, and without angles."""
 
     x: Real
@@ -69,7 +71,7 @@ def parts(
 ) -> Parts:
     """Return the parts of the lattice.
 
-    plane: (H, W), S1 of docs/algorithm.md. xy: (N, 2), px. edges: (N, 4), rad, NaN
+    plane: (H, W), see `levels_of`. xy: (N, 2), px. edges: (N, 4), rad, NaN
     where unknown. torn: (N,), corners whose refinement was rejected.
     """
     corners = directed(plane, xy, edges, constants)
@@ -87,6 +89,18 @@ def inverse_root(x: Real) -> Real:
     for _ in range(3):
         y = y * (F(1.5) - (half * y) * y)
     return y
+
+
+def levels_of(image: GreyImage, full_scale: int) -> Whole:
+    """Return 64 times the square root of S1 of docs/algorithm.md, to within .2 %, (H, W).
+
+    Light multiplies what a print reflects. In roots a cell in shadow differs less from the next
+    one, and the noise of a camera is even."""
+    level = smoothed(image, full_scale)[0].astype(np.float32)
+    y = (np.int32(0x5F3759DF) - (level.view(np.int32) >> 1)).view(np.float32)
+    root = level * y
+    levels: Whole = (F(64) * root * (F(1.5) - F(0.5) * root * y)).astype(np.int64)
+    return levels
 
 
 def length_of(square: Real) -> Real:
