@@ -99,20 +99,22 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
   __local int way_x, way_y;
   if (get_local_id(0) == 0) way_x = way_y = 0;
   ALL_TOGETHER;
+  int own_x = 0, own_y = 0;
   FOR_ALL(place, all) {
-    const int from = (box.x + place / across) * width + box.z + place % across;
+    const int row = place / across, column = place - row * across;
+    const int from = (box.x + row) * width + box.z + column;
     if (owner[from] < 0) continue;
-    if (place % across + 1 < across && owner[from + 1] >= 0) {
-      const float2 step = result[from + 1] - result[from];
-      atomic_add(&way_x, IN_32THS(step.x));
-      atomic_add(&way_y, IN_32THS(step.y));
+    if (column + 1 < across && owner[from + 1] >= 0) {
+      own_x += IN_32THS(result[from + 1].x - result[from].x);
+      own_y += IN_32THS(result[from + 1].y - result[from].y);
     }
-    if (place / across + 1 < height && owner[from + width] >= 0) {
-      const float2 step = result[from + width] - result[from];
-      atomic_add(&way_x, IN_32THS(step.y));
-      atomic_sub(&way_y, IN_32THS(step.x));
+    if (row + 1 < height && owner[from + width] >= 0) {
+      own_x += IN_32THS(result[from + width].y - result[from].y);
+      own_y -= IN_32THS(result[from + width].x - result[from].x);
     }
   }
+  atomic_add(&way_x, own_x);
+  atomic_add(&way_y, own_y);
   ALL_TOGETHER;
   const bool flat = MAGNITUDE_OF(way_x) >= MAGNITUDE_OF(way_y);
   const int quarters = flat ? (way_x < 0 ? 2 : 0) : (way_y < 0 ? 1 : 3);

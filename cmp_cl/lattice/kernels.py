@@ -103,6 +103,7 @@ def values(k: LatticeConstants, context: cl.Context) -> dict[str, Any]:
         "least_cosine": k.least_cosine,
         "turn_price": k.turn_price,
         "least_middle": 3 * k.side_middle,  # three points
+        "middle_depth": k.middle_depth_cells,
         "reach": k.span + 0.5,
         "passing": k.passing,
         "least_line": k.least_line,

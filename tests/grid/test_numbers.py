@@ -661,6 +661,14 @@ def test_photographs_get_one_consistent_lattice(name, share):
     assert score.share >= share
 
 
+def test_tabs_on_the_sides_of_a_puzzle_part_no_lattice():
+    """Enlarged, the tabs are wider than the smoothing of levels."""
+    view = photograph("puzzleboard/example1")
+    large = cv2.resize(view.image, None, fx=1.5, fy=1.5, interpolation=cv2.INTER_CUBIC)
+    grid = build_grid(detect(large), large)
+    assert np.count_nonzero(grid.index[:, 0] >= 0) >= 266
+
+
 @pytest.mark.parametrize("name", ["left01", "left02", "left03", "right02", "right04"])
 def test_boards_in_a_room_are_found_whole_and_in_part(name):
     view = photograph(f"stereo_opencv/{name}")

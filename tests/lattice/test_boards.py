@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import cv2
 import numpy as np
 import pytest
 from lattice_plans import K, gel, started
@@ -78,3 +79,16 @@ def test_a_frame_with_more_corners_than_expected_is_numbered(device):
             corners, grid = detector.grid(image)
             assert np.count_nonzero(grid.index[:, 0] >= 0) > 0.95 * len(corners) > 1800
         assert detector.regrown > 0
+
+
+def test_sides_that_bend_are_links(device):
+    """Wide cells, the middles of whose sides lie up to 8 px beside their chords."""
+    y, x = np.mgrid[:1800, :2100] / 3
+    bent_x, bent_y = x + 25 * np.sin(y / 60), y + 25 * np.sin(x / 60)
+    black = (np.floor(bent_x / 90) + np.floor(bent_y / 90)) % 2
+    wide = cv2.GaussianBlur((210 - 170 * black).astype(np.float32), (0, 0), 2.4)
+    image = cv2.resize(wide, (700, 600), interpolation=cv2.INTER_AREA).astype(np.uint8)
+    corners = detect(image, device=device)
+    plan = started(device, image, corners)
+    twin = plan.read("twin", np.int32)[: 4 * len(corners)]
+    assert np.count_nonzero(twin >= 0) > 3 * len(corners)
