@@ -92,12 +92,12 @@ float2 way_of(__global const float4 *lines, const int h) {
 /* twin[h]: the half-edge at the other end of a link. One work-item per half-edge; that of the lower
  * end looks at the side of both, which bends as the boundaries at its ends do: its middle lies
  * beside the chord. Tabs of a puzzle hide colours near a side, marks those deeper in the cells, and
- * a bar both. least_middle: share of the contrast, summed over three points. middle_depth: share of
- * the side, how far beside it is deep. */
+ * a bar both. least_middle: share of the contrast, summed over three points. deep: share of the
+ * side, how far beside it. */
 __kernel void keep_links(__global const float *restrict corners, const uint capacity,
                          __global const float4 *restrict lines,
                          __global const int *restrict contrast, LEVELS_OF_IMAGE,
-                         const float least_middle, const float middle_depth, __global const int *restrict choice,
+                         const float least_middle, const float deep, __global const int *restrict choice,
                          __global int *restrict twin) {
   const int h = get_global_id(0);
   if (h >= 4 * (int)COUNT(corners)) return;
@@ -113,8 +113,8 @@ __kernel void keep_links(__global const float *restrict corners, const uint capa
     const int near = difference(LEVELS, a + bow, b + bow, MIDDLE);
     bool is_seen = sign * (float)near * root > least_middle;
     if (!is_seen) {
-      const int deep = difference_within(LEVELS, a + bow, b + bow, MIDDLE, middle_depth);
-      is_seen = sign * (float)deep * root > least_middle;
+      const int far = difference_within(LEVELS, a + bow, b + bow, MIDDLE, deep);
+      is_seen = sign * (float)far * root > least_middle;
     }
     twin[h] = is_seen ? end : NONE;
     twin[end] = is_seen ? h : NONE;

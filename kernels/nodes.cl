@@ -15,7 +15,7 @@
 
 /* Constants of the score, in the order of cmp_cl/lattice/kernels.py. */
 typedef struct {
-  float depth;
+  float depth, deep;
   float rough_weight;
   float side_nats, cells_nats, prior, penalty, torn_penalty;
   float reach, near, edge;
@@ -269,6 +269,15 @@ Cells cells_at(LEVELS_OF_IMAGE, const float2 at, const Steps steps, const int pa
 
 #define UNKNOWN INT_MIN /* the contrast where there is no node, or no step */
 
+/* The side from a node to the next: near it, and if that shows less than half of the node's contrast
+ * deeper in the cells too, as beside a tab, or where the side bends. */
+int side_between(LEVELS_OF_IMAGE, __constant Nats *nats, const float2 a, const float2 b,
+                 const int sign, const int contrast) {
+  const int near = sign * difference(LEVELS, a, b, WHOLE_SIDE);
+  if (4 * near >= 5 * contrast) return near; /* five points, and twice the contrast */
+  return LARGER(near, sign * difference_within(LEVELS, a, b, WHOLE_SIDE, nats->deep));
+}
+
 /* Measure the steps, sides and cells of a node. */
 #define PARITY_OF(row, column) (((row) + (column)) & 1 ? -layout[SIGN] : layout[SIGN])
 void measure(LEVELS_OF_IMAGE, __constant Nats *nats, const int width, const int place,
@@ -281,8 +290,10 @@ void measure(LEVELS_OF_IMAGE, __constant Nats *nats, const int width, const int 
     const Cells found = cells_at(LEVELS, here, steps, parity, nats->depth);
     cell[place] = steps.cell;
     found_cells = (int2)(found.quality, steps.known ? found.contrast : UNKNOWN);
-    if (IS_HERE(right)) side.x = parity * difference(LEVELS, here, right, WHOLE_SIDE);
-    if (IS_HERE(below)) side.y = -parity * difference(LEVELS, here, below, WHOLE_SIDE);
+    if (IS_HERE(right))
+      side.x = side_between(LEVELS, nats, here, right, parity, found.contrast);
+    if (IS_HERE(below))
+      side.y = side_between(LEVELS, nats, here, below, -parity, found.contrast);
   }
   sides[place] = side;
   cells[place] = found_cells;

@@ -103,7 +103,7 @@ def values(k: LatticeConstants, context: cl.Context) -> dict[str, Any]:
         "least_cosine": k.least_cosine,
         "turn_price": k.turn_price,
         "least_middle": 3 * k.side_middle,  # three points
-        "middle_depth": k.middle_depth_cells,
+        "deep": k.deep_cells,
         "reach": k.span + 0.5,
         "passing": k.passing,
         "least_line": k.least_line,
@@ -131,7 +131,7 @@ def nats(k: LatticeConstants) -> NDArray[np.float32]:
     """Return the constants of the score, in the order of kernels/nodes.cl."""
     return np.array(
         [
-            *(k.cell_depth, k.rough_weight_per_px2),
+            *(k.cell_depth, k.deep_cells, k.rough_weight_per_px2),
             *(k.side_nats, k.cells_nats, k.prior_nats),
             *(0.5 / k.sd_cells**2, 2 / k.sd_cells**2),  # that of a torn corner is half as large
             *(k.reach_cells, k.near_cells, k.contrast_radius_px),

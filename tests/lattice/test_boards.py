@@ -81,14 +81,32 @@ def test_a_frame_with_more_corners_than_expected_is_numbered(device):
         assert detector.regrown > 0
 
 
+def in_pixels(black):
+    """Return an image of cells that are drawn with 3 samples for each pixel and axis."""
+    blurred = cv2.GaussianBlur((210 - 170.0 * black).astype(np.float32), (0, 0), 2.4)
+    size = black.shape[1] // 3, black.shape[0] // 3
+    return cv2.resize(blurred, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
+
+
 def test_sides_that_bend_are_links(device):
     """Wide cells, the middles of whose sides lie up to 8 px beside their chords."""
     y, x = np.mgrid[:1800, :2100] / 3
     bent_x, bent_y = x + 25 * np.sin(y / 60), y + 25 * np.sin(x / 60)
     black = (np.floor(bent_x / 90) + np.floor(bent_y / 90)) % 2
-    wide = cv2.GaussianBlur((210 - 170 * black).astype(np.float32), (0, 0), 2.4)
-    image = cv2.resize(wide, (700, 600), interpolation=cv2.INTER_AREA).astype(np.uint8)
+    image = in_pixels(black)
     corners = detect(image, device=device)
     plan = started(device, image, corners)
     twin = plan.read("twin", np.int32)[: 4 * len(corners)]
     assert np.count_nonzero(twin >= 0) > 3 * len(corners)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_tabs_on_the_sides_of_a_puzzle_part_no_board(device, seed):
+    """Cells of 60 px; a disc of one of the two colours hides the middle of each side."""
+    y, x = np.mgrid[:1440, :1440] / 180
+    black = (np.floor(x) + np.floor(y)) % 2 == 0
+    draw = np.random.default_rng(seed)
+    for row, column in np.argwhere(np.add.outer(np.arange(17), np.arange(17)) % 2) / 2:
+        black[(x - column) ** 2 + (y - row) ** 2 < 0.17**2] = draw.random() < 0.5
+    _, (seen, *_) = found(device, in_pixels(black))
+    assert np.count_nonzero(seen.owner >= 0) == 49

@@ -214,7 +214,9 @@ def evidence(
     share = _usual(np.where(known, contrast, 0), known)
 
     sides = np.zeros(x.shape, np.float32)
-    for (r, c), each in zip(FOUR, _sides_to(plane, (own_x, own_y), x, y, parity, k), strict=True):
+    own = contrast if new is None else None
+    to = _sides_to(plane, (own_x, own_y), x, y, parity, own, k)
+    for (r, c), each in zip(FOUR, to, strict=True):
         seen = ~np.isnan(shifted(own_x, r, c, np.nan)) & ~np.isnan(x)
         whole = np.clip((each.astype(np.float32) * share) * F(1 / len(SIDE_POINTS)), F(-1), F(1))
         sides = np.where(seen, sides + whole, sides)
@@ -252,11 +254,15 @@ def _sides_to(
     x: Real,
     y: Real,
     parity: Whole,
+    contrast: Whole | None,
     k: LatticeConstants,
 ) -> list[Whole]:
     """Return the evidence of the four sides from positions to the board's own neighbours, (R, C)
-    each, as sums of five differences, read from the upper or the left
-    end; 0 where one is missing."""
+    each, as sums of five differences, read from the upper or the left end; 0 where one is missing.
+
+    contrast: twice that of the board's nodes, (R, C). A side that shows less than half of that of
+    the end that it is read from is read deeper in the cells too; without it none is.
+    """
     sums = []
     for r, c in FOUR:
         ox, oy = shifted(own[0], r, c, np.nan), shifted(own[1], r, c, np.nan)
@@ -265,10 +271,17 @@ def _sides_to(
         sign = (parity if r == 0 else -parity).ravel()[both]
         if r + c < 0:
             here, there, sign = there, here, -sign
-        total = np.zeros(x.size, np.int64)
         step = there[0] - here[0], there[1] - here[1]
-        total[both] = side_sum(plane, here, step, k) * sign
-        sums.append(total.reshape(x.shape))
+        total = side_sum(plane, here, step, k) * sign
+        if contrast is not None:
+            whole = contrast if r + c > 0 else shifted(contrast, r, c, 0)
+            within = np.full(len(both), k.deep_cells, np.float32)
+            deep = side_sum(plane, here, step, k, depth=within) * sign
+            weak = 4 * total < len(SIDE_POINTS) * whole.ravel()[both]
+            total = np.where(weak, np.maximum(total, deep), total)
+        every = np.zeros(x.size, np.int64)
+        every[both] = total
+        sums.append(every.reshape(x.shape))
     return sums
 
 

@@ -294,7 +294,7 @@ def has_side(
     step = (corners.x[q] + bow_x) - start[0], (corners.y[q] + bow_y) - start[1]
     sign = 1 - 2 * (low & 1)
     near = sign * side_sum(plane, start, step, constants, MIDDLE_POINTS)
-    within = np.full(len(h), constants.middle_depth_cells, np.float32)
+    within = np.full(len(h), constants.deep_cells, np.float32)
     deep = sign * side_sum(plane, start, step, constants, MIDDLE_POINTS, within)
     middle = np.maximum(near, deep)
     product = corners.contrast[p].astype(np.float32) * corners.contrast[q].astype(np.float32)
