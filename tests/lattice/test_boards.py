@@ -103,10 +103,10 @@ def test_sides_that_bend_are_links(device):
 @pytest.mark.parametrize("seed", [0, 1, 3])
 def test_tabs_on_the_sides_of_a_puzzle_part_no_board(device, seed):
     """Cells of 60 px; a disc of one of the two colours hides the middle of each side."""
-    y, x = np.mgrid[:1440, :1440] / 180
-    black = (np.floor(x) + np.floor(y)) % 2 == 0
-    draw = np.random.default_rng(seed)
-    for row, column in np.argwhere(np.add.outer(np.arange(17), np.arange(17)) % 2) / 2:
-        black[(x - column) ** 2 + (y - row) ** 2 < 0.17**2] = draw.random() < 0.5
+    colour = np.random.default_rng(seed).random((17, 17)) < 0.5
+    v, u = np.mgrid[:1440, :1440] / 90  # half cells
+    row, column = np.rint(v).astype(int), np.rint(u).astype(int)
+    disc = (np.hypot(u - column, v - row) < 0.34) & ((row + column) % 2 == 1)
+    black = np.where(disc, colour[row, column], (np.floor(u / 2) + np.floor(v / 2)) % 2 == 0)
     _, (seen, *_) = found(device, in_pixels(black))
     assert np.count_nonzero(seen.owner >= 0) == 49
