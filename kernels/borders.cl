@@ -40,8 +40,7 @@ int place_on(const int side, const int line, const int k, const int4 box, const 
  * upright. Things beside a pattern continue some of its columns, a further line of the pattern
  * continues all of them. The steps to the next column, and those to the next row turned back by a
  * quarter, sum to a way that is nearest to the image's x axis then. node_kind: ROUGH, or FIRM: a
- * corner, not rough, whose two cells of each colour are alike.
- * One work-group. */
+ * corner, not rough, whose two cells of each colour are alike. One work-group. */
 #define ROUGH 1
 #define FIRM 2
 #define IN_32THS(v) floor_of(32 * (v) + 0.5f)
@@ -133,7 +132,7 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
     node_kind[place] = rough[from] ? ROUGH : owner[from] >= 0 && alike ? FIRM : 0;
   }
   if (get_local_id(0)) return;
-  const int passed = quarters == 0 ? 0 : quarters == 1 ? across : quarters == 2 ? height + across : height;
+  const int passed = (quarters == 1 || quarters == 2 ? across : 0) + (quarters > 1 ? height : 0);
   border[ROWS_OF] = all ? size.x : 0;
   border[COLUMNS_OF] = all ? size.y : 0;
   border[SIGN_OF] = (box.x + box.z + passed) & 1 ? -layout[SIGN] : layout[SIGN];
@@ -150,6 +149,7 @@ float2 corner_at(__global const float2 *nodes, __global const int *node_owner, c
 bool is_in_view(const float2 p, const uint rows, const uint columns) {
   return p.x >= 0 && p.y >= 0 && p.x < (float)columns && p.y < (float)rows;
 }
+
 /* A square at a side: the middle of its side on the last line, and the steps out of the board and
  * along the line, px. */
 typedef struct {

@@ -97,8 +97,8 @@ float2 way_of(__global const float4 *lines, const int h) {
 __kernel void keep_links(__global const float *restrict corners, const uint capacity,
                          __global const float4 *restrict lines,
                          __global const int *restrict contrast, LEVELS_OF_IMAGE,
-                         const float least_middle, const float deep, __global const int *restrict choice,
-                         __global int *restrict twin) {
+                         const float least_middle, const float deep,
+                         __global const int *restrict choice, __global int *restrict twin) {
   const int h = get_global_id(0);
   if (h >= 4 * (int)COUNT(corners)) return;
   const int end = choice[h];

@@ -94,8 +94,9 @@ def inverse_root(x: Real) -> Real:
 def levels_of(image: GreyImage, full_scale: int) -> Whole:
     """Return 64 times the square root of S1 of docs/algorithm.md, to within .2 %, (H, W).
 
-    Light multiplies what a print reflects. In roots a cell in shadow differs less from the next
-    one, and the noise of a camera is even."""
+    Light multiplies what a print reflects, so cells in a shadow differ by less than others; in
+    roots by the root of that, and the noise of a camera is even.
+    """
     level = smoothed(image, full_scale)[0].astype(np.float32)
     y = (np.int32(0x5F3759DF) - (level.view(np.int32) >> 1)).view(np.float32)
     root = level * y
