@@ -69,6 +69,7 @@ ABLATION: dict[str, dict[str, Any]] = {
     "torn corners count as whole ones": {"rough_weight_per_px2": 1e9},
     "no test of nodes": {"prior_nats": 1e6},
     "nodes whatever their sides": {"side_nats": 0.0, "prior_nats": K.prior_nats + 4 * K.side_nats},
+    "sides are read near them only": {"deep_cells": K.side_depth_cells},
     "nodes whatever their cells": {"cells_nats": 0.0, "prior_nats": K.prior_nats + K.cells_nats},
     "nodes wherever they are": {"sd_cells": 1e3},
     "outer lines and whole boards hold what they hold": {"least_line": 0.0},
@@ -173,9 +174,6 @@ PEERS: dict[str, Method] = {
     "cv2 SB, LARGER": sector_based,
     "libcbdetect": libcbdetect,
 }
-
-
-# one picture at a time
 
 
 class Family(NamedTuple):
