@@ -82,20 +82,11 @@ __kernel void choose_links(__global const float *restrict corners, const uint ca
   for (int s = 0; s < 4; ++s) choice[4 * i + s] = best[s] == NO_CHORD ? NONE : END_OF(best[s]);
 }
 
-/* The direction in which a half-edge leaves its corner. */
-float2 way_of(__global const float4 *lines, const int h) {
-  const float4 own = lines[h >> 2];
-  const float2 line = h & 1 ? own.zw : own.xy;
-  return h & 2 ? -line : line;
-}
-
 /* twin[h]: the half-edge at the other end of a link. One work-item per half-edge; that of the lower
- * end looks at the side of both, which bends as the boundaries at its ends do: its middle lies
- * beside the chord. Tabs of a puzzle hide colours near a side, marks those deeper in the cells, and
- * a bar both. least_middle: share of the contrast, summed over three points. deep: share of the
- * side, how far beside it. */
+ * end looks at the side of both. Tabs of a puzzle, and a side that bends, hide colours near the
+ * chord, marks those deeper in the cells, and a bar both. least_middle: share of the contrast, summed
+ * over three points. deep: share of the side, how far beside it. */
 __kernel void keep_links(__global const float *restrict corners, const uint capacity,
-                         __global const float4 *restrict lines,
                          __global const int *restrict contrast, LEVELS_OF_IMAGE,
                          const float least_middle, const float deep,
                          __global const int *restrict choice, __global int *restrict twin) {
@@ -107,13 +98,12 @@ __kernel void keep_links(__global const float *restrict corners, const uint capa
   } else if (h < end) {
     __global const float2 *at = POSITIONS(corners);
     const float2 a = at[h >> 2], b = at[end >> 2];
-    const float2 bow = 0.125f * length_of(b - a) * (way_of(lines, h) + way_of(lines, end));
     const float product = (float)contrast[h >> 2] * (float)contrast[end >> 2];
     const float root = inverse_root(product), sign = h & 1 ? -2.0f : 2.0f;
-    const int near = difference(LEVELS, a + bow, b + bow, MIDDLE);
+    const int near = difference(LEVELS, a, b, MIDDLE);
     bool is_seen = sign * (float)near * root > least_middle;
     if (!is_seen) {
-      const int far = difference_within(LEVELS, a + bow, b + bow, MIDDLE, deep);
+      const int far = difference_within(LEVELS, a, b, MIDDLE, deep);
       is_seen = sign * (float)far * root > least_middle;
     }
     twin[h] = is_seen ? end : NONE;

@@ -234,13 +234,6 @@ def boundary(angle: Whole, dx: Real, dy: Real) -> tuple[Whole, Real]:
     return np.where(along >= 0, line, line + 2), np.abs(along)
 
 
-def way_of(corners: Directed, h: Whole) -> tuple[Real, Real]:
-    """Return the direction in which half-edges leave their corners, a unit vector."""
-    across, down = unit(corners.angle[h >> 2, h & 1])
-    back = np.where(h & 2, F(-1), F(1))
-    return back * across, back * down
-
-
 def depth_within(depth: float, per_px: Real, constants: LatticeConstants) -> Real:
     """Return how deep cells of a length are read, in shares of it; per_px: 1 over the length."""
     result: Real = F(depth) * np.minimum(F(1), F(constants.wide_px) * per_px)
@@ -284,15 +277,11 @@ def has_side(
     constants: LatticeConstants,
 ) -> Mask:
     """Return whether the image shows a side of a cell in the middle between two half-edges, as both
-    claim, near it or deeper in the cells. It bends as the boundaries at its ends do."""
+    claim, near it or deeper in the cells."""
     low, high = np.minimum(h, other), np.maximum(h, other)
     p, q = low >> 2, high >> 2
-    dx, dy = corners.x[q] - corners.x[p], corners.y[q] - corners.y[p]
-    bow = F(0.125) * length_of(np.maximum(dx * dx + dy * dy, F(1e-6)))
-    ways = zip(way_of(corners, low), way_of(corners, high), strict=True)
-    bow_x, bow_y = (bow * (one + two) for one, two in ways)
-    start = corners.x[p] + bow_x, corners.y[p] + bow_y
-    step = (corners.x[q] + bow_x) - start[0], (corners.y[q] + bow_y) - start[1]
+    start = corners.x[p], corners.y[p]
+    step = corners.x[q] - start[0], corners.y[q] - start[1]
     sign = 1 - 2 * (low & 1)
     near = sign * side_sum(plane, start, step, constants, MIDDLE_POINTS)
     within = np.full(len(h), constants.deep_cells, np.float32)
