@@ -3,7 +3,6 @@
 from cmp_cl.grid.align import align
 from cmp_cl.grid.build import build_grid, build_grids
 from cmp_cl.grid.grid import Grid, NodeStatus, Others, Rival, Sides
-from cmp_cl.grid.markers import refine_markers
 from cmp_cl.grid.number import number
 
 __all__ = [
@@ -16,5 +15,4 @@ __all__ = [
     "build_grid",
     "build_grids",
     "number",
-    "refine_markers",
 ]
