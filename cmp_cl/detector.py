@@ -95,6 +95,7 @@ class Detector(Closing):
             mask=mask,
         )
         self._lattice: LatticePlan | None = None  # of the plan that was used last
+        self._last: Plan | None = None  # that has found corners
         self._closed = False
         self.regrown = 0  # how often a list was too short and a frame was processed again
         self._plans.lend()
@@ -104,7 +105,7 @@ class Detector(Closing):
         if is_forked():  # the memory belongs to the parent process
             return
         with self._lock:
-            self._lattice = None
+            self._lattice = self._last = None
             for plan in self._plans:
                 self._plans.drop(plan)
             self._closed = True
@@ -118,11 +119,8 @@ class Detector(Closing):
     @property
     def times(self) -> dict[str, float]:
         """Return the milliseconds of each stage of the last frame; empty without profile=True."""
-        spent: dict[str, float] = {}
         timed = self._queue.properties & cl.command_queue_properties.PROFILING_ENABLE
-        for plan in self._plans if timed else ():
-            spent = sum_times(plan.events, spent)
-        return spent
+        return sum_times(self._last.events if self._last and timed else (), {})
 
     def __call__(self, frame: GreyImage) -> Corners:
         """Find the corners of one frame, (H, W), of the shape and dtype of this detector.
@@ -284,6 +282,7 @@ class Detector(Closing):
 
     def _found(self, plan: Plan, listed: NDArray[np.float32] | None = None) -> Found:
         self._plans.take_back(plan)
+        self._last = plan
         try:
             while True:
                 try:

@@ -21,7 +21,7 @@ from cmp_cl import (
 )
 from cmp_cl.field import surface_normals
 from cmp_cl.grid import align
-from cmp_cl.measure import OneView, TwoViews
+from cmp_cl.measure import OneView, TwoViews, find_board
 from cmp_cl.media.cameras import Source
 from cmp_cl.motion import PlaneScale, contact_of, displacement, filter_positions
 from cmp_cl.synthetic import random_scene, render
@@ -45,6 +45,8 @@ def several(views=None, **changed):
         (lambda: filter_positions(None), "grid must be of type Grid"),
         (lambda: displacement(None, GRID), "rest must be of type Points3D"),
         (lambda: displacement(GRID, GRID, scale=0.1), "scale must be of type PlaneScale"),
+        (lambda: find_board(None, (9, 6)), "expected a NumPy array"),
+        (lambda: find_board(np.zeros((9, 9, 3), np.uint8), (9, 6)), ".*COLOR_BGR2GRAY"),
         (lambda: TwoViews(IMAGE, None, None), "rig must be of type StereoRig"),
         (lambda: OneView(IMAGE, config="a"), "config must be of type DetectorConfig"),
         (lambda: toed_in_rig().triangulate(GRID, IMAGE), "right must be of type Grid"),

@@ -28,6 +28,7 @@ from cmp_cl.errors import (
     ImageError,
     KernelBuildError,
 )
+from cmp_cl.opencl.launches import sum_times
 
 EIGHT = images.eight_bits()
 BOARD, TRUTH = board(*images.SHAPE, 12)
@@ -181,6 +182,10 @@ def test_every_stage_has_a_time(device, detector):
         for _ in range(3):
             profiled(BOARD)
         assert len(profiled._plans.lend().events) == launches  # of the last frame alone
+        for _ in profiled.stream([BOARD] * 3):
+            pass
+        profiled(BOARD)
+        assert profiled.times == sum_times(profiled._plans.lend().events, {})
 
 
 def test_a_closed_detector_raises_an_error(device):

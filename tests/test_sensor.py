@@ -175,5 +175,9 @@ def test_errors_reach_the_caller(video, tmp_path):
         rest=np.zeros((3, 3, 2)),
         displacement=np.zeros((1, 3, 3, 2)),
     )
-    with pytest.raises(FieldError, match="in space, of two views"):
-        Sensor.replay(plane)
+    nothing = np.zeros((3, 3, 3))
+    with SeriesWriter(tmp_path / "bare.npz", rest=nothing) as bare:
+        bare.append(index=0, time_ms=0, displacement=nothing)
+    for path in (plane, tmp_path / "bare.npz"):
+        with pytest.raises(FieldError, match="in space, of two views, with its unit"):
+            Sensor.replay(path)

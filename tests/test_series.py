@@ -243,9 +243,21 @@ def test_names_and_packages_that_no_format_has_are_refused(tmp_path, monkeypatch
     with pytest.raises(OSError, match="none"):
         SeriesWriter(tmp_path / "none" / "a.npz")
     assert list(tmp_path.iterdir()) == []
+    for name in ("about", "index", "file", "allow_pickle", "a/b"):
+        with pytest.raises(FieldError, match=f"none of about.*: '{name}'$"):
+            SeriesWriter(tmp_path / "press.npz", **{name: 1})
+    assert list(tmp_path.iterdir()) == []
     (tmp_path / "link.npz").symlink_to(tmp_path / "press.bin")
     with pytest.raises(ConfigError, match=r"press\.bin"):  # now, and not when it is complete
         SeriesWriter(tmp_path / "link.npz")
+
+
+def test_a_part_without_nodes_is_no_table(tmp_path):
+    series = SeriesWriter(tmp_path / "press.npz")
+    series.append(index=0, time_ms=0, forces=np.zeros(3))
+    with pytest.raises(FieldError, match="needs the positions at rest"):
+        complete(tmp_path / "press.npz.part", tmp_path / "press.csv")
+    series.close()
 
 
 # what was there before

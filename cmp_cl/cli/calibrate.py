@@ -143,8 +143,15 @@ def _check(arguments: argparse.Namespace, files: Mapping[str, list[Path]], pictu
     if check_cameras(arguments.out) not in (".yaml", ".yml") and arguments.window is not None:
         raise ConfigError(f"--window needs a calibration in .yaml: {shown(arguments.out)}")
     check_suffix("--corners", arguments.corners, ".vnl")
+    every = list(itertools.chain(*map(dict.fromkeys, files.values())))
+    twice = next((path for path in every if every.count(path) > 1), None)
+    if arguments.corners is not None and twice is not None:
+        raise ConfigError(
+            f"--corners names a view by its file, and {shown(twice)} shows two views; give a file "
+            "for each view"
+        )
     outputs = arguments.out, arguments.corners, picture
-    inputs = *itertools.chain(*files.values()), *window_files(arguments, list(files))
+    inputs = *every, *window_files(arguments, list(files))
     check_files(inputs, outputs)
 
 
@@ -155,7 +162,7 @@ def _boards(
     one; raises CalibrationError if a camera sees none."""
     grids: dict[str, list[Grid | None]] = {name: [] for name in files}
     sizes: dict[str, tuple[int, int]] = {}
-    left_out = []
+    left_out: list[tuple[str, str]] = []  # the camera, and why
     moments = list(zip(*files.values(), strict=True))
     with progress(len(moments), "views") as bar:
         for paths in moments:
@@ -176,21 +183,22 @@ def _boards(
                     )
                     sizes[name] = size
                 except ImageError as error:  # of a file, which may show two views
-                    left_out.append(one_line(error))
+                    left_out.append((name, one_line(error)))
                 except GridError as error:
                     which = f" ({name})" if arguments.stereo else ""
-                    left_out.append(f"{shown(path)}{which}: {one_line(error)}")
+                    left_out.append((name, f"{shown(path)}{which}: {one_line(error)}"))
                 grids[name].append(grid)
             bar.update()
     for name in files:
         if name not in sizes:
             rows, columns = arguments.board
+            why = dict(reversed(left_out))[name]  # its first view's
             raise CalibrationError(
-                f"no view of {name} shows a board of {rows} x {columns} corners; {left_out[0]}; "
+                f"no view of {name} shows a board of {rows} x {columns} corners; {why}; "
                 "--board counts the inner corners, one less than the squares along each side, and "
                 "--stereo is for images that show two views"
             )
-    return grids, sizes, list(dict.fromkeys(left_out))
+    return grids, sizes, list(dict.fromkeys(line for _, line in left_out))
 
 
 def _report(found: Calibration, names: Mapping[str, list[str]]) -> None:

@@ -10,7 +10,7 @@ from cmp_cl.detector import Detector
 from cmp_cl.errors import GridError, check_shape
 from cmp_cl.grid import Grid, NodeStatus, align
 from cmp_cl.grid.align import row_direction
-from cmp_cl.image import GreyImage
+from cmp_cl.image import GreyImage, check_image
 from cmp_cl.motion import filter_positions
 from cmp_cl.opencl.device import Device
 from cmp_cl.points import sides
@@ -34,6 +34,7 @@ def find_pattern(
     Raises GridError if there is no pattern or the pattern seems to have another number of corners,
     and the errors of `Detector`.
     """
+    view = check_image(view)
     if shape is not None:
         check_shape(shape, GridError)
     config = DetectorConfig(full_scale=full_scale)

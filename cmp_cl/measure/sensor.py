@@ -153,9 +153,12 @@ class Sensor(Frames):
         settings: recvCallback, maxQSize and callbackParam. Raises FieldError if the file is no
         series in space.
         """
-        series = read_series(path, ("rest", "displacement", "time_ms", "unit"))
-        if not {"rest", "displacement"} <= series.keys() or series["rest"].shape[2] != 3:
-            raise FieldError(f"{str(path)!r}: a sensor replays a series in space, of two views")
+        needed = "rest", "displacement", "time_ms", "unit"
+        series = read_series(path, needed)
+        if not series.keys() >= set(needed) or series["rest"].shape[2] != 3:
+            raise FieldError(
+                f"{str(path)!r}: a sensor replays a series in space, of two views, with its unit"
+            )
         return _Replay(series, serial, **settings)
 
     def close(self) -> None:

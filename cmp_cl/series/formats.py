@@ -96,6 +96,7 @@ def write_csv(series: Stored, path: Path, target: Path) -> None:
     """
     with open(path, "wb") as file:
         for index, time_ms, frame in series.frames():
+            moved_by(series.constants, frame)  # else there are no rows
             columns = dict(node_columns(frame, series.about["units"]))
             columns = {"frame": np.array(index), "time_ms": np.array(time_ms), **columns}
             if not file.tell():

@@ -32,6 +32,7 @@ _FORMATS: dict[str, Callable[[Stored, Path, Path], None]] = {
 _PACKAGES = {".h5": ("hdf5", "h5py"), ".mcap": ("mcap", "mcap_ros2.writer")}
 _OF_NODES = (".csv", ".pvd", ".mcap")  # these need what `formats.moved_by` returns
 SERIES_SUFFIXES = tuple(_FORMATS)
+_TAKEN = "about", "index", "time_ms", "file", "allow_pickle"  # the last are of numpy.savez
 
 # What this library writes of a recording, by the unit.
 _LENGTHS = [f"{raw}{name}" for raw in ("", "raw_") for name in ("rest", "displacement", "sigma")]
@@ -219,8 +220,12 @@ def _known_suffix(path: str | PathLike[str]) -> str:
 
 def _array(name: object, value: ArrayLike, kinds: str) -> NDArray[Any]:
     """Return an array of a series, of one of NumPy's kinds; raises FieldError if it is none."""
-    if not isinstance(name, str) or re.fullmatch(r"(?!about$)[\w .-]{1,100}", name) is None:
-        raise FieldError(f"the name of an array must be letters and digits, not {name!r}")
+    usual = isinstance(name, str) and re.fullmatch(r"[\w .-]{1,100}", name) is not None
+    if not usual or name in _TAKEN:
+        taken = ", ".join(_TAKEN)
+        raise FieldError(
+            f"the name of an array must be letters and digits, and none of {taken}: {name!r}"
+        )
     try:
         array = np.asarray(value)
     except ValueError as why:

@@ -109,6 +109,11 @@ def test_calibrate_finds_the_cameras_again(run, boards):
         ),
         (["0.png", "--mirror", "left"], ["--split and --mirror need --stereo"]),
         (["0.png", "--corners", "c.mat"], ["--corners c.mat must end in .vnl"]),
+        (["--stereo", "0.png", "--corners", "c.vnl"], ["0.png shows two views", "by its file"]),
+        (
+            ["--left", "0.png", "half.png", "--right", "plain.png", "plain.png"],
+            ["no view of right shows", "plain.png: no pattern"],
+        ),
         (["--camera", "a=gone.png"], ["gone.png"]),
         (["--camera", "noname.png"], ["NAME=IMAGE"]),
         (["--camera", "a=0.png", "1.png", "--camera", "b=0.png"], ["2 of a and 1 of b"]),
@@ -132,6 +137,7 @@ def test_a_wrong_argument_of_calibrate_is_one_line_and_no_file(
     Path("plain.mp4").touch()
     for number in range(2):
         cv2.imwrite(f"{number}.png", boards[number])
+    cv2.imwrite("half.png", boards[0][:, : VIEW[1]])
     fails_in_one_line(run("calibrate", *BOARD, *arguments), *words)
     assert not list(tmp_path.glob("rig.*"))
 
