@@ -126,8 +126,7 @@ def completed(positions: Array) -> Array:
         return positions
     plane = bilinear_surface(positions, there)
     bent = np.where(there[..., None], positions - plane, 0).transpose(2, 0, 1)
-    whole: Array = plane + filled(bent.astype(np.float32), there).transpose(1, 2, 0)
-    return whole
+    return plane + filled(bent.astype(np.float32), there).transpose(1, 2, 0)
 
 
 def bilinear_surface(values: Array, votes: NDArray[np.bool_]) -> Array:

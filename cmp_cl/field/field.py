@@ -85,8 +85,7 @@ class DisplacementField:
         if self.strain_covariance is None:
             return None
         variance = np.diagonal(self.strain_covariance, axis1=2, axis2=3)
-        sigma: Array = np.sqrt(np.maximum(variance, 0))
-        return sigma
+        return np.sqrt(np.maximum(variance, 0))
 
     @property
     def principal(self) -> Array | None:

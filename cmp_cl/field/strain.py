@@ -161,5 +161,4 @@ def _aside(n: int, half: int) -> Array:
     """Return how far each node lies from the middle of its window, (n,), which ends at the
     border."""
     nodes, half = np.arange(n), min(half, (n - 1) // 2)
-    aside: Array = (nodes - np.clip(nodes, half, n - 1 - half)).astype(np.float64)
-    return aside
+    return (nodes - np.clip(nodes, half, n - 1 - half)).astype(np.float64)

@@ -169,8 +169,7 @@ def found_in(boards: Iterable[Board], asked: Asked, corners: Corners) -> list[Fo
 def _between(there: Mask) -> Mask:
     """Return which places lie between nodes of their row, (R, C)."""
     after = np.logical_or.accumulate(there[:, ::-1], axis=1)[:, ::-1]
-    between: Mask = np.logical_or.accumulate(there, axis=1) & after
-    return between
+    return np.logical_or.accumulate(there, axis=1) & after
 
 
 def _corners_beyond(board: Board, corners: Corners) -> tuple[int, Whole]:

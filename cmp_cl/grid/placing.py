@@ -56,8 +56,7 @@ def placed(found: Found, corners: Corners, asked: Asked, told: Told = NOTHING) -
 def _between(there: Mask) -> Mask:
     """Return which places have a corner on both sides, in their row or in their column, (R, C)."""
     wide, inner = np.pad(there, 1), np.s_[1:-1]
-    between: Mask = (wide[inner, 2:] & wide[inner, :-2]) | (wide[2:, inner] & wide[:-2, inner])
-    return between
+    return (wide[inner, 2:] & wide[inner, :-2]) | (wide[2:, inner] & wide[:-2, inner])
 
 
 def _extent(board: Board, best: Numbering, asked: Asked) -> tuple[tuple[int, int], tuple[int, int]]:

@@ -119,8 +119,7 @@ def most_at_rest(noise: Array, own: Array) -> Array:
     material, but strain may open it: in the difference it is assumed to be at most three times its
     size at rest. A print without wear at rest has only the noise of its images.
     """
-    most: Array = own + _OPENED**2 * np.maximum(np.square(noise) - own, 0)
-    return most
+    return own + _OPENED**2 * np.maximum(np.square(noise) - own, 0)
 
 
 def _filtered(

@@ -69,13 +69,11 @@ def planes(values: Array) -> NDArray[np.float32]:
 
 def nodes(planes: NDArray[np.float32]) -> Array:
     """Return planes (K, R, C) as values of nodes, (R, C, K) float64."""
-    found: Array = planes.astype(np.float64).transpose(1, 2, 0)
-    return found
+    return planes.astype(np.float64).transpose(1, 2, 0)
 
 
 def matrices(planes: NDArray[np.float32]) -> Array:
     """Return the symmetric matrices (R, C, K, K) float64 of xx xy xz yy yz zz, (6, R, C), or of the
     variance per axis of a plane, (1, R, C)."""
     full = _UNIT * planes if len(planes) == 1 else planes[_ENTRIES].astype(np.float64)
-    found: Array = full.transpose(2, 3, 0, 1)
-    return found
+    return full.transpose(2, 3, 0, 1)

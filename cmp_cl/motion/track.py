@@ -279,8 +279,7 @@ def colour_of(rest: Grid, corners: Corners) -> int:
 
 
 def _cross(one: NDArray[np.float64], two: NDArray[np.float64]) -> NDArray[np.float64]:
-    product: NDArray[np.float64] = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
-    return product
+    return one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
 
 
 def _step(grid: Grid) -> float:

@@ -252,8 +252,7 @@ def _noise(white: Floats, even: Floats, off: Floats) -> tuple[Floats, Floats]:
 
 def weight_of(r2: Floats, radius: float) -> Floats:
     """Return the weights of the disc for squared distances from the corner."""
-    result: Floats = np.clip(4 * (1 - r2 / radius**2), 0, 1)
-    return result
+    return np.clip(4 * (1 - r2 / radius**2), 0, 1)
 
 
 def model_of(a: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:

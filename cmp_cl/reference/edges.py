@@ -85,8 +85,7 @@ def bilinear(image: GreyImage, x: Floats, y: Floats) -> Floats:
     rows = [np.clip(top + step, 0, height - 1) for step in (0, 1)]
     grey = image.astype(np.float64)
     above, below = ((1 - fx) * grey[row, columns[0]] + fx * grey[row, columns[1]] for row in rows)
-    result: Floats = (1 - fy) * above + fy * below
-    return result
+    return (1 - fy) * above + fy * below
 
 
 def threshold(grey: Floats) -> Floats:
@@ -280,5 +279,4 @@ def dot(a: Floats, b: Floats) -> Floats:
 
 
 def cross(a: Floats, b: Floats) -> Floats:
-    result: Floats = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return result
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

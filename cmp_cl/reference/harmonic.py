@@ -232,8 +232,7 @@ def in_frame(pixel: Whole, halvings: int | Whole) -> Whole:
 def direction_of(seen: Harmonics) -> Whole:
     """Return (N, 2), the second harmonic at a length of about UNIT, rounded."""
     vector, length = np.stack([seen.a, seen.b], axis=1), seen.length[:, None]
-    direction: Whole = (2 * UNIT * vector + length) // np.maximum(2 * length, 1)
-    return direction
+    return (2 * UNIT * vector + length) // np.maximum(2 * length, 1)
 
 
 # --- which of them are corners -------------------------------------------------------------
@@ -422,13 +421,11 @@ def coarse_measure(seen: Harmonics) -> Whole:
 def fine_measure(seen: Harmonics) -> Whole:
     """Return R', the second harmonic minus 3/4 of the odd ones and of the centre's difference."""
     other = seen.odd + seen.centre
-    response: Whole = seen.length - (other - (other >> 2))
-    return response
+    return seen.length - (other - (other >> 2))
 
 
 def _dot(one: Harmonics, other: Harmonics) -> Whole:
-    product: Whole = one.a * other.a + one.b * other.b
-    return product
+    return one.a * other.a + one.b * other.b
 
 
 # --- what is kept ------------------------------------------------------------------------
@@ -480,8 +477,7 @@ def looks_alike(
 def looks_alike_when_squeezed(once: Whole, y: Whole, x: Whole) -> NDArray[np.bool_]:
     """Return (N,): the maxima of the 3 px ring that the 2 px ring confirms."""
     small, large = harmonics(once, y, x, FINEST), harmonics(once, y, x, FINE)
-    passed: NDArray[np.bool_] = FINE_ALIGNMENT * _dot(small, large) >= _dot(large, large)
-    return passed
+    return FINE_ALIGNMENT * _dot(small, large) >= _dot(large, large)
 
 
 def reference(responses: Whole) -> int:

@@ -109,5 +109,4 @@ def _on_curve(
 ) -> Floats:
     a, b, c = curve
     v = a + b * u + c * u * u
-    result: Floats = centre + u[..., None] * along + v[..., None] * across
-    return result
+    return centre + u[..., None] * along + v[..., None] * across

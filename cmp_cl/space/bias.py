@@ -61,5 +61,4 @@ def _by_rig(rig: StereoRig, xyz: Array) -> Array:
     """Return the derivatives of points (N, 3) by the parameters of the rig, (N, 3, P), at fixed
     positions in the image."""
     by_point, by_rig = rig.slopes(xyz)
-    found: Array = -points_by_image(by_point) @ by_rig
-    return found
+    return -points_by_image(by_point) @ by_rig

@@ -293,8 +293,7 @@ def _explained(off: Array, slopes: Array, covariance: Array) -> Array:
     """
     normal = slopes.T @ slopes
     likely = np.linalg.solve(np.eye(len(normal)) + normal @ covariance, slopes.T @ off)
-    explained: Array = slopes @ (covariance @ likely)
-    return explained
+    return slopes @ (covariance @ likely)
 
 
 def _with_neighbours(inverse: Array, scores: Array, block: NDArray[np.intp]) -> Array:

@@ -100,8 +100,7 @@ class StereoRig:
     @property
     def _centre(self) -> Array:
         """Return the centre of the right camera in the frame of the left one, (3,)."""
-        centre: Array = -self.R.T @ self.T
-        return centre
+        return -self.R.T @ self.T
 
     def _set(self, name: str, value: Array) -> None:
         value.flags.writeable = False
@@ -331,8 +330,7 @@ def points_by_image(slopes: Array) -> Array:
     """Return the derivatives of points by the pixels of both views, (N, 3, 4), for the least
     squares of the reprojection; slopes: those of the pixels by the points, (N, 4, 3)."""
     turned = slopes.transpose(0, 2, 1)
-    by_image: Array = np.linalg.inv(turned @ slopes) @ turned
-    return by_image
+    return np.linalg.inv(turned @ slopes) @ turned
 
 
 def spread(where: NDArray[np.bool_], values: NDArray[Any]) -> Array:

@@ -103,8 +103,7 @@ def binocular_frame(left: Rendered, right: Rendered) -> GreyImage:
     mirrors; raises ConfigError if one is not Rendered."""
     check_kind("left", left, Rendered, ConfigError)
     check_kind("right", right, Rendered, ConfigError)
-    frame: Image = np.concatenate([left.image, right.image], axis=1)
-    return frame
+    return np.concatenate([left.image, right.image], axis=1)
 
 
 def _render_view(scene: Scene, pose: Pose, camera: PinholeCamera, *, view: int) -> Rendered:
@@ -204,5 +203,4 @@ def _cubic(shift: float) -> Array:
     t = np.abs(np.arange(-2.0, 3.0) - shift)
     near = 1.5 * t**3 - 2.5 * t**2 + 1
     far = -0.5 * t**3 + 2.5 * t**2 - 4 * t + 2
-    weights: Array = np.select([t <= 1, t < 2], [near, far])
-    return weights
+    return np.select([t <= 1, t < 2], [near, far])

@@ -146,8 +146,7 @@ def _plane(values: Floats, votes: Bools) -> Floats:
     r, c = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
     terms = np.stack([np.ones(votes.shape), r, c, r * c], axis=-1).astype(np.float64)
     fit = np.linalg.lstsq(terms[votes], values[votes], rcond=None)[0]
-    plane: Floats = terms @ fit
-    return plane
+    return terms @ fit
 
 
 def axis_filter(n: int, half: int, degree: int) -> Floats:
@@ -289,8 +288,7 @@ def _variance(residual: Floats, own: Floats, votes: Bools) -> Floats:
     usable = votes & (own < 0.95)
     size = np.sqrt((residual**2).mean(axis=2) / np.maximum(1 - own, 0.05))
     mean = _average(size, usable, 2.0) / _expected(residual, np.where(usable, size, 0))
-    variance: Floats = mean**2
-    return variance
+    return mean**2
 
 
 def _filled(data: Floats, votes: Bools) -> Floats:

@@ -15,8 +15,7 @@ def binarize(image: GreyImage, threshold: AdaptiveMean) -> NDArray[np.bool_]:
     n = threshold.window**2
     grey = image.astype(np.int64)
     total = window_sum(grey, threshold.window)
-    black: NDArray[np.bool_] = (grey + threshold.offset) * n < total
-    return black
+    return (grey + threshold.offset) * n < total
 
 
 def window_sum(values: NDArray[np.int64], window: int) -> NDArray[np.int64]:

@@ -55,8 +55,7 @@ def inner_transitions(mask: NDArray[np.uint16]) -> NDArray[np.uint8]:
 def outer_transitions(mask: NDArray[np.uint16]) -> NDArray[np.uint8]:
     """Count the transitions to a run of two samples or more (Eq. 20)."""
     starts = (mask ^ ring.rotate(mask, 1)) & (mask ^ ring.rotate(mask, 2))
-    count: NDArray[np.uint8] = np.bitwise_count(starts)
-    return count
+    return np.bitwise_count(starts)
 
 
 def corrosion(binary: NDArray[np.bool_], outer: NDArray[np.uint16]) -> NDArray[np.int8]:

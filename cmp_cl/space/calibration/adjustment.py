@@ -142,8 +142,7 @@ def _step(matrix: Array, right: Array, damping: float) -> Array:
     """Return a step of the unknowns; damping: share that is added to the diagonal."""
     unit = np.sqrt(np.diag(matrix))
     scaled = matrix / np.outer(unit, unit) + damping * np.eye(len(unit))
-    step: Array = np.linalg.solve(scaled, right / unit) / unit
-    return step
+    return np.linalg.solve(scaled, right / unit) / unit
 
 
 def _moved(state: State, step: Array) -> State:
