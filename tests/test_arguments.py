@@ -111,7 +111,6 @@ def test_what_is_no_array_of_numbers_is_refused_in_one_line(call, name, error, v
 @pytest.mark.parametrize(
     ("call", "name", "error"),
     [
-        (PlaneScale.of_pixel, "length", FieldError),
         (lambda side: PlaneScale.of_cells(GRID, side), "side", FieldError),
         (GRID.to_opencv, "spacing", ConfigError),
         (lambda side: several(spacing=side), "spacing", CalibrationError),

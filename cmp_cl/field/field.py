@@ -29,8 +29,7 @@ class DisplacementField:
     """The position of each of R x C nodes at rest, and its displacement; D = 2 or 3 coordinates.
 
     position: (R, C, D) float64, at rest, in `unit`; NaN unless the node is valid. In space, in the
-        frame of the left camera; from one camera, in the plane that its scale defines. Fields of
-        the same nodes at rest may share it and its covariance: they are read-only.
+        frame of the left camera; from one camera, in the plane that its scale defines.
     displacement: (R, C, D) float64, in `unit`, NaN unless the node is valid.
     covariance: (R, C, D, D) float64, of the displacement, in `unit` squared; NaN where unknown.
     position_covariance: (R, C, D, D) float64, the same of `position`; it includes wear.

@@ -3,10 +3,9 @@
 import contextlib
 import dataclasses
 import functools
-import inspect
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, ClassVar, TypedDict
+from typing import Any, TypedDict
 
 import numpy as np
 import pyopencl as cl
@@ -92,16 +91,7 @@ class Measurement(Closing):
     numbered anew, and these numbers hold.
     """
 
-    __signature__: ClassVar[inspect.Signature]
     _bias: Bias | None = None
-
-    def __init_subclass__(cls) -> None:
-        """Let `help` show the settings by name, in the place of **settings."""
-        own = inspect.signature(cls.__init__)
-        common = inspect.signature(Measurement.__init__).parameters
-        known = [p for p in own.parameters.values() if p.kind is not p.VAR_KEYWORD]
-        settings = [common[name] for name in Settings.__annotations__]
-        cls.__signature__ = own.replace(parameters=[*known[1:], *settings])
 
     def __init__(
         self,

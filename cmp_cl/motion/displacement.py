@@ -1,7 +1,6 @@
 """The displacement of each node, from two grids of one camera, or from points in space."""
 
 import functools
-from typing import overload
 
 import numpy as np
 
@@ -14,18 +13,6 @@ from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.points import Points3D, PointStatus
 
 
-@overload
-def displacement(
-    rest: Grid,
-    now: Grid,
-    *,
-    scale: PlaneScale | None = None,
-    device: Device | str | None = None,
-) -> DisplacementField: ...
-@overload
-def displacement(
-    rest: Points3D, now: Points3D, *, device: Device | str | None = None
-) -> DisplacementField: ...
 def displacement(
     rest: Grid | Points3D,
     now: Grid | Points3D,

@@ -115,26 +115,6 @@ class AtRest:
         """Return them without the shift by bent edges, (R, C, D)."""
         return self.filtered.values - self.moment.bend
 
-    @functools.cached_property
-    def _places(self) -> tuple[Array, ...]:
-        found = self.filtered
-        return _read_only(
-            self.position, found.covariance, self.moment.at.copy(), found.raw_covariance
-        )
-
-    def places(self, missing: NDArray[np.bool_]) -> tuple[Array, ...]:
-        """Return `position` and its covariance, then both before the filter, NaN at missing nodes.
-
-        They are read-only: without missing nodes, all fields share them.
-        """
-        if not missing.any():
-            return self._places
-        row, column = np.nonzero(missing)
-        copies = [each.copy() for each in self._places]
-        for each in copies:
-            each[row, column] = np.nan
-        return _read_only(*copies)
-
     @property
     def most(self) -> Array:
         """Return the share of the positions at rest in the largest variance of the noise of a
@@ -189,12 +169,6 @@ class AtRest:
         )
 
 
-def _read_only(*arrays: Array) -> tuple[Array, ...]:
-    for each in arrays:
-        each.flags.writeable = False
-    return arrays
-
-
 def field_of(
     at_rest: AtRest,
     *,
@@ -212,23 +186,28 @@ def field_of(
     covariance, raw_covariance: their covariances. All are NaN where there is no displacement.
     strain_of: as in `DisplacementField`.
     """
-    places = at_rest.places(status != PointStatus.VALID.value)
-    position, position_covariance, raw_position, raw_position_covariance = places
+    missing = status != PointStatus.VALID.value
+
+    def known(whole: Array) -> Array:
+        values = whole.copy()
+        values[missing] = np.nan
+        return values
+
     raw = DisplacementField(
-        position=raw_position,
+        position=known(at_rest.moment.at),
         displacement=moved,
         covariance=raw_covariance,
-        position_covariance=raw_position_covariance,
+        position_covariance=known(at_rest.filtered.raw_covariance),
         status=status,
         source=source,
         unit=at_rest.moment.unit,
     )
     return dataclasses.replace(
         raw,
-        position=position,
+        position=known(at_rest.position),
         displacement=displacement,
         covariance=covariance,
-        position_covariance=position_covariance,
+        position_covariance=known(at_rest.filtered.covariance),
         raw=raw,
         strain_of=strain_of,
     )

@@ -39,15 +39,6 @@ class PlaneScale:
         return cls(np.eye(3), "px")
 
     @classmethod
-    def of_pixel(cls, length: float, unit: str = "mm") -> Self:
-        """Return the scale of a camera that faces the plane: a px has the same length everywhere.
-
-        length: of one px. unit: name of its unit. Raises FieldError if it is not positive.
-        """
-        check_positive("length", length, FieldError)
-        return cls(np.diag([length, length, 1.0]), unit)
-
-    @classmethod
     def of_cells(cls, rest: Grid, side: float, unit: str = "mm") -> Self:
         """Return the homography that maps the cells of a flat pattern to squares of that side.
 
