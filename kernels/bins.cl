@@ -83,12 +83,14 @@ __kernel void direct_corners(__global const float *restrict corners, const uint 
 }
 
 /* Sort the corners that have a position into bins: `binned` lists them bin after bin, bin k from
- * starts[k] on. One work-group. */
+ * starts[k] on. spots: six planes of `capacity`, their positions and lines in that order. One
+ * work-group. */
 #define IS_PLACED(i) (at[i].x == at[i].x && at[i].y == at[i].y)
 
 __kernel void fill_bins(__global const float *restrict corners, const uint capacity,
-                        const uint rows, const uint columns, __global int *restrict layout,
-                        __global int *restrict starts, __global int *restrict binned) {
+                        __global const float4 *restrict lines, const uint rows, const uint columns,
+                        __global int *restrict layout, __global int *restrict starts,
+                        __global int *restrict binned, __global float *restrict spots) {
   const uint me = get_local_id(0), all = get_local_size(0), count = COUNT(corners);
   __global const float2 *at = POSITIONS(corners);
   uint shift = 2;
@@ -107,6 +109,11 @@ __kernel void fill_bins(__global const float *restrict corners, const uint capac
   if (me == 0) /* the ends of the bins; filling them backwards makes these their starts */
     for (uint k = 0, sum = 0; k <= across * down; ++k) starts[k] = sum += starts[k];
   barrier(CLK_GLOBAL_MEM_FENCE);
-  for (uint i = me; i < count; i += all)
-    if (IS_PLACED(i)) binned[atomic_dec(starts + BIN_OF(at[i])) - 1] = i;
+  for (uint i = me; i < count; i += all) {
+    if (!IS_PLACED(i)) continue;
+    const int n = atomic_dec(starts + BIN_OF(at[i])) - 1;
+    const float spot[] = {at[i].x, at[i].y, lines[i].x, lines[i].y, lines[i].z, lines[i].w};
+    binned[n] = i;
+    for (int k = 0; k < 6; ++k) spots[k * capacity + n] = spot[k];
+  }
 }

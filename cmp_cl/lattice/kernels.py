@@ -21,6 +21,7 @@ LISTS = 8  # of places, see `settle_nodes`
 ROUGH, FIRM = 1, 2  # kinds of a node
 SIDES, FOUND = 3, 15  # what is found of a board: its size, from here its sides; numbers in all
 VOTE = 6  # numbers of a vote
+SPOT, LANES = 6, 8  # numbers of a corner in the bins; corners that are read at a time
 TAKEN = -1  # in the place of 1 that a numbered corner has: it is another board's
 ROOM = 4  # votes for each corner, at first; a board that is cut into parts of 16 cells has 10
 
@@ -65,7 +66,7 @@ def sizes(*, corners: int, places: int, rows: int, columns: int, step: int) -> d
     # A bin is as large as a quarter of the area of a corner, or larger, and 4 px wide or wider.
     bins = 4 * corners + rows // 4 + columns // 4 + 2
     of_corners = {
-        **dict.fromkeys(("contrast", "binned", "claim"), 4),
+        **dict.fromkeys(("contrast", "claim"), 4),
         **dict.fromkeys(("lines", "choice", "twin", "face", "beyond", "part"), 16),
         **dict.fromkeys(("waiting", "faces_of_part", "numbers"), 16),
         **{"used": 1, "cut": 4, "steps": 64, "state": 64},
@@ -83,6 +84,8 @@ def sizes(*, corners: int, places: int, rows: int, columns: int, step: int) -> d
         "corners": 4 * (RESULT_HEAD + RESULT_FIELDS * corners),
         "levels": 2 * rows * step,
         "starts": 4 * bins,
+        "binned": 4 * (corners + LANES),
+        "spots": 4 * (SPOT * corners + LANES),
         "layout": 4 * LAYOUT,
         "border": 4 * FOUND,
     }
