@@ -21,45 +21,9 @@ typedef struct {
   float reach, near, edge;
 } Nats;
 
-/* Number the corners of the part with the most faces: column, row, rotation, and 1; 0 in the fourth
- * place of others. One work-group. */
-#define TAKEN (-1) /* there: a corner of another board, which the host puts */
-__kernel void number_corners(__global const float *restrict corners, const uint capacity,
-                             __global const int *restrict part, __global const int4 *restrict state,
-                             __global const int *restrict faces_of_part, const int least_part,
-                             __global int4 *restrict numbers, __global int *restrict layout) {
-  const int count = (int)COUNT(corners);
-  __local int most, main, parts;
-  if (get_local_id(0) == 0) {
-    most = parts = 0;
-    main = INT_MAX;
-  }
-  ALL_TOGETHER;
-  FOR_ALL(h, 4 * count)
-    if (part[h] == h && faces_of_part[h]) {
-      if (faces_of_part[h] > most) atomic_max(&most, faces_of_part[h]);
-      if (faces_of_part[h] >= least_part) atomic_inc(&parts);
-    }
-  ALL_TOGETHER;
-  FOR_ALL(h, 4 * count)
-    if (part[h] == h && faces_of_part[h] && faces_of_part[h] == most) atomic_min(&main, h);
-  ALL_TOGETHER;
-  if (get_local_id(0) == 0) {
-    layout[PARTS] = parts;
-    layout[MAIN] = main;
-    layout[VOTES] = 0;
-  }
-  FOR_ALL(i, count) {
-    int4 number = (int4)(0);
-    for (int h = 4 * i; h < 4 * i + 4 && !number.w; ++h)
-      if (part[h] == main && part[h] != NONE)
-        number = (int4)(state[h].x, state[h].y, (state[h].z - h) & 3, 1);
-    numbers[i] = number;
-  }
-}
-
 /* Lay the numbered corners out as a board, which is empty while parts wait to be placed beside
  * others. One work-group. */
+#define TAKEN (-1) /* in the fourth place: a corner of another board, which the host puts */
 __kernel void lay_board(__global const float *restrict corners, const uint capacity,
                         __global const int4 *restrict numbers, const int places,
                         __constant Nats *nats, __global int *restrict layout,

@@ -32,16 +32,20 @@ bool agree(const float4 one, const float4 other, const float tolerance) {
 
 /* beyond[h]: the half-edge on the other side of a link if both faces agree, else NONE. part[h]: the
  * least half-edge of the part, NONE outside of faces. faces_of_part[root]: its faces, 0 of a part
- * with two numbers for a corner. `cut` is that of the faces before. One work-group. */
+ * with two numbers for a corner. `cut` is that of the faces before. numbers: column, row, rotation,
+ * and 1 of the corners of the part with the most faces; 0 in the fourth place of others. One
+ * work-group. */
 __kernel void number_parts(__global const float *restrict corners, const uint capacity,
                            __global const int *restrict twin, __global const int *restrict face,
                            __global const float4 *restrict steps,
                            __constant float *tolerances, const int most_cuts,
+                           const int least_part,
                            __global uchar *restrict cut, __global int *restrict beyond,
                            __global int *restrict part, __global int *restrict waiting,
-                           __global int4 *restrict state, __global int *restrict faces_of_part) {
+                           __global int4 *restrict state, __global int *restrict faces_of_part,
+                           __global int4 *restrict numbers, __global int *restrict layout) {
   const int count = (int)COUNT(corners), ends = 4 * count;
-  __local int listed, contradictions;
+  __local int listed, contradictions, most, main, parts;
   for (int round = 0;; ++round) {
     FOR_ALL(h, ends) {
       part[h] = face[h];
@@ -108,9 +112,35 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
     ALL_TOGETHER;
     const bool done = !contradictions || round == most_cuts;
     ALL_TOGETHER;
-    if (done) return;
+    if (done) break;
     FOR_ALL(h, ends)
       if (face[h] == h && !faces_of_part[part[h]] && cut[h] < most_cuts) ++cut[h];
     ALL_TOGETHER;
+  }
+  if (get_local_id(0) == 0) {
+    most = parts = 0;
+    main = INT_MAX;
+  }
+  ALL_TOGETHER;
+  FOR_ALL(h, ends)
+    if (part[h] == h && faces_of_part[h]) {
+      if (faces_of_part[h] > most) atomic_max(&most, faces_of_part[h]);
+      if (faces_of_part[h] >= least_part) atomic_inc(&parts);
+    }
+  ALL_TOGETHER;
+  FOR_ALL(h, ends)
+    if (part[h] == h && faces_of_part[h] && faces_of_part[h] == most) atomic_min(&main, h);
+  ALL_TOGETHER;
+  if (get_local_id(0) == 0) {
+    layout[PARTS] = parts;
+    layout[MAIN] = main;
+    layout[VOTES] = 0;
+  }
+  FOR_ALL(i, count) {
+    int4 number = (int4)(0);
+    for (int h = 4 * i; h < 4 * i + 4 && !number.w; ++h)
+      if (part[h] == main && part[h] != NONE)
+        number = (int4)(state[h].x, state[h].y, (state[h].z - h) & 3, 1);
+    numbers[i] = number;
   }
 }

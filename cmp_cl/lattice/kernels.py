@@ -46,7 +46,6 @@ PARTS_OF_CORNERS: tuple[Kernel, ...] = (
     ("keep_links", Over.HALF_EDGES),
     ("close_faces", Over.HALF_EDGES),
     ("number_parts", Over.GROUP),
-    ("number_corners", Over.GROUP),
 )
 VOTES_OF_PARTS: tuple[Kernel, ...] = (("find_votes", Over.HALF_EDGES),)
 BOARD_OF_NUMBERS: tuple[Kernel, ...] = (
