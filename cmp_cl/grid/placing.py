@@ -19,17 +19,17 @@ def placed(found: Found, corners: Corners, asked: Asked, told: Told = NOTHING) -
     mine = board.owner >= 0
     status = mine.astype(np.uint8) * np.uint8(NodeStatus.DETECTED)
     status[mine & board.torn] = NodeStatus.ATTACHED
+    xy = np.stack([board.x, board.y], axis=2)
     looked = board.owner == LOOKED
     if looked.any():
-        status[looked & _between(mine)] = NodeStatus.INTERPOLATED
-    xy = np.stack([board.x, board.y], axis=2)
-    xy[status == NodeStatus.MISSING] = np.nan
-    row, column = np.nonzero(mine)
-    corner = board.owner[row, column]
+        between = looked & _between(mine)
+        status[between] = NodeStatus.INTERPOLATED
+        xy[looked & ~between] = np.nan
+    corner = board.owner[mine]
     index = np.full((len(corners), 2), -1, np.int32)
-    index[corner, 0], index[corner, 1] = row, column
+    index[corner, 0], index[corner, 1] = np.nonzero(mine)
     sigma = np.full(size, np.nan, np.float32)
-    sigma[row, column] = corners.sigma[corner]
+    sigma[mine] = corners.sigma[corner]
     ends = board.border.ends
     misfit = asked.like is None and asked.shape is not None and not found.fits
     if asked.like is None and size == asked.shape and found.fits:

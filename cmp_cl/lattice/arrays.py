@@ -82,12 +82,6 @@ class Border(NamedTuple):
         ends: Mask = ~np.isnan(self.reach)
         return ends
 
-    @property
-    def bare(self) -> Mask:
-        """Return the sides beyond which neither cells nor a border are seen, though in view."""
-        bare: Mask = self.room & ~self.ends & ~self.follows
-        return bare
-
     def turned(self, quarters: int) -> "Border":
         """Return the same after as many quarter turns of the board, as np.rot90 turns arrays."""
         order = list(turned_sides((0, 1, 2, 3), quarters))

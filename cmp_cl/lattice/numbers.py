@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmp_cl.lattice.arrays import Board, Border, Float, Numbers, Whole
+from cmp_cl.lattice.arrays import Board, Float, Numbers, Whole
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.printing import Prints, agreement, prints_of
 
@@ -220,8 +220,10 @@ def in_shape(now: Board, shape: tuple[int, int], k: LatticeConstants) -> Decisio
     for quarters in turns:
         turned = now.turned(quarters)
         top, bottom, left, right = turned.farthest_lines
-        rows = _places(top, bottom, shape[0], turned.border, 0, k)
-        columns = _places(left, right, shape[1], turned.border, 2, k)
+        shown = turned.border.ends, turned.border.follows, turned.border.room
+        sides = [*zip(*(each.tolist() for each in shown), strict=True)]
+        rows = _places(top, bottom, shape[0], sides[:2], k)
+        columns = _places(left, right, shape[1], sides[2:], k)
         found += [
             Numbering(a + b, abs(row) + abs(column), quarters, row, column)
             for row, a in rows
@@ -231,24 +233,26 @@ def in_shape(now: Board, shape: tuple[int, int], k: LatticeConstants) -> Decisio
 
 
 def _places(
-    begin: int, end: int, size: int, border: Border, side: int, k: LatticeConstants
+    begin: int, end: int, size: int, sides: list[tuple[bool, ...]], k: LatticeConstants
 ) -> list[tuple[int, float]]:
     """Return numbers for the first line of a board, and their nats.
 
-    begin, end: the first and the last line that it has. size: the lines of the pattern.
+    begin, end: the first and the last line that it has. size: the lines of the pattern. sides:
+    whether the pattern ends before the first and after the last line, follows, and has room there.
     """
     places = []
     lines = end - begin + 1
     for start in range(min(0, size - lines), max(0, size - lines) + 1):
         total = 0.0
-        for n, beyond in ((side, -start), (side + 1, start + lines - size)):
-            if beyond > 0:
-                total -= k.end_nats * beyond
-            elif beyond < 0 and not border.follows[n]:
-                total -= k.end_nats * bool(border.ends[n] or border.room[n])
-            elif beyond == 0 and border.follows[n]:
+        beyond = -start, start + lines - size
+        for (ends, follows, room), further in zip(sides, beyond, strict=True):
+            if further > 0:
+                total -= k.end_nats * further
+            elif further < 0 and not follows:
+                total -= k.end_nats * (ends or room)
+            elif further == 0 and follows:
                 total -= k.end_nats
-            elif beyond == 0 and border.bare[n]:
+            elif further == 0 and room and not ends:
                 total -= k.bare_nats
         places.append((start - begin, total))
     return places
