@@ -118,16 +118,18 @@ __kernel void choose_links(__global const float *restrict corners, const uint ca
   }
 }
 
-/* twin[h]: the half-edge at the other end of a link. One work-item per half-edge; that of the lower
+/* twin[h]: the half-edge at the other end of a link. face[h]: NONE, for `close_faces`. One work-item per half-edge; that of the lower
  * end looks at the side of both. Tabs of a puzzle, and a side that bends, hide colours near the
  * chord, marks those deeper in the cells, and a bar both. least_middle: share of the contrast, summed
  * over three points. deep: share of the side, how far beside it. */
 __kernel void keep_links(__global const float *restrict corners, const uint capacity,
                          __global const int *restrict contrast, LEVELS_OF_IMAGE,
                          const float least_middle, const float deep,
-                         __global const int *restrict choice, __global int *restrict twin) {
+                         __global const int *restrict choice, __global int *restrict twin,
+                         __global int *restrict face) {
   const int h = get_global_id(0);
   if (h >= 4 * (int)COUNT(corners)) return;
+  face[h] = NONE;
   const int end = choice[h];
   if (end == NONE || choice[end] != h) {
     twin[h] = NONE;
