@@ -1,4 +1,4 @@
-"""`cmp-cl calibrate`: one, two or more cameras from views of a board."""
+"""`cmp-cl calibrate`: calibrate one, two or more cameras from views of a board."""
 
 import argparse
 import itertools
@@ -34,7 +34,6 @@ from cmp_cl.space.exports import check_cameras, save_cameras, save_corners
 from cmp_cl.viz import save_figure
 from cmp_cl.viz.calibration import calibration_figure
 
-HELP = "calibrate one, two or more cameras from views of a board"
 DESCRIPTION = """\
 Finds the corners of a rigid checkerboard in views of it, at least three, better ten or more,
 tilted in different directions and in all parts of the image; calibrates the camera or cameras and
@@ -44,7 +43,6 @@ draws both beside the calibration, if matplotlib is installed.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     group = parser.add_argument_group("views: of one camera, or of several at the same moments")
     add(group, "images IMAGE", "views of one camera", nargs="*")
     add(group, "--left IMAGE", "left views", nargs="+", default=[])
@@ -74,7 +72,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; return its exit status."""
     files = _files(arguments)
     out = Path(arguments.out)
     picture = out.with_name(f"{out.name.split('.')[0]}.png")

@@ -1,4 +1,4 @@
-"""`cmp-cl demo`: a rendered press, measured in space and compared with the exact truth."""
+"""`cmp-cl demo`: render a press in two views, measure it in space, compare it with the truth."""
 
 import argparse
 import statistics
@@ -32,7 +32,6 @@ _TIMES = 5  # measurements of the frame, of which the median time is told
 FIELDS = "field.npz", "field.csv", "field.vtp"  # for NumPy, a spreadsheet, ParaView
 
 
-HELP = "render a press in two views, measure it in space, compare it with the truth"
 DESCRIPTION = """\
 Renders a gel at rest and under a torus that presses and twists, as two mirrors show it to one
 camera; finds and numbers the corners, places them in space, prints the errors against the exact
@@ -41,14 +40,12 @@ truth, and writes a sheet of pictures, the deformation field, and the frames. It
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     what = "where to write, made if missing; default: cmp-demo"
     add(parser, "--out FOLDER", what, default="cmp-demo")
     add_device(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; return its exit status."""
     device = select_device(arguments.device)
     new_figure((1, 1))  # matplotlib is missed now, not after the rendering
     folder = Path(arguments.out)

@@ -1,4 +1,4 @@
-"""`cmp-cl detect`: the corners of images, folders of images and videos."""
+"""`cmp-cl detect`: find the corners in images, folders of images and videos."""
 
 import argparse
 import contextlib
@@ -38,7 +38,6 @@ _CORNER_COLUMNS = (
 _NODE_COLUMNS = ("row", "column", "x_px", "y_px", "sigma_px", "status")
 
 
-HELP = "find the corners in images, folders of images and videos"
 DESCRIPTION = """\
 Finds the corners of checkerboard-like patterns. Colour becomes grey. One line for each image or
 video says how many corners were found, on which device, and in how many milliseconds: from the
@@ -48,7 +47,6 @@ the detector for the first image of a size; of a video the median.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add(parser, "inputs IMAGE", "image, video or folder", nargs="+")
     what = (
         "write the corners of all inputs to this CSV file; positions in px, (0, 0) is the centre "
@@ -70,7 +68,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Find the corners of every input; return the exit status."""
     config = DetectorConfig() if arguments.config is None else DetectorConfig.load(arguments.config)
     if arguments.full_scale is not None:
         config = config.replace(full_scale=arguments.full_scale)

@@ -1,4 +1,4 @@
-"""`cmp-cl devices`: the OpenCL devices, and the time that a frame takes on each."""
+"""`cmp-cl devices`: list the OpenCL devices, and say which one is used by default."""
 
 import argparse
 import os
@@ -40,19 +40,16 @@ FRAMES = 100  # timed on each device
 WARM_UP = 5
 
 
-HELP = "list the OpenCL devices, and say which one is used by default"
 DESCRIPTION = """\
 Lists the OpenCL devices and says which one is used by default, and why.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add(parser, "--time", "time the default detector on each device, and check its answer")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print the devices; return 1 if there is none."""
     devices = list_devices()
     if not devices:
         tell(f"no OpenCL device was found: {why_none()}")

@@ -92,7 +92,8 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in (demo, pattern, calibrate, run, plot, detect, render, devices):
         name = command.__name__.rpartition(".")[2]
-        inner = commands.add_parser(name, help=command.HELP, description=command.DESCRIPTION)
+        what = (command.__doc__ or "").partition(": ")[2].rstrip(".")
+        inner = commands.add_parser(name, help=what, description=command.DESCRIPTION)
         command.add_arguments(inner)
         inner.set_defaults(run=command.run)
     return parser

@@ -1,4 +1,4 @@
-"""`cmp-cl pattern`: the checkerboard to print."""
+"""`cmp-cl pattern`: draw the checkerboard to print."""
 
 import argparse
 
@@ -6,7 +6,6 @@ from cmp_cl.cli.arguments import add, grid_shape, positive_number
 from cmp_cl.cli.messages import shown
 from cmp_cl.pattern import Checkerboard
 
-HELP = "draw the checkerboard to print"
 DESCRIPTION = """\
 Draws a checkerboard to scale. Print it at 100 % ('actual size', not 'fit to page'), and measure
 the print.
@@ -14,7 +13,6 @@ the print.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     what = "inner corners; there is one cell more along each side"
     add(parser, "--grid ROWSxCOLUMNS", what, type=grid_shape, required=True)
     add(parser, "--cell MM", "side of a cell", type=positive_number, required=True)
@@ -22,7 +20,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write the pattern that the arguments describe; return the exit status."""
     board = Checkerboard(shape=arguments.grid, cell=arguments.cell)
     board.save(arguments.out)
     rows, columns = board.shape

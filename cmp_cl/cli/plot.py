@@ -1,4 +1,4 @@
-"""`cmp-cl plot`: pictures and animations of a series that `cmp-cl run` wrote."""
+"""`cmp-cl plot`: draw what a series shows: displacement, strain, height, sigma."""
 
 import argparse
 
@@ -10,7 +10,6 @@ from cmp_cl.viz import Quantity, map_figure, save_figure, sheet_figure
 from cmp_cl.viz.moments import NEEDED, Summary, moments_of
 from cmp_cl.viz.plots import animate
 
-HELP = "draw what a series shows: displacement, strain, height, sigma"
 DESCRIPTION = """\
 Draws a series of cmp-cl run: by default one sheet with the maps of the frame of the largest
 displacement, and curves over time; a name that ends in .mp4 is an animation of one map. With one
@@ -20,7 +19,6 @@ lengths are in the rig's unit, and strain is in the surface.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     what = "the series, .npz or .h5, or its .part while it is written or after a kill"
     add(parser, "series SERIES", what)
     add(parser, "--out FILE", "a picture, .png, or an animation, .mp4", required=True)
@@ -34,7 +32,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; return its exit status."""
     check_suffix("--out", arguments.out, ".png", ".mp4")
     check_files([arguments.series], [arguments.out])
     moving = arguments.out.lower().endswith(".mp4")

@@ -1,4 +1,4 @@
-"""`cmp-cl render`: a frame of a pressed gel with known corners."""
+"""`cmp-cl render`: draw a frame of a pressed gel with known corners."""
 
 import argparse
 from typing import Any
@@ -24,7 +24,6 @@ _OPTIONS = {  # each a field of Scene
 }
 
 
-HELP = "draw a frame of a pressed gel with known corners"
 DESCRIPTION = """\
 Draws one frame of a pressed gel that carries a checkerboard, and writes the true corners with
 --truth. The same options give the same image.
@@ -32,7 +31,6 @@ Draws one frame of a pressed gel that carries a checkerboard, and writes the tru
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     add(parser, "--out PNG", "the image to write", required=True)
     add(parser, "--truth CSV", "write the true corners, px")
     for name, what in _OPTIONS.items():
@@ -48,7 +46,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Render the scene that the arguments describe; return the exit status."""
     check_files([], [arguments.out, arguments.truth])
     options = {name: getattr(arguments, name) for name in _OPTIONS}
     options |= {"indenter": Indenter(arguments.indenter), "mode": Mode(arguments.mode)}

@@ -1,4 +1,4 @@
-"""`cmp-cl run`: a recording or a live camera to the series of its deformation fields."""
+"""`cmp-cl run`: measure the deformation in every frame of a recording or of a live camera."""
 
 import argparse
 import contextlib
@@ -38,7 +38,6 @@ _AHEAD = 4  # the most frames that wait to be measured, and to be written
 _LINES_OF_BROKEN = 8  # broken frames that are reported one by one; the others are only counted
 
 
-HELP = "measure the deformation in every frame of a recording or of a live camera"
 DESCRIPTION = """\
 Numbers the corners of the pattern in every frame as in the frame at rest, and writes their
 displacements as a series: in the image, or with --stereo in space. Frames that cannot be read, or
@@ -49,7 +48,6 @@ a series.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
     group = parser.add_argument_group("input")
     what = (
         "video, folder of images, image, number of a camera, device such as /dev/video0, or "
@@ -113,7 +111,6 @@ def _setting(text: str) -> tuple[str, str]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; return its exit status."""
     _check(arguments)
     config = None if arguments.config is None else DetectorConfig.load(arguments.config)
     rig = None if arguments.stereo is None else StereoRig.load(arguments.stereo)

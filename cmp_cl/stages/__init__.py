@@ -15,6 +15,9 @@ They share these:
     form      the portable form, or that for CPUs
     maps      every intermediate image, for `Detector.maps`
 
+Each says what a plan needs of it: `files` of kernels, `defines`, the macros that only these need,
+`sizes` of buffers and of `scratch`, temporary arrays, layout by layout, bytes, and `launches`.
+
 A stage has the same name in kernels/, here, in cmp_cl/reference/ and in tests/kernels/. The table
 in kernels/README.md names the oracle of every kernel.
 """

@@ -14,14 +14,12 @@ DECIDING = 256  # work-items of a group that decides about a frame; 1 in the for
 
 
 def files(plan: PlanBase) -> list[str]:
-    """Return the kernel files."""
     if plan.form is Form.CPU:
         return ["cpu/harmonic"]
     return [*(["halve"] if plan.octaves else []), "border", "noise", "harmonic", "decide"]
 
 
 def defines(plan: PlanBase) -> dict[str, str | int]:
-    """Return the macros that only these kernels need."""
     whole = plan.dtype == np.uint8 and _full_scale(plan) == 255
     rule = _rule(plan)
     return {
@@ -32,7 +30,6 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
 
 
 def sizes(plan: PlanBase) -> dict[str, int]:
-    """Return the bytes of the buffers."""
     frames, plane = plan.frames, plan.working[0] * plan.step
     lists, sums = frames * plan.kinds, frames * (1 + plan.compiled_octaves)
     cpu = plan.form is Form.CPU

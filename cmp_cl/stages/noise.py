@@ -14,7 +14,6 @@ def bands(plan: PlanBase, octave: int = 0) -> int:
 
 
 def scratch(plan: PlanBase) -> dict[str, int]:
-    """Return the bytes of the temporary arrays."""
     return {"noise_sums": plan.types["NOISE"].itemsize * plan.frames * bands(plan) * plan.step}
 
 

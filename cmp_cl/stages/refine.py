@@ -28,7 +28,6 @@ MEDIAN_GROUP = 256  # work-items that find one
 
 
 def files(plan: PlanBase) -> list[str]:
-    """Return the kernel files, in the order of the stages."""
     refinement = plan.config.refinement
     if refinement is None:
         return ["centroids"]
@@ -45,7 +44,6 @@ def _name(refinement: EdgeLines | EdgeStep | Midlines) -> str:
 
 
 def defines(plan: PlanBase) -> dict[str, str | int]:
-    """Return the macros that only these kernels need."""
     refinement = plan.config.refinement
     quadratic = isinstance(refinement, Midlines) and refinement.fit is Fit.QUADRATIC
     table = (

@@ -9,7 +9,6 @@ from cmp_cl.stages.resampling import resampling_weights
 
 
 def files(plan: PlanBase) -> list[str]:
-    """Return the kernel files."""
     return [] if plan.scale is None else ["scale"]
 
 

@@ -16,7 +16,6 @@ NOISE_FACTOR = 6.68  # Immerkaer's estimate sums 6 sqrt(pi / 2) standard deviati
 
 
 def sizes(plan: PlanBase) -> dict[str, int]:
-    """Return the bytes of the buffers."""
     return {
         "noise": 8 * plan.frames * noise.bands(plan),
         "found": 8 * plan.frames,
@@ -27,7 +26,6 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 
 
 def scratch(plan: PlanBase) -> dict[str, int]:
-    """Return the bytes of the temporary arrays."""
     capacity = plan.frames * plan.list_capacity
     contrasts = dict.fromkeys(CONTRASTS, plan.types["CONTRAST"].itemsize * capacity)
     return {**noise.scratch(plan), **contrasts}

@@ -15,7 +15,6 @@ from cmp_cl.stages.paper import binarize, criteria, gate, nms
 
 
 def files(plan: PlanBase) -> list[str]:
-    """Return the kernel files, in the order of the stages."""
     rule = _rule(plan)
     rapid = isinstance(rule.criteria, RapidCriteria)
     gated = ["noise", "gate"] if rule.contrast is not None else []
@@ -24,7 +23,6 @@ def files(plan: PlanBase) -> list[str]:
 
 
 def defines(plan: PlanBase) -> dict[str, str | int]:
-    """Return the macros that only these kernels need."""
     rule = _rule(plan)
     return {
         "OUTER_RADIUS": rule.outer_radius,
@@ -36,12 +34,10 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
 
 
 def macros(plan: PlanBase) -> dict[str, str]:
-    """Return the function-like macros."""
     return binarize.macros(plan, _rule(plan))
 
 
 def sizes(plan: PlanBase) -> dict[str, int]:
-    """Return the bytes of the buffers."""
     plane = plan.working[0] * plan.step
     image = plan.frames * plane + 2 * plan.step
     rule = _rule(plan)
