@@ -81,12 +81,12 @@ class Detector(Closing):
         )
         context = self._programs.context
         flags: Any = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
-        self._queue = queue or cl.CommandQueue(context, properties=flags)
+        self.queue = queue or cl.CommandQueue(context, properties=flags)
         # Of streams, so that uploads run beside the kernels.
         self._transfers = cl.CommandQueue(context)
         self._lock = threading.RLock()
         self._plans = Plans(
-            queue=self._queue,
+            queue=self.queue,
             programs=self._programs,
             device=self.device,
             shape=self.shape,
@@ -119,7 +119,7 @@ class Detector(Closing):
     @property
     def times(self) -> dict[str, float]:
         """Return the milliseconds of each stage of the last frame; empty without profile=True."""
-        timed = self._queue.properties & cl.command_queue_properties.PROFILING_ENABLE
+        timed = self.queue.properties & cl.command_queue_properties.PROFILING_ENABLE
         return sum_times(self._last.events if self._last and timed else (), {})
 
     def __call__(self, frame: GreyImage) -> Corners:
@@ -157,11 +157,6 @@ class Detector(Closing):
         finally:
             if waiting is not None:
                 self._plans.take_back(waiting)
-
-    @property
-    def queue(self) -> cl.CommandQueue:
-        """Return the in-order queue of its kernels."""
-        return self._queue
 
     @property
     def layout(self) -> Plan:
@@ -208,7 +203,7 @@ class Detector(Closing):
         with self._lock:
             self._check_alive()
             plan = self._plans.lend(len(frames))
-            self._start(plan, frames, self._queue)
+            self._start(plan, frames, self.queue)
             return self._found(plan).corners
 
     def maps(self, frame: GreyImage) -> Maps | HarmonicMaps:
@@ -220,7 +215,7 @@ class Detector(Closing):
             self._check_alive()
             plan = self._plans.make(frames=1, form=Form.PORTABLE)
             try:
-                self._start(plan, [image], self._queue)
+                self._start(plan, [image], self.queue)
                 self._found(plan)  # lets the lists grow
                 return read_maps(plan)
             finally:
@@ -250,7 +245,7 @@ class Detector(Closing):
     def _numbered(self, image: GreyImage) -> tuple[Corners, LatticePlan]:
         """Return the corners of an image, and the plan in which their numbers were started."""
         plan = self._plans.lend()
-        self._start(plan, [image], self._queue)
+        self._start(plan, [image], self.queue)
         while True:
             lattice = self._lattice_of(plan)
             lattice.start()
@@ -341,6 +336,5 @@ def detect(
     Raises the errors of Detector.
     """
     frame = check_image(image)
-    device = select_device(device)
     with Detector(shape=frame.shape, dtype=frame.dtype, config=config, device=device) as detector:
         return detector(frame)

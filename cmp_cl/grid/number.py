@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.corners import Corners, Method, Refusal
-from cmp_cl.errors import GridError
+from cmp_cl.errors import GridError, as_numbers
 from cmp_cl.grid.build import build_grid
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.image import GreyImage, check_image
@@ -71,10 +71,7 @@ def number(
 
 
 def _checked(xy: ArrayLike, image: GreyImage) -> NDArray[np.float32]:
-    try:
-        at = np.asarray(xy, np.float64)
-    except (TypeError, ValueError) as error:
-        raise GridError(f"xy must be (N, 2) numbers, px, not {type(xy).__name__}") from error
+    at = as_numbers("xy", xy, GridError)
     if at.ndim != 2 or at.shape[1] != 2:
         raise GridError(
             f"xy must be (N, 2), px, got {at.shape}; OpenCV's corners need reshape(-1, 2)"

@@ -273,10 +273,5 @@ def norm(vector: Floats) -> Floats:
     return result
 
 
-def dot(a: Floats, b: Floats) -> Floats:
-    result: Floats = (a * b).sum(axis=-1)
-    return result
-
-
 def cross(a: Floats, b: Floats) -> Floats:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

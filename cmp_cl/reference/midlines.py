@@ -13,7 +13,6 @@ from cmp_cl.reference.edges import (
     along_of,
     boundary_points,
     cross,
-    dot,
     fit_lines,
     intersect,
     norm,
@@ -78,7 +77,7 @@ def _intersect_curves(first: Lines, second: Lines, middle: Floats, begin: Floats
     with np.errstate(all="ignore"):
         points = np.moveaxis(middle, 2, 0) - centre[:, :, None]
         a, b, c = _parabola(points, along, across)
-        u = dot(begin - centre, along)
+        u = np.vecdot(begin - centre, along)
         least_sin = np.full(len(begin), np.inf)
         for _ in range(4):
             point = _on_curve(centre, along, across, (a, b, c), u)
@@ -96,8 +95,8 @@ def _intersect_curves(first: Lines, second: Lines, middle: Floats, begin: Floats
 
 def _parabola(point: Floats, along: Floats, across: Floats) -> tuple[Floats, Floats, Floats]:
     """Return a, b, c (2, N) of parabolas through (2, N, 3, 2) points, by divided differences."""
-    u0, u1, u2 = np.moveaxis(dot(point, along[:, :, None]), -1, 0)
-    v0, v1, v2 = np.moveaxis(dot(point, across[:, :, None]), -1, 0)
+    u0, u1, u2 = np.moveaxis(np.vecdot(point, along[:, :, None]), -1, 0)
+    v0, v1, v2 = np.moveaxis(np.vecdot(point, across[:, :, None]), -1, 0)
     slope = (v1 - v0) / (u1 - u0)
     c = ((v2 - v1) / (u2 - u1) - slope) / (u2 - u0)
     b = slope - c * (u0 + u1)
