@@ -1,13 +1,11 @@
 """The displacement of each node, from two grids of one camera, or from points in space."""
 
-import functools
-
 import numpy as np
 
 from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.field.field import DisplacementField
 from cmp_cl.grid.grid import Grid, NodeStatus
-from cmp_cl.motion.moments import AtRest, Moment, field_of, measured_of
+from cmp_cl.motion.moments import AtRest, Moment, measured_of
 from cmp_cl.motion.scale import PlaneScale
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.points import Points3D, PointStatus
@@ -77,13 +75,12 @@ def _between(rest: Moment, now: Moment, device: Device) -> DisplacementField:
     moved = np.where(valid[..., None], now.at - rest.at, np.nan)
     measured = measured_of(source, valid)
     change = at_rest.change(moved, measured, now.own, rest.covariance + now.covariance)
-    return field_of(
-        at_rest,
+    return at_rest.field(
         status=status,
         source=source,
         moved=moved,
+        own=now.own,
         displacement=change.values - (now.bend - rest.bend),
         covariance=change.covariance,
         raw_covariance=change.raw_covariance,
-        strain_of=functools.partial(at_rest.strain_of, moved, now.own),
     )

@@ -42,7 +42,6 @@ ROUNDS = 3  # rounds of the search for outliers
 _ESTIMATES, _MASKS = 5, 4  # of the noise, as in kernels/filter.cl
 _SHARES = 4  # of the rows for each unit of a CPU; each share costs sums over the lattice
 _ROUGH = 6  # sums over a row, in kernels/strain.cl
-_OPENED = 3.0  # largest ratio of the wear of a strained print to its wear at rest
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Source = NDArray[np.uint8]
@@ -60,7 +59,7 @@ class Filtered:
         images. In the plane, both axes have the same variance.
     raw_covariance: the same for the values before the filter.
     noise: (R, C), the standard deviation before the filter, by coordinate, NaN where unknown.
-    slopes: planes (N, R, C) float32, for `strain_of`: the covariances of the slopes per step along
+    slopes: planes (N, R, C) float32, for `strain`: the covariances of the slopes per step along
         a row and along a column, over all 3 x 3 values around a node; None unless asked for.
     """
 
@@ -71,67 +70,27 @@ class Filtered:
     slopes: NDArray[np.float32] | None
 
 
-def filter_at_rest(
-    values: Array, measured: Source, by_images: Array, device: Device, *, slopes: bool = False
-) -> Filtered:
-    """Filter positions.
-
-    values: (R, C, K), NaN where missing. measured: (R, C) of `NodeStatus`, MISSING for nodes that
-    may not influence others, which get the prediction of their neighbours. by_images: (R, C, K, K),
-    their covariance by the images alone. slopes: whether to compute `Filtered.slopes`.
-    """
-    there: Bools = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
-    surface = np.zeros(values.shape)
-    votes = there & (measured > 0)
-    if votes.any():
-        surface = bilinear_surface(values, votes)
-    found = _filtered(values - surface, measured, by_images, None, device, slopes=slopes)
-    return dataclasses.replace(found, values=found.values + surface)
-
-
-def filter_change(
-    moved: Array,
-    measured: Source,
-    by_images: Array,
-    most: Array,
-    device: Device,
-    *,
-    slopes: bool = False,
-) -> Filtered:
-    """Filter displacements, which may bend sharply, as at the edge of a contact.
-
-    The noise is also estimated along single directions, the axes and the diagonals, to tell it from
-    such a bend. A deformation is filtered as one array of displacements, not as two of positions:
-    wear that travels with the material cancels in their difference.
-
-    most: (R, C), the largest variance of the noise, see `most_of_change`. A residual beyond it is
-    taken for shape and kept. The others: as in `filter_at_rest`.
-    """
-    return _filtered(moved, measured, by_images, most, device, slopes=slopes)
-
-
-def most_at_rest(noise: Array, own: Array) -> Array:
-    """Return the share of the positions at rest in the largest variance of the noise of a
-    displacement, (R, C), NaN where unknown; that of the images now is added to it.
-
-    noise: (R, C), the standard deviation that the lattice shows at rest. own: (R, C), the variance
-    by the images, NaN where unknown. What they do not explain is wear. Wear moves with the
-    material, but strain may open it: in the difference it is assumed to be at most three times its
-    size at rest. A print without wear at rest has only the noise of its images.
-    """
-    return own + _OPENED**2 * np.maximum(np.square(noise) - own, 0)
-
-
-def _filtered(
+def filtered(
     values: Array,
     measured: Source,
     by_images: Array,
-    most: Array | None,
     device: Device,
     *,
-    slopes: bool,
+    most: Array | None = None,
+    slopes: bool = False,
 ) -> Filtered:
-    """Filter values on a device; most: None for positions, else see `filter_change`."""
+    """Filter positions, or displacements, which may bend sharply, as at the edge of a contact.
+
+    values: (R, C, K), NaN where missing. measured: (R, C) of `NodeStatus`, MISSING for nodes that
+        may not influence others, which get the prediction of their neighbours. by_images: (R, C, K,
+        K), their covariance by the images alone. slopes: whether to compute `Filtered.slopes`.
+    most: None for positions; for displacements the largest variance of the noise, (R, C), NaN where
+        unknown. A residual beyond it is taken for shape and kept.
+
+    The noise of displacements is also estimated along single directions, the axes and the
+    diagonals, to tell it from a bend. A deformation is filtered as one array of displacements, not
+    as two of positions: wear that travels with the material cancels in their difference.
+    """
     rows, columns, axes = values.shape
     if not rows * columns:
         nothing = np.empty((rows, columns, axes, axes))
@@ -156,9 +115,11 @@ def _filtered(
         slopes=slopes,
     )
     there: Bools = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
-    votes = there & (measured > 0)
+    votes, surface = there & (measured > 0), np.zeros(values.shape)
+    if most is None and votes.any():
+        surface = bilinear_surface(values, votes)
     inputs = plan.inputs.arrays
-    inputs["moved"][:] = planes(np.where(there[..., None], values, 0))
+    inputs["moved"][:] = planes(np.where(there[..., None], values - surface, 0))
     inputs["points"][:] = flat(by_images)
     inputs["bound_rest"][:, :columns] = np.nan if most is None else most
     inputs["valid"][:] = there
@@ -172,7 +133,7 @@ def _filtered(
     queue.finish()
     arrays = results.arrays
     found = Filtered(
-        values=nodes(arrays["displacement"]),
+        values=nodes(arrays["displacement"]) + surface,
         covariance=matrices(arrays["covariance"]),
         raw_covariance=matrices(arrays["raw_covariance"]),
         noise=np.where(there, np.sqrt(arrays["variance"][:, :columns]), np.nan).astype(np.float64),
@@ -183,7 +144,7 @@ def _filtered(
     return found
 
 
-def strain_of(
+def strain(
     constants: Mapping[str, NDArray[Any]],
     displacement: Array,
     covariance: Array,
@@ -227,7 +188,7 @@ class LatticeFilter:
     """Buffers and bound kernels that filter lattices of one shape.
 
     shape: (R, C). axes: K, 2 or 3. bends: whether the values may bend sharply, see
-    `filter_change`. slopes: whether the covariances of slopes are computed.
+    `filtered`. slopes: whether the covariances of slopes are computed.
     inputs: what the launches start from. moved: K planes (R, C), 0 where there is no value.
     points: their covariance by the images, 6 planes or 1. bent: K planes, subtracted at the end.
     own, bound_rest: (R, C and more columns that are not used), of which the sum is the largest

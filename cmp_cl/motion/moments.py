@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable
 from typing import Self
 
 import numpy as np
@@ -11,19 +10,14 @@ from numpy.typing import NDArray
 from cmp_cl.field import DisplacementField
 from cmp_cl.filter import bend_shift, surface_slopes
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
-from cmp_cl.motion.filter import (
-    Filtered,
-    filter_at_rest,
-    filter_change,
-    most_at_rest,
-    strain_of,
-)
+from cmp_cl.motion.filter import Filtered, filtered, strain
 from cmp_cl.motion.layout import flat, planes
 from cmp_cl.motion.scale import PlaneScale
 from cmp_cl.opencl.device import Device
 from cmp_cl.points import Points3D, PointStatus
 
 Array = NDArray[np.float64]
+_OPENED = 3.0  # largest ratio of the wear of a strained print to its wear at rest
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -100,10 +94,9 @@ class AtRest:
         self.moment, self._device, self._slopes = moment, device, slopes
 
     def _filter(self, *, slopes: bool) -> Filtered:
-        measured = measured_of(self.moment.source, self.moment.valid)
-        return filter_at_rest(
-            self.moment.at, measured, self.moment.covariance, self._device, slopes=slopes
-        )
+        moment = self.moment
+        measured = measured_of(moment.source, moment.valid)
+        return filtered(moment.at, measured, moment.covariance, self._device, slopes=slopes)
 
     @functools.cached_property
     def filtered(self) -> Filtered:
@@ -118,8 +111,14 @@ class AtRest:
     @property
     def most(self) -> Array:
         """Return the share of the positions at rest in the largest variance of the noise of a
-        displacement, (R, C)."""
-        return most_at_rest(self.filtered.noise, self.moment.own)
+        displacement, (R, C), NaN where unknown; that of the images now is added to it.
+
+        What the images do not explain of the noise is wear. Wear moves with the material, but
+        strain may open it: in the difference it is assumed to be at most three times its size at
+        rest. A print without wear at rest has only the noise of its images.
+        """
+        own = self.moment.own
+        return own + _OPENED**2 * np.maximum(np.square(self.filtered.noise) - own, 0)
 
     @functools.cached_property
     def strain_constants(self) -> dict[str, NDArray[np.float32]]:
@@ -150,64 +149,56 @@ class AtRest:
         """
         if by_images is None:
             by_images = np.zeros((*moved.shape, moved.shape[2]))
-        return filter_change(
-            moved, measured, by_images, self.most + own, self._device, slopes=slopes
-        )
+        most = self.most + own
+        return filtered(moved, measured, by_images, self._device, most=most, slopes=slopes)
 
-    def strain_of(
+    def field(
         self,
+        *,
+        status: NDArray[np.uint8],
+        source: NDArray[np.uint8],
         moved: Array,
         own: NDArray[np.floating],
-        field: DisplacementField,
-    ) -> tuple[Array, Array]:
-        """Return the strain of a field, and its covariance; the others are those of `change`."""
-        measured = measured_of(field.source, field.valid)
-        slopes = self.change(moved, measured, own, slopes=True).slopes
-        assert slopes is not None
-        return strain_of(
-            self.strain_constants, field.displacement, field.covariance, slopes, self._device
+        displacement: Array,
+        covariance: Array,
+        raw_covariance: Array,
+    ) -> DisplacementField:
+        """Return the field with these displacements, and before the filter.
+
+        moved, displacement: (R, C, D), before the filter and after it, without the shift by bent
+        edges. covariance, raw_covariance: their covariances. All are NaN where there is no
+        displacement. own: as in `change`.
+        """
+        missing = status != PointStatus.VALID.value
+
+        def known(whole: Array) -> Array:
+            values = whole.copy()
+            values[missing] = np.nan
+            return values
+
+        def strain_of(field: DisplacementField) -> tuple[Array, Array]:
+            measured = measured_of(field.source, field.valid)
+            slopes = self.change(moved, measured, own, slopes=True).slopes
+            assert slopes is not None
+            return strain(
+                self.strain_constants, field.displacement, field.covariance, slopes, self._device
+            )
+
+        raw = DisplacementField(
+            position=known(self.moment.at),
+            displacement=moved,
+            covariance=raw_covariance,
+            position_covariance=known(self.filtered.raw_covariance),
+            status=status,
+            source=source,
+            unit=self.moment.unit,
         )
-
-
-def field_of(
-    at_rest: AtRest,
-    *,
-    status: NDArray[np.uint8],
-    source: NDArray[np.uint8],
-    moved: Array,
-    displacement: Array,
-    covariance: Array,
-    raw_covariance: Array,
-    strain_of: Callable[[DisplacementField], tuple[Array, Array]],
-) -> DisplacementField:
-    """Return the field with these displacements, and before the filter.
-
-    moved, displacement: (R, C, D), before the filter and after it, without the shift by bent edges.
-    covariance, raw_covariance: their covariances. All are NaN where there is no displacement.
-    strain_of: as in `DisplacementField`.
-    """
-    missing = status != PointStatus.VALID.value
-
-    def known(whole: Array) -> Array:
-        values = whole.copy()
-        values[missing] = np.nan
-        return values
-
-    raw = DisplacementField(
-        position=known(at_rest.moment.at),
-        displacement=moved,
-        covariance=raw_covariance,
-        position_covariance=known(at_rest.filtered.raw_covariance),
-        status=status,
-        source=source,
-        unit=at_rest.moment.unit,
-    )
-    return dataclasses.replace(
-        raw,
-        position=known(at_rest.position),
-        displacement=displacement,
-        covariance=covariance,
-        position_covariance=known(at_rest.filtered.covariance),
-        raw=raw,
-        strain_of=strain_of,
-    )
+        return dataclasses.replace(
+            raw,
+            position=known(self.position),
+            displacement=displacement,
+            covariance=covariance,
+            position_covariance=known(self.filtered.covariance),
+            raw=raw,
+            strain_of=strain_of,
+        )

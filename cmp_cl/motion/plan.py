@@ -5,7 +5,6 @@ its nodes, the launches and one read.
 """
 
 import dataclasses
-import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,7 +27,7 @@ from cmp_cl.motion.layout import (
     of_nodes,
     planes,
 )
-from cmp_cl.motion.moments import AtRest, Moment, field_of
+from cmp_cl.motion.moments import AtRest, Moment
 from cmp_cl.motion.nodes import put
 from cmp_cl.motion.tables import axis_tables
 from cmp_cl.motion.track import Tracker
@@ -160,16 +159,14 @@ class FieldPlan:
     def field(self, results: dict[str, NDArray[Any]]) -> DisplacementField:
         """Return the field that the results of `read` describe."""
         status, source = results["status"], results["source"]
-        moved, own = nodes(results["raw_displacement"]), results["own"][:, : self.shape[1]]
-        field = field_of(
-            self._at_rest,
+        field = self._at_rest.field(
             status=status,
             source=source,
-            moved=moved,
+            moved=nodes(results["raw_displacement"]),
+            own=results["own"][:, : self.shape[1]],
             displacement=nodes(results["displacement"]),
             covariance=matrices(results["covariance"]),
             raw_covariance=matrices(results["raw_covariance"]),
-            strain_of=functools.partial(self._at_rest.strain_of, moved, own),
         )
         if not self._strained:
             return field

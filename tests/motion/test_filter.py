@@ -13,7 +13,7 @@ from cmp_cl.filter import bend_shift
 from cmp_cl.grid import NodeStatus, build_grid
 from cmp_cl.grid.grid import MEASURED
 from cmp_cl.motion import displacement, filter_positions
-from cmp_cl.motion.filter import filter_at_rest
+from cmp_cl.motion.filter import filtered
 from cmp_cl.reference import detect
 from cmp_cl.reference.field import filter as lattice_filter
 from cmp_cl.synthetic import Indenter, Mode, boards, random_scene, render
@@ -145,7 +145,7 @@ def test_the_kernels_filter_positions_as_the_oracle(device, shape, axes):
         values[shape[0] // 2, 1] += 4
         measured = np.random.default_rng(8).random(shape) > 0.05
     by_images = np.broadcast_to(np.eye(axes), (*shape, axes, axes))
-    found = filter_at_rest(values, measured, by_images, device)
+    found = filtered(values, measured, by_images, device)
     expected = lattice_filter.filter_positions(values, measured)
     assert expected.margin > 1e-4  # no decision is left to rounding
     known = np.isfinite(expected.noise)
