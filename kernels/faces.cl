@@ -2,10 +2,10 @@
 
 /* Faces (13.2): four steps along a link and to the right come back to where they began. */
 
-/* face[h]: the least half-edge of the closed face that h belongs to; where there is none it stays NONE.
- * steps[h]: twice the mean steps of the face along h, and to its right. cut[face]: how often the
- * tolerance of the face is lowered, once for each torn corner beyond torn_corners. One work-item per
- * half-edge; that of the least one writes the face. */
+/* face[h]: the least half-edge of the closed face that h belongs to; it stays NONE without one.
+ * steps[h]: twice the mean steps of the face along h, and to its right. cut[face]: how often its
+ * tolerance is lowered, once for each torn corner beyond torn_corners. One work-item per half-edge;
+ * that of the least one writes the face. */
 __kernel void close_faces(__global const float *restrict corners, const uint capacity,
                           __global const int *restrict twin, const int torn_corners,
                           __global int *restrict face, __global uchar *restrict cut,

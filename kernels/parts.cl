@@ -16,7 +16,7 @@ int root_of(__global volatile int *part, int f) {
 void unite(__global volatile int *part, int a, int b) {
   while ((a = root_of(part, a)) != (b = root_of(part, b))) {
     const int low = SMALLER(a, b), high = LARGER(a, b);
-    b = atomic_min(part + high, low);
+    b = LOWER(part + high, low);
     if (b == high) return;
     a = low;
   }
@@ -68,9 +68,9 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
       if (face[h] != h) continue;
       const int root = root_of(part, h);
       part[h] = root;
-      atomic_inc(faces_of_part + root);
+      ADD(faces_of_part + root, 1);
       state[h] = (int4)(0, 0, 0, root == h ? 0 : WAITING);
-      if (root == h) waiting[atomic_inc(&listed)] = h;
+      if (root == h) waiting[ADD(&listed, 1)] = h;
     }
     ALL_TOGETHER;
     /* The numbers spread from the roots, face by face. A face waits with the half-edge across which
@@ -87,9 +87,9 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
           const int other = beyond[h];
           if (other != NONE) {
             __global volatile int *reached = (__global volatile int *)(state + face[other]) + 3;
-            if (*reached == WAITING && atomic_xchg(reached, 0) == WAITING) {
+            if (*reached == WAITING && REPLACE(reached, 0) == WAITING) {
               state[other] = STEP(here, 2);
-              waiting[atomic_inc(&listed)] = other;
+              waiting[ADD(&listed, 1)] = other;
             }
           }
           here = STEP(here, 1);
@@ -125,7 +125,7 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
   FOR_ALL(h, ends)
     if (part[h] == h && faces_of_part[h]) {
       if (faces_of_part[h] > most) atomic_max(&most, faces_of_part[h]);
-      if (faces_of_part[h] >= least_part) atomic_inc(&parts);
+      if (faces_of_part[h] >= least_part) ADD(&parts, 1);
     }
   ALL_TOGETHER;
   FOR_ALL(h, ends)

@@ -112,6 +112,7 @@ class LatticePlan:
             "SIDE_DEPTH": f"{k.side_depth_cells}f",
             "SIDE_DEPTH_PX": f"{k.side_depth_px}f",
             "PIXEL": "uchar" if self.dtype == np.uint8 else "ushort",
+            "IS_CPU": int(self.device.kind is DeviceKind.CPU),
             "PAD": self.pad,
             "WHOLE_LEVELS": int(whole),
             "HEAD": RESULT_HEAD,
