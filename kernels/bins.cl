@@ -15,9 +15,10 @@ ushort root_of(const float level) {
 
 /* The square root of the image under [1 2 1] along both axes, which is in sixteenths of 1/255 of full
  * scale. Light multiplies what a print reflects, so cells in a shadow differ by less than others; in
- * roots by the root of that, and the noise of a camera is even. Beyond the image its
- * border is repeated. One spare row lies before the image. One work-item per element of a row; in the
- * padding it computes what is never used. */
+ * roots by the root of that, and the noise of a camera is even. Beyond the image its border is
+ * repeated; if PADDED its padding does so, which saves two fifths of the time. One spare row lies
+ * before the image. One work-item per element of a row; in the padding it computes what is never
+ * used. */
 #if WHOLE_LEVELS /* a pixel is the grey level */
 #define GREY(v) (ushort)(v)
 #define AS_LEVEL(v) (v)
@@ -36,7 +37,8 @@ __kernel void smooth_levels(__global const PIXEL *restrict image, const uint ste
   __global const PIXEL *below = y + 1 < rows ? here + step : here;
 #define DOWN(x) (SUM)((SUM)(GREY(above[x]) + GREY(below[x])) + (SUM)(GREY(here[x]) << 1))
   const SUM before = DOWN(x - 1), middle = DOWN(x), after = DOWN(x + 1);
-  const SUM left = x == PAD ? middle : before, right = x == PAD + columns - 1 ? middle : after;
+  const bool is_first = !PADDED && x == PAD, is_last = !PADDED && x == PAD + columns - 1;
+  const SUM left = is_first ? middle : before, right = is_last ? middle : after;
   levels[y * step + x] =
       root_of((float)AS_LEVEL((SUM)((SUM)(left + right) + (SUM)(middle << 1))));
 }

@@ -65,6 +65,7 @@ class LatticePlan:
         self.full_scale = full_scale
         self.constants = LatticeConstants() if constants is None else constants
         self.lock = threading.RLock()  # held by who uses the plan
+        self._padded = detection is None or detection.scale is None  # the image, by its border
         if detection:
             self.capacity, self.pad, self.step = capacity, detection.pad, detection.full_step
             given = {"image": detection.arrays["image"], "corners": detection.arrays["result"]}
@@ -114,6 +115,7 @@ class LatticePlan:
             "PIXEL": "uchar" if self.dtype == np.uint8 else "ushort",
             "IS_CPU": int(self.device.kind is DeviceKind.CPU),
             "PAD": self.pad,
+            "PADDED": int(self._padded),
             "WHOLE_LEVELS": int(whole),
             "HEAD": RESULT_HEAD,
             "EDGES_FIELD": EDGES.start,
@@ -187,8 +189,8 @@ class LatticePlan:
         """Give the plan an image and its corners: (H, W), (N, 2) px, (N, 4) rad, and why
         their refinement was rejected, (N,) of `Refusal`."""
         count = len(xy)
-        padded = np.zeros((self.shape[0] + 2, self.step), self.dtype)
-        padded[1:-1, self.pad : self.pad + self.shape[1]] = image
+        after = self.step - self.pad - self.shape[1]
+        padded = np.pad(image, ((1, 1), (self.pad, after)), mode="edge")
         length = multiple(count, LANES)
         numbers = np.zeros(RESULT_HEAD + RESULT_FIELDS * length, np.float32)
         numbers[:1].view(np.uint32)[0] = count
