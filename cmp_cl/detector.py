@@ -27,7 +27,6 @@ from cmp_cl.lattice.plan import LatticePlan
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
 from cmp_cl.opencl.launches import sum_times
 from cmp_cl.opencl.program import Programs, programs_of
-from cmp_cl.stages.form import Form
 from cmp_cl.stages.plan import Overflow, Plan, Plans
 from cmp_cl.stages.refine import Found
 
@@ -213,7 +212,7 @@ class Detector(Closing):
         image = self._checked(frame)
         with self._lock:
             self._check_alive()
-            plan = self._plans.make(frames=1, form=Form.PORTABLE)
+            plan = self._plans.make(frames=1, portable=True)
             try:
                 self._start(plan, [image], self.queue)
                 self._found(plan)  # lets the lists grow

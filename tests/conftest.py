@@ -10,12 +10,11 @@ import os
 from collections.abc import Iterator
 
 import pytest
-from detectors import MakeDetector, detectors_on, in_form
+from detectors import FORMS, MakeDetector, detectors_on, in_form
 
 from cmp_cl import Device, select_device
 from cmp_cl.opencl import program
-from cmp_cl.opencl.device import DEVICE_VARIABLE
-from cmp_cl.stages.form import Form
+from cmp_cl.opencl.device import DEVICE_VARIABLE, DeviceKind
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -60,26 +59,28 @@ def own_programs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(program, "_shared", program._shared.__wrapped__)
 
 
-@pytest.fixture(params=Form, ids=lambda form: form.value)
-def form(request: pytest.FixtureRequest) -> Form:
+@pytest.fixture(params=FORMS, ids=lambda form: form.value)
+def form(request: pytest.FixtureRequest) -> DeviceKind:
     """Return each form of the kernels in turn."""
     return request.param
 
 
 @pytest.fixture
-def device_in_form(device: Device, form: Form) -> Device:
+def device_in_form(device: Device, form: DeviceKind) -> Device:
     """Return the device under test, on which the kernels have that form."""
     return in_form(device, form)
 
 
 @pytest.fixture(scope="session")
-def detectors_by_form(device: Device) -> Iterator[dict[Form, MakeDetector]]:
+def detectors_by_form(device: Device) -> Iterator[dict[DeviceKind, MakeDetector]]:
     """Yield what makes detectors, as `detector_for`, for each form."""
     with contextlib.ExitStack() as stack:
-        yield {form: stack.enter_context(detectors_on(in_form(device, form))) for form in Form}
+        yield {form: stack.enter_context(detectors_on(in_form(device, form))) for form in FORMS}
 
 
 @pytest.fixture
-def detector_in_form(detectors_by_form: dict[Form, MakeDetector], form: Form) -> MakeDetector:
+def detector_in_form(
+    detectors_by_form: dict[DeviceKind, MakeDetector], form: DeviceKind
+) -> MakeDetector:
     """Return detector_in_form(image, config, mask): as `detector_for`, in each form in turn."""
     return detectors_by_form[form]

@@ -14,8 +14,8 @@ from cmp_cl import (
     Midlines,
     SpectralCriteria,
 )
+from cmp_cl.opencl.device import DeviceKind
 from cmp_cl.opencl.memory import ALIGNMENT
-from cmp_cl.stages.form import Form
 
 IMAGE = images.eight_bits()["board"]
 FULL = DetectorConfig(
@@ -43,8 +43,8 @@ def plan_of(detector_in_form, config):
 SCALED = rings(FULL, scale=2.0)
 SPECTRAL = DetectorConfig(detection=BinaryRings(criteria=SpectralCriteria()))
 GATE = ("sector_contrast", "percentile", "pass_gate")
-STEP = {Form.CPU: "edge_step_eight", Form.PORTABLE: "edge_step"}
-LINES = {Form.CPU: "edge_lines_eight", Form.PORTABLE: "edge_lines"}
+STEP = {DeviceKind.CPU: "edge_step_eight", DeviceKind.GPU: "edge_step"}
+LINES = {DeviceKind.CPU: "edge_lines_eight", DeviceKind.GPU: "edge_lines"}
 LEFT_OUT = {  # a configuration, one that has more, and its kernels and buffers
     "the gate": (
         rings(FULL, contrast=None),

@@ -12,7 +12,6 @@ They share these:
 
     types     the type of every quantity, in NumPy and in OpenCL C
     layout    the layout of frames on the device; its launches
-    form      the portable form, or that for CPUs
     maps      every intermediate image, for `Detector.maps`
 
 Each says what a plan needs of it: `files` of kernels, `defines`, the macros that only these need,

@@ -7,14 +7,13 @@ import numpy as np
 from cmp_cl.config import RingHarmonic
 from cmp_cl.opencl.launches import Launch
 from cmp_cl.stages import noise
-from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import CORNER_COLUMNS, PlanBase
 
 DECIDING = 256  # work-items of a group that decides about a frame; 1 in the form for CPUs
 
 
 def files(plan: PlanBase) -> list[str]:
-    if plan.form is Form.CPU:
+    if plan.for_cpu:
         return ["cpu/harmonic"]
     return [*(["halve"] if plan.octaves else []), "border", "noise", "harmonic", "decide"]
 
@@ -24,7 +23,7 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
     rule = _rule(plan)
     return {
         "FINE": int(rule.fine),
-        "DECIDING": 1 if plan.form is Form.CPU else DECIDING,
+        "DECIDING": 1 if plan.for_cpu else DECIDING,
         "WHOLE_LEVELS": int(whole),
     }
 
@@ -32,7 +31,7 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
 def sizes(plan: PlanBase) -> dict[str, int]:
     frames, plane = plan.frames, plan.working[0] * plan.step
     lists, sums = frames * plan.kinds, frames * (1 + plan.compiled_octaves)
-    cpu = plan.form is Form.CPU
+    cpu = plan.for_cpu
     bands = plan.bands if cpu else noise.bands(plan)
     starts = plan.octave_starts
     return {
@@ -53,7 +52,7 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
     """Return the bytes of the temporary arrays, layout by layout."""
     of_frame = 3 * plan.kinds * plan.list_capacity + (1 + plan.compiled_octaves) * plan.working[0]
     decided = {"strong": 4 * plan.frames * (of_frame if plan.octaves else 1)}
-    if plan.form is Form.CPU:
+    if plan.for_cpu:
         return [decided]
     plane = 2 * (plan.frames * plan.working[0] + 2) * plan.step
     return [noise.scratch(plan), dict.fromkeys(("fine", "coarse", "response"), plane), decided]
@@ -61,7 +60,7 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
 
 def _counters(plan: PlanBase) -> int:
     """Return the counters of a frame: of its lists, and of the work that CPUs share."""
-    if plan.form is not Form.CPU:
+    if not plan.for_cpu:
         return plan.kinds
     segments, halving = -(-plan.bands // 2), 2 * (plan.octaves > 0)  # two bands share a segment
     return plan.kinds + 1 + segments * (1 + plan.octaves) + halving
@@ -69,7 +68,7 @@ def _counters(plan: PlanBase) -> int:
 
 def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the image to the list of corners."""
-    if plan.form is not Form.CPU:
+    if not plan.for_cpu:
         return _by_pixels(plan)
     return [_by_bands(plan)]
 
@@ -77,7 +76,7 @@ def launches(plan: PlanBase) -> list[Launch]:
 def launch_in_place(plan: PlanBase) -> Launch | None:
     """Return the first of them for frames in a buffer of their own, which is its first argument,
     see `set_place`; None if the image must be there before."""
-    if plan.form is not Form.CPU or plan.scale is not None:
+    if not plan.for_cpu or plan.scale is not None:
         return None
     return _by_bands(plan)
 

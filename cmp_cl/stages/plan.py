@@ -23,7 +23,6 @@ from cmp_cl.opencl.memory import ALIGNMENT, Memory, copy_rectangle
 from cmp_cl.opencl.pocl import is_pocl
 from cmp_cl.opencl.program import Kernels, Programs
 from cmp_cl.stages import harmonic, noise, refine, scale
-from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import CORNER_COLUMNS, LANES, LISTS, PlanBase
 from cmp_cl.stages.paper import rings
 from cmp_cl.stages.refine import READ_FIELDS, RESULT_HEAD
@@ -46,7 +45,8 @@ class Plan(PlanBase):
     """Buffers and bound kernels for `frames` frames of one shape at the working scale.
 
     mask: (H, W) bool, where candidates may be centred, or None.
-    frames: number of frames at a time. form: the form of the kernels; None chooses it by device.
+    frames: number of frames at a time. portable: whether kernels have the
+    portable form on a CPU too.
     """
 
     _frames: cl.Buffer | None = None  # that the launches read where they lie
@@ -63,9 +63,9 @@ class Plan(PlanBase):
         config: DetectorConfig,
         mask: NDArray[np.bool_] | None,
         frames: int,
-        form: Form | None = None,
+        portable: bool = False,
     ) -> None:
-        super().__init__(queue, device, shape, dtype, config, frames, form)
+        super().__init__(queue, device, shape, dtype, config, frames, portable=portable)
         self.events: list[tuple[str, cl.Event]] = []
         self.uploads: list[cl.Event] = []  # unfinished, in another queue
         self._mask = mask

@@ -26,8 +26,8 @@ from cmp_cl import (
     SpectralCriteria,
     reference,
 )
+from cmp_cl.opencl.device import DeviceKind
 from cmp_cl.reference.paper import gate
-from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import PlanBase
 
 EIGHT, DEEP = images.eight_bits(), images.sixteen_bits()
@@ -135,7 +135,7 @@ def test_any_number_of_bands_gives_the_same_corners(device, monkeypatch, bands):
     for nms_radius in (1, 3, 15):
         config = DENSE.replace(nms_radius=nms_radius)
         with Detector(
-            shape=image.shape, config=config, device=in_form(device, Form.CPU)
+            shape=image.shape, config=config, device=in_form(device, DeviceKind.CPU)
         ) as detector:
             corners = assert_corners_equal(detector, image)
             assert_same_bytes(detector.batch([image] * 2)[1], corners)

@@ -12,7 +12,7 @@ from cases import some
 from comparison import POSITION, assert_corners_equal, assert_same_bytes
 from configs import rings
 from corner_images import board, corner, grain
-from detectors import in_form
+from detectors import FORMS, in_form
 
 from cmp_cl import (
     Detector,
@@ -29,7 +29,6 @@ from cmp_cl import (
 )
 from cmp_cl.corners import Refusal
 from cmp_cl.opencl.device import DeviceKind
-from cmp_cl.stages.form import Form
 from cmp_cl.synthetic import boards
 
 EIGHT, DEEP = images.eight_bits(), images.sixteen_bits()
@@ -148,7 +147,7 @@ def test_the_forms_agree_to_the_bit(device, factor):
     for refinement in (EdgeLines(), None):
         config = rings(refinement=refinement, scale=factor, **DENSE)
         results = []
-        for form in Form:
+        for form in FORMS:
             with Detector(
                 shape=image.shape, config=config, device=in_form(device, form)
             ) as detector:

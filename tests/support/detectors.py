@@ -9,15 +9,14 @@ import numpy as np
 
 from cmp_cl import Detector, DetectorConfig, Device
 from cmp_cl.opencl.device import DeviceKind
-from cmp_cl.stages.form import Form
 
 MakeDetector = Callable[..., Detector]
-KINDS = {Form.CPU: DeviceKind.CPU, Form.PORTABLE: DeviceKind.GPU}
+FORMS = DeviceKind.CPU, DeviceKind.GPU  # kinds of devices; cards have the portable form
 
 
-def in_form(device: Device, form: Form) -> Device:
+def in_form(device: Device, form: DeviceKind) -> Device:
     """Return the device as if it were of the kind that has that form."""
-    return dataclasses.replace(device, kind=KINDS[form])
+    return dataclasses.replace(device, kind=form)
 
 
 @contextlib.contextmanager
