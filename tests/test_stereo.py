@@ -214,5 +214,7 @@ def test_a_frame_is_split_into_views_of_itself():
 def test_a_split_that_leaves_the_frame_is_refused():
     with pytest.raises(ImageError, match="extends past the frame of 9 x 6"):
         BinocularSplit.halves(10, 6)(np.zeros((6, 9), np.uint8))
+    box = tuple(np.array([0, 1, 3, 5]))  # NumPy's integers
+    assert BinocularSplit(box, (5, 0, 3, 5)).left == (0, 1, 3, 5)
     with pytest.raises(ConfigError, match="one size, not 4 x 5 and 3 x 5 px"):
         BinocularSplit((0, 1, 4, 5), (5, 0, 3, 5))

@@ -291,6 +291,14 @@ def test_a_video_that_cannot_be_written_is_refused_and_leaves_the_old_file(tmp_p
 
     with full_after(20_000), pytest.raises(OSError, match="large"):
         write_noise()
+
+    def interrupted():
+        with VideoFile(tmp_path / "press.mp4", fps=10) as video:
+            video.add(np.zeros((64, 64, 3), np.uint8))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
     assert (tmp_path / "press.mp4").read_bytes() == b"old"
     assert len(list(tmp_path.iterdir())) == 1
 

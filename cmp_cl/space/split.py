@@ -31,7 +31,9 @@ class BinocularSplit:
             mirror = f"mirror_{side}"
             check_kind(mirror, getattr(self, mirror), bool, ConfigError)
             box = getattr(self, side)
-            whole = isinstance(box, tuple) and all(type(number) is int for number in box)
+            whole = isinstance(box, tuple) and all(
+                isinstance(number, Integral) and not isinstance(number, bool) for number in box
+            )
             if not whole or len(box) != 4 or min(box[:2]) < 0 or min(box[2:]) < 1:
                 raise ConfigError(
                     f"BinocularSplit.{side} must be whole numbers (x, y, width, height) with "

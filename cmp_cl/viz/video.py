@@ -54,12 +54,21 @@ class VideoFile(Closing):
         try:
             yield
         except BaseException as error:
-            self._stream = None
-            with contextlib.suppress(self._av.FFmpegError):
-                self._files.__exit__(*sys.exc_info())
+            self._discard()
             if isinstance(error, ValueError):  # FFmpeg lacks the codec, or takes no such rate
                 raise OSError(f"no video can be written to {str(self._path)!r}: {error}") from error
             raise
+
+    def _discard(self) -> None:
+        """Remove the video after the exception that is being handled."""
+        self._stream = None
+        with contextlib.suppress(self._av.FFmpegError):
+            self._files.__exit__(*sys.exc_info())
+
+    def __exit__(self, *raised: object) -> None:
+        if raised[0] is not None:
+            self._discard()
+        self.close()
 
     def close(self) -> None:
         """Finish the video; closing again does nothing. Raises OSError if the disk is full."""
