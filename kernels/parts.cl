@@ -39,7 +39,6 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
                            __global const int *restrict twin, __global const int *restrict face,
                            __global const float4 *restrict steps,
                            __constant float *tolerances, const int most_cuts,
-                           const int least_part,
                            __global uchar *restrict cut, __global int *restrict beyond,
                            __global int *restrict part, __global int *restrict waiting,
                            __global int4 *restrict state, __global int *restrict faces_of_part,
@@ -125,7 +124,7 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
   FOR_ALL(h, ends)
     if (part[h] == h && faces_of_part[h]) {
       if (faces_of_part[h] > most) atomic_max(&most, faces_of_part[h]);
-      if (faces_of_part[h] >= least_part) ADD(&parts, 1);
+      if (faces_of_part[h] > 1) ADD(&parts, 1); /* one face agrees with none */
     }
   ALL_TOGETHER;
   FOR_ALL(h, ends)

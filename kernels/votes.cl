@@ -19,10 +19,9 @@ float mean_step(__global const float2 *at, __global const int *twin, const int i
   return total * (root * root);
 }
 
-/* Whether a half-edge is the first of its corner in a part that is large enough. */
-bool is_node(__global const int *part, __global const int *faces_of_part, const int least_part,
-             const int h) {
-  bool found = part[h] != NONE && faces_of_part[part[h]] >= least_part;
+/* Whether a half-edge is the first of its corner in a part that has numbers. */
+bool is_node(__global const int *part, __global const int *faces_of_part, const int h) {
+  bool found = part[h] != NONE && faces_of_part[part[h]] > 1;
   for (int k = h & ~3; k < h; ++k) found &= part[k] != part[h];
   return found;
 }
@@ -76,13 +75,12 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
                          __global const int *restrict twin, __global const int *restrict part,
                          __global const int4 *restrict state,
                          __global const int *restrict faces_of_part,
-                         const int least_part, __global const int *restrict starts,
-                         __global const int *restrict binned,
+                         __global const int *restrict starts, __global const int *restrict binned,
                          const float least_cosine, const float reach, const int room,
                          __global int *restrict layout, __global int *restrict votes) {
   const int h = get_global_id(0), i = h >> 2;
   if (layout[PARTS] < 2 || h >= 4 * (int)COUNT(corners)) return;
-  if (part[h] == layout[MAIN] || !is_node(part, faces_of_part, least_part, h)) return;
+  if (part[h] == layout[MAIN] || !is_node(part, faces_of_part, h)) return;
   if (!is_at_rim(part, i)) return;
   __global const float2 *at = POSITIONS(corners);
   const float own_step = mean_step(at, twin, i), own_reach = reach * own_step;
@@ -91,7 +89,7 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
     const float dx = at[i].x - at[j].x, dy = at[i].y - at[j].y, squared = dx * dx + dy * dy;
     if (i == j || !(squared < own_reach * own_reach) || !is_at_rim(part, j)) continue;
     for (int g = 4 * j; g < 4 * j + 4; ++g) {
-      if (!is_node(part, faces_of_part, least_part, g) || !IS_LARGER(part[g], part[h])) continue;
+      if (!is_node(part, faces_of_part, g) || !IS_LARGER(part[g], part[h])) continue;
       const float held = LARGER(squared, 1.0f), length = held * inverse_root(held);
       const Boundary near = boundary_along(lines[j], dx, dy);
       const Boundary far = boundary_along(lines[i], -dx, -dy);

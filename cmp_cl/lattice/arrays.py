@@ -30,7 +30,8 @@ class Units(NamedTuple):
     """Nodes of parts, each by itself: a corner in two parts is two units.
 
     corner: (M,). part: (M,) rank of the part, in order, the largest 0. number, rotation: in the
-    frame of the part. rim: it has fewer than four faces there. at: (M,) complex, px.
+    frame of the part. rim: it has fewer than four faces there. at: (M,) complex, px. faces: (P,) of
+    each part.
     """
 
     corner: Whole
@@ -39,6 +40,7 @@ class Units(NamedTuple):
     rotation: Whole
     rim: Mask
     at: Numbers
+    faces: Whole
 
 
 class Votes(NamedTuple):

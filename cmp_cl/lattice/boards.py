@@ -15,8 +15,8 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
     """Yield the boards of a frame that was started, upright, with their borders, the largest part's
     first.
 
-    xy: (N, 2), the corners of the plan, px. A corner is a node of one board at most. If no part has
-    `least_board` faces, the largest one is enough.
+    xy: (N, 2), the corners of the plan, px. A corner is a node of one board at most. A part of
+    fewer than `least_board` faces begins no board, but for the largest one.
     """
     k = plan.constants
     alone = plan.alone()
@@ -27,9 +27,11 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
     units, votes = plan.parts(xy)
     joining = Joining(units, votes, len(xy), k)
     taken = np.zeros(len(xy), np.bool_)
-    left = list(range(int(units.part.max(initial=-1)) + 1))
+    left = list(range(len(units.faces)))
     while left:
         main, *left = left
+        if main and units.faces[main] < k.least_board:
+            continue
         numbers = joining.run(main, left)
         numbers[taken] = TAKEN
         board = plan.settle(numbers)

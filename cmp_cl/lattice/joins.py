@@ -47,9 +47,11 @@ class Joining:
 
     def __init__(self, units: Units, votes: Votes, corners: int, k: LatticeConstants) -> None:
         self.units, self.k, self.corners = units, k, corners
-        parts = int(units.part.max(initial=-1)) + 1
+        parts = len(units.faces)
         bounds = np.searchsorted(units.part, np.arange(parts + 1))
         self.members = [slice(*each) for each in itertools.pairwise(bounds.tolist())]
+        self.by_x = np.argsort(units.at.real, kind="stable")
+        self.x = units.at.real[self.by_x]
         self.votes: list[list[tuple[int, Placement, float]]] = [[] for _ in range(parts)]
         for first, second, quarter, offset, weight in zip(
             *(each.tolist() for each in votes), strict=True
@@ -64,8 +66,11 @@ class Joining:
 
         Returns column, row, quarter turn, and 1 of every corner that is placed, (N, 4).
         """
-        self.numbers = np.zeros((self.corners, 4), np.int32)
-        self.unit = np.full(self.corners, -1)
+        self.number = np.zeros_like(self.units.number)
+        self.rotation = np.zeros_like(self.units.rotation)
+        self.placed = np.zeros(len(self.number), np.bool_)  # units that number their corner
+        self.taken = np.zeros(self.corners, np.bool_)
+        self.keys = np.zeros(0, np.int64)  # of the numbers that are taken, in order
         self.places: dict[int, Placement] = {}
         left = {main, *others}
         beside = {main}
@@ -77,7 +82,10 @@ class Joining:
                 self.place(part, at)
                 left.remove(part)
                 beside |= {other for other, _, _ in self.votes[part]} & left
-        return self.numbers
+        number, found = self.number[self.placed], np.zeros((self.corners, 4), np.int32)
+        columns = number.real, number.imag, self.rotation[self.placed], np.ones(len(number))
+        found[self.units.corner[self.placed]] = np.rint(np.stack(columns, axis=1))
+        return found
 
     def place(self, part: int, at: Placement) -> None:
         """Number the corners of a part that have no number, and whose number no other has."""
@@ -85,46 +93,47 @@ class Joining:
         some = self.members[part]
         corner = self.units.corner[some]
         number = self.units.number[some] * TURNS[at.quarter] + at.offset
-        numbers = np.zeros((len(corner), 4), np.int32)
-        numbers[:, 0], numbers[:, 1] = np.rint(number.real), np.rint(number.imag)
-        numbers[:, 2], numbers[:, 3] = (self.units.rotation[some] + at.quarter) % 4, 1
-        there = self.unit >= 0
-        fresh = ~there[corner]
-        if there.any():
-            own, others = _keys(numbers), np.sort(_keys(self.numbers[there]))
-            nearest = np.minimum(np.searchsorted(others, own), len(others) - 1)
-            fresh &= others[nearest] != own
-        self.numbers[corner[fresh]] = numbers[fresh]
-        self.unit[corner[fresh]] = some.start + np.flatnonzero(fresh)
+        key = np.rint(number.imag).astype(np.int64) << 32 | np.rint(number.real).astype(np.uint32)
+        fresh = ~self.taken[corner]
+        if len(self.keys):
+            fresh &= self.keys[np.searchsorted(self.keys[:-1], key)] != key
+        self.number[some] = number
+        self.rotation[some] = (self.units.rotation[some] + at.quarter) % 4
+        self.placed[some] = fresh
+        self.taken[corner[fresh]] = True
+        new = np.sort(key[fresh])
+        self.keys = np.insert(self.keys, np.searchsorted(self.keys, new), new)
 
     def sure(self, part: int) -> Placement | None:
         """Return the placement of a part if it is sure.
 
         It has the most votes, the surface bends least there, and the votes, times how much more it
-        bends elsewhere, are enough. Neither is enough alone: squeezed cells can get lost between
-        the parts, which makes counts too short; and where cells are long the surface expects more
-        of them. Behind a bar few colours are seen, but a flat board goes on nowhere else.
+        bends elsewhere, are enough; more are, where it bends much. Neither is enough alone:
+        squeezed cells can get lost between the parts, which makes counts too short; and where cells
+        are long the surface expects more of them. Behind a bar few colours are seen, but a flat
+        board goes on nowhere else.
         """
         ballots: dict[Placement, float] = defaultdict(float)
         for other, beside, weight in self.votes[part]:
             if place := self.places.get(other):
                 ballots[beside.within(place)] += weight
         at = max(ballots, key=lambda each: ballots[each])
-        return at if ballots[at] * factor(self.energy(part, at)) > self.k.join_votes else None
+        few = ballots[at] < self.k.join_few
+        votes, bends = min(ballots[at], 1.0) if few else ballots[at], self.energy(part, at)
+        least = self.k.join_votes * max(1.0, bends.min() / self.k.join_bend)
+        return at if votes * factor(bends) > least else None
 
     def energy(self, part: int, at: Placement) -> Float:
         """Return how much the surface bends at a placement of a part, and at others beside it."""
-        units, some, there = self.units, self.members[part], self.unit >= 0
-        there[units.corner[some]] = False
-        others, (column, row, _, _) = self.unit[there], self.numbers[there].T
-        fixed = Side(units.at[others], column + 1j * row, units.rim[others])
+        units, some = self.units, self.members[part]
         moved = Side(units.at[some], units.number[some] * TURNS[at.quarter], units.rim[some])
+        x, wide = moved.at.real, 2 * (self.k.span + 1) * moved.cell  # votes are no longer than half
+        ends = np.searchsorted(self.x, (x.min() - wide, x.max() + wide))
+        near = self.by_x[slice(*ends)]
+        near = near[self.placed[near]]
+        near = near[~np.isin(units.corner[near], units.corner[some])]
+        fixed = Side(units.at[near], self.number[near], units.rim[near])
         return bending(fixed, moved, at.offset + SHIFTS, self.k)
-
-
-def _keys(numbers: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return column and row of each as one number."""
-    return np.ascontiguousarray(numbers[:, :2]).view(np.int64)[:, 0]
 
 
 class Side(NamedTuple):
@@ -133,6 +142,12 @@ class Side(NamedTuple):
     at: Numbers
     number: Numbers
     rim: Mask
+
+    @property
+    def cell(self) -> float:
+        """Return the length of a step, px, by a linear fit."""
+        number, at = self.number - self.number.mean(), self.at - self.at.mean()
+        return float(np.abs(np.vdot(number, at)) / np.vdot(number, number).real)
 
     def near(self, other: "Side", reach: float, most: int) -> "Side":
         """Return those that are by less than `reach` px farther from the other side's rim than the
@@ -171,8 +186,7 @@ def bending(fixed: Side, moved: Side, offsets: Numbers, k: LatticeConstants) -> 
     """
     if len(moved.at) < TREND // 2:
         return np.full(len(offsets), np.inf)
-    middle, number = moved.at.mean(), moved.number - moved.number.mean()
-    cell = float(np.abs(np.vdot(number, moved.at - middle)) / np.vdot(number, number).real)
+    middle, cell = moved.at.mean(), moved.cell
     reach = (k.span + 1) / 2 * cell  # three lines of nodes, which a quadratic needs
     one, two = fixed.near(moved, reach, k.tear_most), moved.near(fixed, reach, k.tear_most)
     count = len(one.at)

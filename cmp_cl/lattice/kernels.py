@@ -97,7 +97,6 @@ def values(k: LatticeConstants, context: cl.Context) -> dict[str, Any]:
         "neighbours": k.link_neighbours,
         "torn_corners": k.torn_corners,
         "most_cuts": k.cuts,
-        "least_part": k.least_board,
         "rounds": ROUNDS,
     }
     real = {

@@ -15,20 +15,22 @@ def parts_of(
     faces: NDArray[np.int32],
     votes: NDArray[np.int32],
     xy: NDArray[np.float32],
-    least: int,
 ) -> tuple[Units, Votes]:
-    """Return the nodes of all parts of at least so many faces, part after part, and their votes.
+    """Return the nodes of all parts, of two faces or more, part after part, and their votes.
 
     root: (4 N,), state: (16 N,), faces: (4 N,), of `number_parts` in kernels/parts.cl. votes:
         (6 V,), of `find_votes` in kernels/votes.cl, in any order. xy: (N, 2), px.
     """
-    roots = np.flatnonzero(faces >= least)
+    roots = np.flatnonzero(faces > 1)
+    roots = roots[np.argsort(-faces[roots], kind="stable")]
     rank = np.full(len(faces) + 1, -1)  # the last one is of half-edges without a part
-    rank[roots[np.argsort(-faces[roots], kind="stable")]] = np.arange(len(roots))
-    return _units_of(rank[root], state, xy), _votes_of(rank, votes)
+    rank[roots] = np.arange(len(roots))
+    return _units_of(rank[root], state, xy, faces[roots]), _votes_of(rank, votes)
 
 
-def _units_of(rank: Whole, state: NDArray[np.int32], xy: NDArray[np.float32]) -> Units:
+def _units_of(
+    rank: Whole, state: NDArray[np.int32], xy: NDArray[np.float32], faces: NDArray[np.int32]
+) -> Units:
     part = np.ascontiguousarray(rank.reshape(-1, FULL).T)
     fresh = part >= 0  # at the first boundary of a corner in its part
     for s in range(1, FULL):
@@ -44,6 +46,7 @@ def _units_of(rank: Whole, state: NDArray[np.int32], xy: NDArray[np.float32]) ->
         rotation=(direction - boundary) % 4,
         rim=(part[1:] != part[0]).any(axis=0)[corner],
         at=xy[corner].astype(np.float64).view(np.complex128)[:, 0],
+        faces=faces.astype(np.int64),
     )
 
 

@@ -243,7 +243,7 @@ class LatticePlan:
             ("faces_of_part", np.int32, count),
         )
         found = self._votes.arrays["votes"][: kernels.VOTE * votes].copy()
-        return parts.parts_of(root, state, faces, found, xy, self.constants.least_board)
+        return parts.parts_of(root, state, faces, found, xy)
 
     def make_room(self, votes: int) -> None:
         """Make the list of votes anew, with room for so many."""

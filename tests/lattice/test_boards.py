@@ -11,6 +11,7 @@ from scenes import board
 from cmp_cl import Detector, DetectorConfig, detect
 from cmp_cl.lattice.boards import boards
 from cmp_cl.synthetic import Indenter, random_scene, render
+from cmp_cl.synthetic.boards import drawn, plane
 from cmp_cl.synthetic.scoring import agreeing
 
 
@@ -61,6 +62,16 @@ def test_the_edge_of_a_shadow_parts_no_board(device, number):
     light = 0.125 + 0.875 / (1 + np.exp((200.0 - np.arange(image.shape[1])) / 12))
     _, (seen, *_) = found(device, (light * image).astype(np.uint8))
     assert np.count_nonzero(seen.owner >= 0) == 54
+
+
+def test_a_fine_board_in_noise_is_one_board(device):
+    """Noise leaves parts of a few faces."""
+    camera = plane(cell=6, middle=(0, 0), turn=17)
+    corners, (largest, *_) = found(device, drawn(camera, (300, 400), noise=50, seed=1).image)
+    at = np.stack(camera(*corners.xy.T), axis=1)  # columns and rows
+    row, column = np.nonzero(largest.owner >= 0)
+    number = np.rint(at[largest.owner[row, column]])[:, ::-1].astype(int)
+    assert agreeing(np.stack([row, column], 1), number).sum() > 0.95 * len(corners)
 
 
 def test_an_image_without_a_lattice_has_no_board(device):

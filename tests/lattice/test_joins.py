@@ -27,6 +27,7 @@ def parts(*columns: range):
         rotation=np.zeros(len(rank), np.int64),
         rim=np.ones(len(rank), np.bool_),
         at=np.concatenate([at[place].ravel() for place in places]),
+        faces=np.array([(len(each) - 1) * (ROWS - 1) for each in columns]),
     ), corner.size
 
 
