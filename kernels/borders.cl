@@ -36,13 +36,21 @@ int place_on(const int side, const int line, const int k, const int4 box, const 
 #define LINES_OF(side) ((side) < 2 ? height : width)
 #define LENGTH_OF(side) ((side) < 2 ? width : height)
 
-/* Take off the outer lines of a board that hold too few of their places in view, and keep the rest,
- * upright. Things beside a pattern continue some of its columns, a further line of the pattern
- * continues all of them. The steps to the next column, and those to the next row turned back by a
- * quarter, sum to a way that is nearest to the image's x axis then. node_kind: ROUGH, or FIRM: a
- * corner, not rough, whose two cells of each colour are alike. One work-group. */
+/* ROUGH, or FIRM: a corner, not rough, whose two cells of each colour are alike. cells: the least
+ * bright less the greatest dark level, and twice their contrast. */
 #define ROUGH 1
 #define FIRM 2
+#define KIND_OF(place) kind_of(owner[place], rough[place], cells[place], passing)
+uchar kind_of(const int owner, const uchar is_rough, const int2 cells, const float passing) {
+  const bool alike = cells.y > 0 && (float)(2 * cells.x) > (1.0f - passing) * (float)cells.y;
+  return is_rough ? ROUGH : owner >= 0 && alike ? FIRM : 0;
+}
+
+/* Take off the outer lines of a board that hold too few of their places in view, and keep the rest,
+ * upright. Things beside a pattern continue some of its columns, a further line of the pattern
+ * continues all of them; where a thing hides some, half of them are firm. The steps to the next
+ * column, and those to the next row turned back by a quarter, sum to a way that is nearest to the
+ * image's x axis then. One work-group. */
 #define IN_32THS(v) floor_of(32 * (v) + 0.5f)
 __kernel void cut_board(const uint rows, const uint columns, const float least_line,
                         const float edge, const float passing, __global const int *restrict layout,
@@ -53,17 +61,18 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
                         __global int *restrict border) {
   const int width = layout[BOARD_COLUMNS];
   int4 box = (int4)(0, layout[BOARD_ROWS], 0, width);
-  __local int there[SIDES], asked[SIDES];
+  __local int there[SIDES], asked[SIDES], firm[SIDES];
   for (;;) {
     const int height = box.y - box.x, across = box.w - box.z;
     ALL_TOGETHER;
     if (height <= 0 || across <= 0) break;
-    FOR_ALL(side, SIDES) there[side] = asked[side] = 0;
+    FOR_ALL(side, SIDES) there[side] = asked[side] = firm[side] = 0;
     ALL_TOGETHER;
     FOR_ALL(m, SIDES * LARGER(height, across)) {
       const int side = m & 3, k = m >> 2, lines = side < 2 ? height : across;
       if (k >= (side < 2 ? across : height)) continue;
-      const bool is_here = owner[place_on(side, 0, k, box, width)] != NONE;
+      const int place = place_on(side, 0, k, box, width);
+      const bool is_here = owner[place] != NONE;
       bool counts = is_here;
       if (!counts && lines >= 3) {
         const int one = place_on(side, 1, k, box, width);
@@ -74,6 +83,7 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
       }
       if (is_here) atomic_inc(there + side);
       if (counts) atomic_inc(asked + side);
+      if (is_here && KIND_OF(place) == FIRM) atomic_inc(firm + side);
     }
     ALL_TOGETHER;
     bool any = false; /* of the lines without a node */
@@ -82,7 +92,8 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
     int line = NONE;
     for (int side = 0; side < SIDES && !any; ++side) {
       const float lack = least_line * (float)asked[side] - (float)there[side];
-      if (lack > worst && (side < 2 ? height : across) >= 3) {
+      const bool is_hidden = 2 * firm[side] >= asked[side];
+      if (lack > worst && !is_hidden && (side < 2 ? height : across) >= 3) {
         worst = lack;
         line = side;
       }
@@ -126,10 +137,7 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
     const int from = (box.x + row) * width + box.z + column;
     nodes[place] = result[from];
     node_owner[place] = owner[from];
-    /* The least bright less the greatest dark level of its cells, and twice their contrast. */
-    const int least = cells[from].x, contrast = cells[from].y;
-    const bool alike = contrast > 0 && (float)(2 * least) > (1.0f - passing) * (float)contrast;
-    node_kind[place] = rough[from] ? ROUGH : owner[from] >= 0 && alike ? FIRM : 0;
+    node_kind[place] = KIND_OF(from);
   }
   if (get_local_id(0)) return;
   const int passed = (quarters == 1 || quarters == 2 ? across : 0) + (quarters > 1 ? height : 0);

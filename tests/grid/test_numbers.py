@@ -298,6 +298,8 @@ def test_corners_beyond_a_bar_are_no_neighbours_and_are_told(shape, cell, turn, 
         # five cells are on the smaller side
         (BOARD, 30, 2, {"columns": (1.7, 0.7)}, 6),
         (BOARD, 30, 2, {"columns": (2.5, 1.4)}, 12),
+        # half of an outer row
+        *(((9, 10), 24, turn, {"columns": (2, 4.6), "rows": (0, 0.8)}, 5) for turn in (2, 35)),
     ],
 )
 def test_a_flat_board_goes_on_behind_a_bar(shape, cell, turn, bar, hidden):

@@ -28,29 +28,30 @@ Positions = tuple[Real, Real]  # x, y, px, NaN where missing
 
 def trimmed(board: Board, shape: tuple[int, int], k: LatticeConstants) -> Board:
     """Return the board without empty outer lines, and without those that hold less than
-    `least_line` of their places in the image. A place is where the next two lines predict it. The
-    line that lacks most goes first."""
+    `least_line` of their places in the image, and less than half of them with firm nodes. A place
+    is where the next two lines predict it. The line that lacks most goes first."""
     rows, columns = np.array(shape) - 1
     edge = F(k.contrast_radius_px)
     box = [0, board.x.shape[0], 0, board.x.shape[1]]
     while True:
-        owner, x, y = (a[box[0] : box[1], box[2] : box[3]] for a in (board.owner, board.x, board.y))
+        all_of = board.owner, board.x, board.y, board.firm
+        owner, x, y, firm = (a[box[0] : box[1], box[2] : box[3]] for a in all_of)
         if not owner.size:
             box = [0, 0, 0, 0]
             break
-        sides = list(zip(*(_ways(each) for each in (owner >= -2, owner, x, y)), strict=True))
-        empty = [not (owner[0] != -1).any() for _, owner, _, _ in sides]
+        sides = list(zip(*map(_ways, (owner, x, y, firm)), strict=True))
+        empty = [not (line[0] != -1).any() for line, *_ in sides]
         worst, lines = F(0), [False] * 4
-        for side, (_, line, x_of, y_of) in enumerate(sides if not any(empty) else ()):
+        for side, (line, x_of, y_of, firm_of) in enumerate(sides if not any(empty) else ()):
             if len(line) < 3:
                 continue
             there = line != -1
             px, py = F(2) * x_of[1] - x_of[2], F(2) * y_of[1] - y_of[2]
             inside = there[1] & there[2] & (px > edge) & (px < F(columns) - edge)
             inside &= (py > edge) & (py < F(rows) - edge)
-            count = np.count_nonzero(there[0])
-            lack = F(k.least_line) * F(np.count_nonzero(there[0] | inside)) - F(count)
-            if lack > worst:
+            asked = np.count_nonzero(there[0] | inside)
+            lack = F(k.least_line) * F(asked) - F(np.count_nonzero(there[0]))
+            if lack > worst and 2 * np.count_nonzero(firm_of[0]) < asked:
                 worst, lines = lack, [n == side for n in range(4)]
         if not any(empty) and not any(lines):
             break
