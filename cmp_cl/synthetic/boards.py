@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic.raster import Array, Image, samples
-from cmp_cl.synthetic.rendering import render
+from cmp_cl.synthetic.rendering import newton, render
 from cmp_cl.synthetic.scene import Scene
 
 Mask = NDArray[np.bool_]
@@ -21,7 +21,6 @@ Camera = Callable[[Array, Array], tuple[Array, Array]]
 Mark = Callable[[Array, Array, Array, Array], Mask]
 
 BLACK, WHITE = 45.0, 205.0  # grey levels of a print
-_STEP = 1e-3  # px, of derivatives
 _PERIOD = 64  # cells, after which the printing errors repeat
 
 
@@ -98,17 +97,9 @@ def corners_in(camera: Camera, size: tuple[int, int], shape: tuple[int, int] = (
     every = every[np.lexsort(every.T[[4, 3, 2]])]
     first = np.ones(len(every), np.bool_)
     first[1:] = (every[1:, 2:4] != every[:-1, 2:4]).any(axis=1)
-    x, y, row, column, _ = every[first].T
-    for _ in range(6):
-        u, v = camera(x, y)
-        by_x, by_y = (
-            (np.stack(camera(x + dx, y + dy)) - np.stack(camera(x - dx, y - dy))) / (2 * _STEP)
-            for dx, dy in ((_STEP, 0.0), (0.0, _STEP))
-        )
-        off, turned = np.stack([u - column, v - row]), by_x[0] * by_y[1] - by_y[0] * by_x[1]
-        x = x - (off[0] * by_y[1] - off[1] * by_y[0]) / turned
-        y = y - (off[1] * by_x[0] - off[0] * by_x[1]) / turned
-    seen = np.stack([x, y, row, column], axis=1)
+    nearest = every[first]
+    xy = newton(lambda at: np.stack(camera(*at.T), axis=1), nearest[:, 3:1:-1], nearest[:, :2])
+    seen = np.concatenate([xy, nearest[:, 2:4]], axis=1)
     return seen[inside(seen, size)]
 
 

@@ -129,7 +129,7 @@ def _inverse(scene: Scene, forward: Forward) -> Array:
     rows, columns = (-(-size // _STEP) * _STEP + 2 * _PAD for size in scene.shape)
     pixels = np.dstack(samples((rows, columns))) - _PAD
     coarse = np.dstack(samples((rows // _STEP, columns // _STEP))) * _STEP + (_STEP - 1) / 2 - _PAD
-    points = _newton(forward, coarse, _flat_start(scene, forward, coarse))
+    points = newton(forward, coarse, _flat_start(scene, forward, coarse))
     points = np.asarray(cv2.resize(points, (columns, rows)), np.float64)
     for _ in range(6):
         residual = forward(points) - pixels
@@ -155,8 +155,8 @@ def _flat_start(scene: Scene, forward: Forward, pixels: Array) -> Array:
     return start.reshape(pixels.shape)
 
 
-def _newton(forward: Forward, pixels: Array, points: Array) -> Array:
-    """Solve forward(points) = pixels by Newton's method, in steps of at most 1 mm."""
+def newton(forward: Forward, pixels: Array, points: Array) -> Array:
+    """Solve forward(points) = pixels by Newton's method, in steps of at most 1."""
     for _ in range(20):
         residual = forward(points) - pixels
         if np.abs(residual).max() < 1e-6:
