@@ -186,6 +186,8 @@ def test_the_frame_that_moves_most_is_on_the_sheet_with_the_curves_of_all(record
     titles = [axes.get_title() for axes in two.axes]
     assert not [title for title in titles if "over time" in title]  # two frames make no curve
     save_figure(tmp_path / "a picture.png", figure)
+    save_figure(tmp_path / "press.svg", figure)
+    assert (tmp_path / "press.svg").read_bytes().startswith(b"<?xml")
     assert cv2.imread(str(tmp_path / "a picture.png")).std() > 20
 
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cmp_cl.errors import extra
-from cmp_cl.files import whole_file
+from cmp_cl.errors import ConfigError, extra
+from cmp_cl.files import suffix_of, whole_file
 from cmp_cl.points import corners_of_cells, of_cells
 from cmp_cl.viz.moments import Map, Moment, Quantity, Summary, plane_of
 from cmp_cl.viz.video import VideoFile
@@ -34,9 +34,11 @@ def new_figure(size: tuple[float, float]) -> "Figure":
 
 
 def save_figure(path: str | PathLike[str], figure: "Figure") -> None:
-    """Write a figure of matplotlib as PNG, whole or not at all; raises OSError."""
+    """Write a figure of matplotlib in the format of the suffix, such as .png or .svg, whole or not
+    at all; raises OSError, and ValueError for one that matplotlib does not have."""
+    kind = suffix_of(path, ConfigError)[1:]
     with whole_file(path) as file:
-        figure.savefig(file, format="png", dpi=_DPI)
+        figure.savefig(file, format=kind, dpi=_DPI)
 
 
 def map_figure(moment: Moment, quantity: Quantity, *, top: float | None = None) -> "Figure":
