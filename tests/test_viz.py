@@ -191,6 +191,14 @@ def test_the_frame_that_moves_most_is_on_the_sheet_with_the_curves_of_all(record
     assert cv2.imread(str(tmp_path / "a picture.png")).std() > 20
 
 
+@needs_matplotlib
+def test_a_frame_without_the_pattern_has_no_map(recorded):
+    first = recorded[0]
+    none = dataclasses.replace(first, rest=np.full_like(first.rest, np.nan))
+    with pytest.raises(FieldError, match="nodes are valid"):
+        sheet_figure(none)
+
+
 # the command
 
 

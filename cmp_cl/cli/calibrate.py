@@ -74,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     files = _files(arguments)
     out = Path(arguments.out)
-    picture = out.with_name(f"{out.name.split('.')[0]}.png")
+    picture = out.with_name(f"{out.name[: -len(check_cameras(out))]}.png")
     _check(arguments, files, picture)
     device = select_device(arguments.device)
     grids, sizes, left_out = _boards(arguments, files, device)

@@ -90,9 +90,10 @@ class Moment:
     def plane(self) -> tuple[Array, Array]:
         """Return the positions at rest (R, C, 2) to draw on, and (3, 3) axes of that plane.
 
-        Raises FieldError if fewer than three nodes are valid, or all lie on a line.
+        Raises FieldError if fewer than three nodes are valid, or in space all lie on a line.
         """
         if not self.in_space:
+            _check_nodes(self.rest)
             return self.rest, np.eye(3)
         axes, origin = plane_of(self.rest)
         return ((self.rest - origin) @ axes.T)[..., :2], axes
@@ -178,10 +179,8 @@ def plane_of(rest: Array) -> tuple[Array, Array]:
 
     Raises FieldError if fewer than three nodes are valid, or all lie on a line.
     """
-    row, column = np.nonzero(~np.isnan(rest[..., 0]))
+    row, column = _check_nodes(rest)
     points = rest[row, column]
-    if len(points) < 3:
-        raise FieldError(f"{len(points)} nodes are valid, at least 3 are needed to draw a surface")
     origin = points.mean(axis=0)
     indices = np.column_stack([column - column.mean(), row - row.mean()])
     along, down = np.linalg.lstsq(indices, points - origin, rcond=None)[0]
@@ -193,3 +192,11 @@ def plane_of(rest: Array) -> tuple[Array, Array]:
     along /= np.linalg.norm(along)
     across = np.cross(normal, along)
     return np.stack([along, np.copysign(1, across @ down) * across, normal]), origin
+
+
+def _check_nodes(rest: Array) -> tuple[NDArray[np.int64], ...]:
+    """Return rows and columns of the valid nodes; raises FieldError for fewer than three."""
+    found = np.nonzero(~np.isnan(rest[..., 0]))
+    if len(found[0]) < 3:
+        raise FieldError(f"{len(found[0])} nodes are valid, at least 3 are needed to draw them")
+    return found

@@ -177,8 +177,9 @@ def test_named_cameras_make_a_rig_that_run_takes(run, opencv_views):
         *("--camera", f"left={left[0]}", *left[1:]),
         *("--camera", f"right={right[0]}", *right[1:]),
     )
-    assert run("calibrate", *cameras, *CHESSBOARD, "--out", "rig.yaml")[0] == 0
-    rig = StereoRig.load("rig.yaml")
+    assert run("calibrate", *cameras, *CHESSBOARD, "--out", "rig.2.yaml")[0] == 0
+    assert not Path("rig.png").exists()  # the picture of another calibration
+    rig = StereoRig.load("rig.2.yaml")
     assert np.linalg.norm(rig.T) == pytest.approx(83.2, abs=1)
 
 
