@@ -22,6 +22,7 @@ from unittest import mock
 
 import cv2
 import numpy as np
+from changed import CHANGED
 from environment import DATA, run
 from patterns import (
     SIDE,
@@ -190,6 +191,7 @@ FAMILIES: dict[str, Family] = {
     "torn by rings": Family(torn, 40),
     "torn by other objects": Family(torn_otherwise, 40),
     "photographs, cut": Family(photographs, 60),
+    **{name: Family(views, 60) for name, views in CHANGED.items()},
     "boards in clutter": Family(clutter, 75, alone=True),
     "boards behind bars": Family(behind_bars, 40),
     "marks in cells": Family(marked, 45),

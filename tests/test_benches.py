@@ -31,7 +31,6 @@ PARTS = [  # scripts, arguments, and constants in place of the script's own
     ("refraction", ["--quick"], {"RIGS": 10}),
     ("limits", ["--quick"], {}),
     ("field", ["--endure", "3"], {"STEPS": (0.25, 0.5)}),
-    ("octaves", [], {"DRAWN": 10, "COVERED": 3, "INK_CELLS": (12,), "DATA": Path("none")}),
 ]
 
 
