@@ -58,9 +58,9 @@ def root_mean_square(offs: Sequence[Array]) -> float:
 def adjust(looks: Sequence[Look], state: State) -> tuple[State, Array | None]:
     """Minimize the reprojection error of all looks by Levenberg's method, from a near solution.
 
-    OpenCV adjusts two cameras that see all moments, and no others. SciPy's MINPACK gives the same
-    cameras and takes 2 to 8 times as long; its sparse solver does not converge in 50 steps, since
-    lens and pose can nearly replace each other.
+    OpenCV 4 adjusts two cameras that see all moments, and no others; 5 gives no covariance. SciPy's
+    MINPACK gives the same cameras and takes 2 to 8 times as long; its sparse solver does not
+    converge in 50 steps, since lens and pose can nearly replace each other.
 
     Returns the result, and its `covariance`.
     """
