@@ -28,7 +28,7 @@ class Points3D:
     covariance: (R, C, 3, 3) float64, of xyz, in `unit` squared. It propagates the corners'
         standard deviations alone; NaN where those are unknown.
     bend_shift: (R, C, 3) float64, in `unit`: the shift of the points by bent edges, see
-        `cmp_cl.filter.bend_shift`. `displacement` subtracts it from the points that it
+        `cmp_cl.fits.bend_shift`. `displacement` subtracts it from the points that it
         filters. None if unknown.
     status: (R, C) uint8 of `PointStatus`.
     source: (R, C) uint8 of `NodeStatus`, the less direct one of the two views.

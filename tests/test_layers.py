@@ -18,7 +18,7 @@ ROOT = Path(cmp_cl.__file__).parent
 # From the bottom up; a name is that of a module, or of a package and everything in it.
 LAYERS = [
     {"closing", "errors"},
-    {"files", "filter"},
+    {"files", "fits"},
     {"image", "pattern"},
     {"config", "media"},
     {"corners", "points"},

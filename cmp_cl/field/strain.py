@@ -8,7 +8,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, as_numbers
-from cmp_cl.filter import surface_slopes
+from cmp_cl.fits import surface_slopes
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, GridError, check_kind, check_positive
 from cmp_cl.files import check_path, read_npz, suffix_of, whole_file
-from cmp_cl.filter import bent_sigma
+from cmp_cl.fits import bent_sigma
 from cmp_cl.grid.curves import points_between
 from cmp_cl.grid.saved import SAVED, check_shapes, packed, unpacked
 from cmp_cl.lattice.arrays import turned_sides

@@ -15,7 +15,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from cmp_cl.filter import bilinear_surface
+from cmp_cl.fits import bilinear_surface
 from cmp_cl.motion.layout import (
     covariances,
     defines_of,

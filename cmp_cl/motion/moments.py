@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.field import DisplacementField
-from cmp_cl.filter import bend_shift, surface_slopes
+from cmp_cl.fits import bend_shift, surface_slopes
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
 from cmp_cl.motion.filter import Filtered, filtered, strain
 from cmp_cl.motion.layout import flat, planes

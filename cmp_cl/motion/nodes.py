@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners
-from cmp_cl.filter import completed
+from cmp_cl.fits import completed
 from cmp_cl.grid.grid import Grid, NodeStatus
 
 

@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from cmp_cl.errors import GridError, check_kind
-from cmp_cl.filter import bend_shift
+from cmp_cl.fits import bend_shift
 from cmp_cl.grid.grid import Grid
 from cmp_cl.motion.moments import AtRest, Moment
 from cmp_cl.motion.scale import PlaneScale

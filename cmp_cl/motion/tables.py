@@ -6,7 +6,7 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.filter import bend_half, derivatives, polynomial
+from cmp_cl.fits import bend_half, derivatives, polynomial
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]

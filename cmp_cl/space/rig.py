@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError, FieldError, as_numbers, check_kind
-from cmp_cl.filter import bend_shift
+from cmp_cl.fits import bend_shift
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.points import Points3D, PointStatus
 from cmp_cl.space.lens import (

@@ -11,7 +11,7 @@ from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.launches import GROUP, Launch, bound, constant, multiple
 from cmp_cl.opencl.memory import Memory
 from cmp_cl.opencl.program import Kernels
-from cmp_cl.stages.moments import step_radius
+from cmp_cl.stages.corner_model import step_radius
 from cmp_cl.stages.resampling import working_shape
 from cmp_cl.stages.types import types_of
 

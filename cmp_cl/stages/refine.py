@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from cmp_cl.config import EdgeLines, EdgeStep, Fit, Midlines
 from cmp_cl.corners import Corners
 from cmp_cl.opencl.launches import GROUP, Launch, multiple
+from cmp_cl.stages.corner_model import BLUR, moments, step_radius
 from cmp_cl.stages.layout import LANES, LISTS, PlanBase
-from cmp_cl.stages.moments import BLUR, moments, step_radius
 from cmp_cl.stages.resampling import full_pixels
 
 RESULT_HEAD = 16  # numbers before the fields of a frame, as in kernels/result.clh

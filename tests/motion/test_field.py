@@ -10,7 +10,7 @@ from cases import some
 from stereo_data import grid_of
 
 from cmp_cl import StereoRig, Window
-from cmp_cl.filter import completed
+from cmp_cl.fits import completed
 from cmp_cl.grid.grid import MEASURED, NodeStatus
 from cmp_cl.motion import PlaneScale
 from cmp_cl.motion import plan as plans

@@ -9,7 +9,7 @@ import pytest
 from stereo_data import gel, grid_of, points, project, rms, toed_in_rig
 
 from cmp_cl import Detector, DetectorConfig, EdgeStep, RingHarmonic
-from cmp_cl.filter import bend_shift
+from cmp_cl.fits import bend_shift
 from cmp_cl.grid import NodeStatus, build_grid
 from cmp_cl.grid.grid import MEASURED
 from cmp_cl.motion import displacement, filter_positions

@@ -1,4 +1,4 @@
-"""What the nodes around a node say: its place where it is missing, and the bend of its edges."""
+"""Fits to the nodes around a node: its place where it is missing, and the bend of its edges."""
 
 import functools
 import math
