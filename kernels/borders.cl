@@ -60,7 +60,8 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
                         __global int *restrict node_owner, __global uchar *restrict node_kind,
                         __global int *restrict border) {
   const int width = layout[BOARD_COLUMNS];
-  int4 box = (int4)(0, layout[BOARD_ROWS], 0, width);
+  const int first = layout[EMPTY_LINES];
+  int4 box = (int4)(first, layout[BOARD_ROWS] - first, first, width - first);
   __local int there[SIDES], asked[SIDES], firm[SIDES];
   for (;;) {
     const int height = box.y - box.x, across = box.w - box.z;

@@ -440,7 +440,7 @@ void list_around(LISTS_OF_PLACES, const int from, const int reach, const int kin
 __kernel void settle_nodes(__global const float *restrict corners, const uint capacity,
                            LEVELS_OF_IMAGE, __constant Nats *nats, const int rounds,
                            __global const int *restrict starts, __global const int *restrict binned,
-                           __global const int *restrict layout, __global float2 *seen,
+                           __global int *restrict layout, __global float2 *seen,
                            __global int *owner, __global uchar *torn, __global uchar *used,
                            __global uchar *tried, __global float2 *at, __global float2 *result,
                            __global uchar *rough, __global float4 *predictions,
@@ -454,9 +454,10 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
   FOR_ALL(kind, LISTS) counts[kind] = 0;
   if (get_local_id(0) == 0) nodes = layout[NODES];
   ALL_TOGETHER;
-  FOR_ALL(place, width * height) {
-    const int row = place / width, column = place % width;
-    if (row < NEAR || row >= height - NEAR || column < NEAR || column >= width - NEAR) continue;
+  const int edge = MARGIN - 1; /* there is no node beyond it yet */
+  const int down = LARGER(height - 2 * edge, 0), across = LARGER(width - 2 * edge, 0);
+  FOR_ALL(k, down * across) {
+    const int place = (edge + k / across) * width + edge + k % across;
     if (!IS_HERE(seen[place])) {
       if (is_beside_nodes(seen, place, width)) list_place(OF_PLACES, LOOKED, place);
     } else if (is_weak(width, place, score)) {
@@ -474,7 +475,10 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
       list_place(OF_PLACES, CHANGED, place);
       ADD(&nodes, -1);
     }
-    if (get_local_id(0) == 0) candidates = 0;
+    if (get_local_id(0) == 0) {
+      candidates = 0;
+      layout[EMPTY_LINES] = MARGIN - round;
+    }
     ALL_TOGETHER;
     empty_list(OF_PLACES, JUDGED);
     const bool looks = !counts[CHANGED] && nodes >= 4;
