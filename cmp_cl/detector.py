@@ -21,8 +21,10 @@ from cmp_cl.errors import (
     check_shape,
     errors_last,
 )
+from cmp_cl.grid.build import asked_of, grid_of
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage, check_dtype, check_image, check_mask
+from cmp_cl.lattice.boards import boards
 from cmp_cl.lattice.plan import LatticePlan
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
 from cmp_cl.opencl.launches import sum_times
@@ -231,9 +233,6 @@ class Detector(Closing):
 
         shape, like: as in `build_grid`. Raises the errors of a call and of `build_grid`.
         """
-        from cmp_cl.grid.build import asked_of, grid_of
-        from cmp_cl.lattice.boards import boards
-
         image, asked = self._checked(frame), asked_of(shape, like, None)
         with self._lock:
             self._check_alive()
