@@ -3,6 +3,7 @@
 import contextlib
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from videos import write_video
 
 from cmp_cl import ConfigError, FieldError, GridError, ImageError
 from cmp_cl.measure import Sensor, TwoViews, pytac3d
+from cmp_cl.measure.sensor import Frames
 from cmp_cl.media import read_frames
+from cmp_cl.media.ahead import Ahead
 from cmp_cl.series import SeriesWriter, read_series
 
 SCRIPT = """
@@ -139,6 +142,23 @@ def test_of_frames_that_nobody_takes_the_newest_stay(video):
         assert last.wait(60)
         assert [sensor.getFrame()["index"] for _ in range(2)] == [1, 2]
         assert sensor.getFrame() is None
+
+
+def test_of_two_threads_one_takes_a_frame(monkeypatch):
+    both, wait = threading.Barrier(2), Ahead.wait
+
+    def waited(ahead, seconds):
+        found = wait(ahead, seconds)
+        with contextlib.suppress(threading.BrokenBarrierError):
+            both.wait(0.2)
+        return found
+
+    with Frames({"index": number} for number in range(1)) as frames:
+        frames.waitForFrame(timeout=60)
+        monkeypatch.setattr(Ahead, "wait", waited)
+        with ThreadPoolExecutor(2) as threads:
+            taken = list(threads.map(lambda _: frames.getFrame(), range(2)))
+    assert taken.count(None) == 1
 
 
 def test_errors_reach_the_caller(video, tmp_path):

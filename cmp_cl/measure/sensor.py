@@ -59,7 +59,7 @@ class Frames(Closing):
         The dictionary is that of `DisplacementField.as_pytac3d`. SN: ignored; a sensor is one.
         """
         del SN
-        return self._newest.take() if self._newest.wait(0) else None
+        return self._newest.take(0)
 
     def waitForFrame(self, SN: str = "", timeout: float = math.inf) -> None:
         """Wait until a frame is there, as long as `timeout`, s.

@@ -61,15 +61,18 @@ class Ahead(Closing, Generic[T]):
                 raise self._error
             return bool(self._waiting)
 
-    def take(self) -> T:
-        """Return the oldest item that waits; raises IndexError if none does."""
+    def take(self, seconds: float = threading.TIMEOUT_MAX) -> T | None:
+        """Return the oldest item that waits now, or within that time, as `wait` does; None if none
+        does."""
         with self._changed:
+            if not self.wait(seconds):
+                return None
             self._changed.notify_all()
             return self._waiting.popleft()
 
     def __iter__(self) -> Iterator[T]:
-        while self.wait():
-            yield self.take()
+        while (item := self.take()) is not None:
+            yield item
 
     @property
     def ended(self) -> bool:

@@ -101,8 +101,7 @@ class Source:
     def _live_frames(self) -> Generator[Frame, None, None]:
         index = 0
         with Ahead(_captured(self._capture()), _WAITING, lossy=True) as waiting:
-            while waiting.wait(_LONGEST_WAIT):
-                frame = waiting.take()
+            while (frame := waiting.take(_LONGEST_WAIT)) is not None:
                 for missed in range(index, frame.index):
                     yield Frame(missed, None)
                 yield frame
