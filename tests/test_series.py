@@ -287,6 +287,24 @@ def test_a_file_is_on_the_disk_before_its_part_goes(tmp_path, monkeypatch):
     assert synced == [(tmp_path / "press.npz").stat().st_size]
 
 
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="only Linux says what is mapped")
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_part_is_closed_before_it_is_removed(tmp_path, monkeypatch, suffix):
+    """Windows removes no file that is open or mapped."""
+    mapped, remove = [], shutil.rmtree
+
+    def removed(folder, **how):
+        open_files = [os.path.realpath(each) for each in Path("/proc/self/fd").iterdir()]
+        held = [*Path("/proc/self/maps").read_text().split(), *open_files]
+        mapped.extend(name for name in held if name.startswith(str(folder)))
+        remove(folder, **how)
+
+    monkeypatch.setattr(shutil, "rmtree", removed)
+    with SeriesWriter(tmp_path / f"press{suffix}", **ABOUT, rest=rest(), unit="mm") as series:
+        series.append(index=0, time_ms=0, **frame(0))
+    assert mapped == []
+
+
 def test_memory_does_not_grow_with_the_recording(tmp_path):
     values = np.zeros((300, 300, 3))
     tracemalloc.start()

@@ -70,6 +70,7 @@ def complete(part: str | PathLike[str], target: str | PathLike[str]) -> None:
         _FORMATS[suffix](stored, path, Path(target))
         with open(path, "rb+") as file:
             os.fsync(file.fileno())  # the part goes, so a power cut must find the file
+    del stored  # Windows removes no file that is mapped
     shutil.rmtree(part)
 
 
