@@ -64,7 +64,7 @@ class Joining:
         """Place the main part, and beside it each of the others, in their order, that is sure where
         it belongs. One that is not is looked at again once another part beside it is placed.
 
-        Returns column, row, quarter turn, and 1 of every corner that is placed, (N, 4).
+        Returns `numbers`.
         """
         self.number = np.zeros_like(self.units.number)
         self.rotation = np.zeros_like(self.units.rotation)
@@ -82,6 +82,10 @@ class Joining:
                 self.place(part, at)
                 left.remove(part)
                 beside |= {other for other, _, _ in self.votes[part]} & left
+        return self.numbers()
+
+    def numbers(self) -> NDArray[np.int32]:
+        """Return column, row, quarter turn, and 1 of every corner that is placed so far, (N, 4)."""
         number, found = self.number[self.placed], np.zeros((self.corners, 4), np.int32)
         columns = number.real, number.imag, self.rotation[self.placed], np.ones(len(number))
         found[self.units.corner[self.placed]] = np.rint(np.stack(columns, axis=1))

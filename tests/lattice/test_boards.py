@@ -74,6 +74,13 @@ def test_a_fine_board_in_noise_is_one_board(device):
     assert agreeing(np.stack([row, column], 1), number).sum() > 0.95 * len(corners)
 
 
+def test_a_patch_of_fewer_than_nine_cells_is_no_board(device):
+    ground = drawn(plane(cell=20, middle=(60, 60)), (300, 400), (6, 9)).image.astype(np.float32)
+    camera = plane(cell=20, middle=(300, 200))
+    for shape, count in (((3, 4), 1), ((4, 4), 2)):
+        assert len(found(device, drawn(camera, (300, 400), shape, ground=ground).image)[1]) == count
+
+
 def test_an_image_without_a_lattice_has_no_board(device):
     noise = np.random.default_rng(1).integers(0, 255, (120, 160)).astype(np.uint8)
     assert found(device, noise)[1] == []

@@ -10,13 +10,13 @@ from cmp_cl.lattice.joins import SHIFTS, TURNS, Joining, Placement, Side, bendin
 ROWS, STEP = 6, 10.0
 
 
-def parts(*columns: range):
+def parts(*columns: range, bent: float = 0.3):
     """Return parts of a print that is not quite flat, each of some of its columns and numbered by
-    itself, and the number of all corners."""
+    itself, and the number of all corners. bent: px."""
     width = max(each.stop for each in columns)
     number = np.arange(width) + 1j * np.arange(ROWS)[:, None]
-    bent = np.random.default_rng(1).normal(0, 0.3, (2, ROWS, width))
-    at = STEP * number + bent[0] + 1j * bent[1]
+    x, y = np.random.default_rng(1).normal(0, bent, (2, ROWS, width))
+    at = STEP * number + x + 1j * y
     corner = np.arange(ROWS * width).reshape(ROWS, width)
     places = [np.s_[:, each.start : each.stop] for each in columns]
     rank = np.repeat(np.arange(len(columns)), [corner[place].size for place in places])
@@ -62,6 +62,31 @@ def test_a_part_whose_votes_and_surface_name_different_places_stays_apart():
     votes = Votes(none, none + 1, none, np.array([7, 9]) + 0j, np.array([30.0, 20.0]))
     numbers = Joining(units, votes, count, LatticeConstants()).run(0, [1])
     assert numbers[:, 0].max() == 7
+
+
+@pytest.mark.parametrize(
+    ("bent", "votes", "sure"),
+    [(0.05, 0.5, True), (0.3, 3.9, False), (0.3, 4.1, True), (2.0, 20.0, False), (2.0, 40.0, True)],
+)
+def test_a_bent_surface_needs_more_votes_and_a_flat_one_hardly_any(bent, votes, sure):
+    units, count = parts(range(8), range(9, 17), bent=bent)
+    none = np.zeros(1, np.int64)
+    vote = Votes(none, none + 1, none, np.array([9 + 0j]), np.array([votes]))
+    numbers = Joining(units, vote, count, LatticeConstants()).run(0, [1])
+    assert (numbers[:, 0].max() == 16) == sure
+
+
+@pytest.mark.parametrize(("offset", "new"), [(4, range(8, 12)), (10, range(12, 18))])
+def test_numbers_and_corners_belong_to_the_part_that_is_placed_first(offset, new):
+    """Two columns of corners are in both parts, at 6."""
+    units, count = parts(range(8), range(6, 14))
+    joining = Joining(units, votes_for(6), count, LatticeConstants())
+    alone = joining.run(0, [])
+    joining.place(1, Placement(0, offset + 0j))
+    numbers, old = joining.numbers(), alone[:, 3] == 1
+    np.testing.assert_array_equal(numbers[old], alone[old])
+    columns = np.unique(numbers[(numbers[:, 3] == 1) & ~old, 0])
+    np.testing.assert_array_equal(columns, new)
 
 
 @pytest.mark.parametrize(("columns", "sure"), [(3, True), (0, False)])
