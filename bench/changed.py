@@ -35,9 +35,6 @@ def each(
         yield change(known, np.random.default_rng(seed + number))
 
 
-# another lens
-
-
 def warped(view: View, draw: np.random.Generator) -> View:
     """Turn, zoom and tilt a view."""
     rows, columns = view.image.shape
@@ -60,9 +57,6 @@ def warped(view: View, draw: np.random.Generator) -> View:
     xy = cv2.perspectiveTransform(view.truth[:, None, :2].astype(np.float64), matrix)[:, 0]
     truth = np.hstack([xy, view.truth[:, 2:]])
     return View(image, truth[boards.inside(truth, image.shape)], zoom * view.cell, None, region)
-
-
-# another light, another camera
 
 
 def _across(image: np.ndarray, draw: np.random.Generator) -> np.ndarray:
@@ -121,9 +115,6 @@ def by_one_of(changes: tuple[Change, ...]) -> Callable[[View, np.random.Generato
         return view._replace(image=np.clip(np.rint(levels), 0, 255).astype(np.uint8))
 
     return change
-
-
-# a hand
 
 
 def behind_fingers(view: View, draw: np.random.Generator) -> View:
