@@ -19,7 +19,7 @@ float mean_step(__global const float2 *at, __global const int *twin, const int i
   return total * (root * root);
 }
 
-/* Whether a half-edge is the first of its corner in a part that has numbers. */
+/* Whether a half-edge is the first of its corner in a part of two faces or more. */
 bool is_node(__global const int *part, __global const int *faces_of_part, const int h) {
   bool found = part[h] != NONE && faces_of_part[part[h]] > 1;
   for (int k = h & ~3; k < h; ++k) found &= part[k] != part[h];
