@@ -242,7 +242,6 @@ class DetectorConfig(Settings):
     detection: the detection rule, RingHarmonic or BinaryRings.
     nms_radius: radius of the window of non-maximum suppression, px, 1 to 15.
     refinement: EdgeStep, EdgeLines or Midlines, or None for centroids.
-    scale: working scale (0.05 to 4), or None for the image at full size.
     full_scale: largest grey level of the camera (1 to 65535); None means 255 for
         uint8 and 65535 for uint16.
     max_corners: initial capacity of the list of corners, 1 to 2**26; it grows.
@@ -251,18 +250,8 @@ class DetectorConfig(Settings):
     detection: RingHarmonic | BinaryRings = RingHarmonic()
     nms_radius: Annotated[int, Range(1, 15)] = 3
     refinement: EdgeStep | EdgeLines | Midlines | None = EdgeStep()
-    scale: Annotated[float | None, Range(0.05, 4)] = None
     full_scale: Annotated[int | None, Range(1, 65535)] = None
     max_corners: Annotated[int, Range(1, 2**26)] = 65536
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        octaves = isinstance(self.detection, RingHarmonic) and self.detection.octaves
-        if octaves and self.scale not in (None, 1):
-            raise ConfigError(
-                "DetectorConfig.scale is for BinaryRings, or for RingHarmonic(octaves=0): octaves "
-                f"see cells of every size, not {self.scale!r}"
-            )
 
     @classmethod
     def for_cell(cls, cell: float) -> Self:

@@ -169,8 +169,7 @@ def _has_edges(image: GreyImage) -> bool:
 class Maps:
     """Every intermediate image of a frame with BinaryRings, each (H, W) unless said otherwise.
 
-    Maps of stages that the configuration leaves out are None. With a working scale the maps have
-    the size of the scaled image.
+    Maps of stages that the configuration leaves out are None.
 
     binary: bool, True where black.
     inner, outer: uint16 ring bits, bit i is sample i, clockwise from twelve o'clock.
@@ -212,7 +211,7 @@ class Maps:
 class HarmonicMaps:
     """Every intermediate image of a frame with RingHarmonic, each (H, W).
 
-    With a working scale the maps have the size of the scaled image. Those of octaves are left out.
+    Those of octaves are left out.
 
     fine: uint16, the image smoothed once, in 1/16 of an 8-bit grey level.
     coarse: uint16, the image smoothed three times, likewise.

@@ -16,9 +16,8 @@ ushort root_of(const float level) {
 /* The square root of the image under [1 2 1] along both axes, which is in sixteenths of 1/255 of full
  * scale. Light multiplies what a print reflects, so cells in a shadow differ by less than others; in
  * roots by the root of that, and the noise of a camera is even. Beyond the image its border is
- * repeated; if PADDED its padding does so, which saves two fifths of the time. One spare row lies
- * before the image. One work-item per element of a row; in the padding it computes what is never
- * used. */
+ * repeated, in a row by the padding. One spare row lies before the image. One work-item per element
+ * of a row; in the padding it computes what is never used. */
 #if WHOLE_LEVELS /* a pixel is the grey level */
 #define GREY(v) (ushort)(v)
 #define AS_LEVEL(v) (v)
@@ -29,16 +28,14 @@ ushort root_of(const float level) {
 #define SUM uint
 #endif
 __kernel void smooth_levels(__global const PIXEL *restrict image, const uint step,
-                            const uint full_scale, const uint rows, const uint columns,
+                            const uint full_scale, const uint rows,
                             __global ushort *restrict levels) {
   const size_t x = get_global_id(0), y = get_global_id(1);
   __global const PIXEL *here = image + (y + 1) * step;
   __global const PIXEL *above = y ? here - step : here;
   __global const PIXEL *below = y + 1 < rows ? here + step : here;
 #define DOWN(x) (SUM)((SUM)(GREY(above[x]) + GREY(below[x])) + (SUM)(GREY(here[x]) << 1))
-  const SUM before = DOWN(x - 1), middle = DOWN(x), after = DOWN(x + 1);
-  const bool is_first = !PADDED && x == PAD, is_last = !PADDED && x == PAD + columns - 1;
-  const SUM left = is_first ? middle : before, right = is_last ? middle : after;
+  const SUM left = DOWN(x - 1), middle = DOWN(x), right = DOWN(x + 1);
   levels[y * step + x] =
       root_of((float)AS_LEVEL((SUM)((SUM)(left + right) + (SUM)(middle << 1))));
 }

@@ -3,17 +3,9 @@
 /* EDGE_LINES, then EDGE_STEP. One work-item per corner, eight pixels of a row at a time. */
 
 /* Grey levels of eight pixels of a row; the first one is at offset (i, j) from the start. The
- * border is repeated. */
-#define GREY_NEAR(i, j) \
-  (float)image[CLAMPED_ROW(from_y + (j)) + (size_t)clamp(from_x + (i), 0, (int)columns - 1)]
-#if SCALED
-#define EIGHT_GREYS(i, j)                                                           \
-  (float8)(GREY_NEAR(i, j), GREY_NEAR(i + 1, j), GREY_NEAR(i + 2, j), GREY_NEAR(i + 3, j), \
-           GREY_NEAR(i + 4, j), GREY_NEAR(i + 5, j), GREY_NEAR(i + 6, j), GREY_NEAR(i + 7, j))
-#else /* the padding repeats the border */
+ * padding repeats the border. */
 #define EIGHT_GREYS(i, j) \
   EIGHT_OF(float8, image + CLAMPED_ROW(from_y + (j)) + (size_t)(from_x + (i)))
-#endif
 
 /* Row j from the middle pixel: as many groups of eight pixels around it as the chord may need,
  * wherever in the middle pixel the centre of the disc lies. */
@@ -52,7 +44,7 @@ float8 seen_weight(const float8 weight, const int8 x, const int last_x, const in
   (v.s76543210 + (float8)(right.s10, v.s7654, v.s32))
 #define BACKWARDS(v, right) (float8)(right.s0, v.s7654, v.s321)
 
-__kernel void edge_step(CORNERS_TO_REFINE, SCALED_RINGS const float radius,
+__kernel void edge_step(CORNERS_TO_REFINE, const float radius,
                         __global const float8 *restrict moments,
                         __global float *restrict result) {
   CORNER_OF_WORK_ITEM
@@ -65,7 +57,7 @@ __kernel void edge_step(CORNERS_TO_REFINE, SCALED_RINGS const float radius,
   const float a_x = n1x * BY_BLUR, a_y = n1y * BY_BLUR, b_x = n2x * BY_BLUR, b_y = n2y * BY_BLUR;
   const int middle_x = (int)floor(x + HALF), middle_y = (int)floor(y + HALF);
   const int reach = (int)(radius + 0.5f);
-  const float centre = GREY_NEAR(0, 0);
+  const float centre = (float)image[CLAMPED_ROW(from_y) + (size_t)from_x];
   const int is_cut = CUT(from_x + middle_x, reach, last_column) ||
                      CUT(from_y + middle_y, reach, last_row);
 

@@ -71,7 +71,7 @@ float2 on_parabola(const float3 fit, const Line *line, const float u, float2 *ta
 /* MIDLINE: the intersection of the centrelines of the black sectors e0 e1 and e2 e3. If they are
  * nearly one line, at any of Newton's steps too, or meet too far away, CUSP: the two edge lines of
  * each black sector meet in a cusp, and the result is the midpoint of the two cusps. */
-__kernel void midlines(CORNERS_TO_REFINE, SCALED_RINGS __global float *restrict result) {
+__kernel void midlines(CORNERS_TO_REFINE, __global float *restrict result) {
   CORNER_OF_WORK_ITEM
   STORE_CENTROID(METHOD_KEPT, REFUSED_RINGS)
   EDGES_OF_CORNER

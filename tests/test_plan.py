@@ -18,12 +18,7 @@ from cmp_cl.opencl.device import DeviceKind
 from cmp_cl.opencl.memory import ALIGNMENT
 
 IMAGE = images.eight_bits()["board"]
-FULL = DetectorConfig(
-    detection=BinaryRings(),
-    scale=0.63,
-    refinement=EdgeStep(),
-    max_corners=512,
-)
+FULL = DetectorConfig(detection=BinaryRings(), refinement=EdgeStep(), max_corners=512)
 HARMONIC = DetectorConfig(refinement=EdgeStep())
 
 
@@ -40,7 +35,6 @@ def plan_of(detector_in_form, config):
     return plan, set(launched), kernels
 
 
-SCALED = rings(FULL, scale=2.0)
 SPECTRAL = DetectorConfig(detection=BinaryRings(criteria=SpectralCriteria()))
 GATE = ("sector_contrast", "percentile", "pass_gate")
 STEP = {DeviceKind.CPU: "edge_step_eight", DeviceKind.GPU: "edge_step"}
@@ -52,7 +46,6 @@ LEFT_OUT = {  # a configuration, one that has more, and its kernels and buffers
         ("noise", *GATE),
         ("contrast", "noise", "bins", "found", "bounds", "passed"),
     ),
-    "the working scale": (FULL.replace(scale=None), SCALED, ("resample",), ("working",)),
     "a refinement": (FULL.replace(refinement=None), FULL, (STEP,), ()),
     "the other refinement": (DetectorConfig(refinement=EdgeLines()), HARMONIC, (STEP,), ()),
     "lines for the step": (HARMONIC, DetectorConfig(refinement=EdgeLines()), (LINES,), ()),

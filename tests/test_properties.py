@@ -16,7 +16,7 @@ from configs import CONFIGS, settings_of
 from corner_images import board, to_nearest
 from hypothesis import strategies as st
 
-from cmp_cl import Corners, Detector, DetectorConfig, Fit, RingHarmonic, reference
+from cmp_cl import Corners, Detector, DetectorConfig, Fit, reference
 from cmp_cl.corners import Maps
 
 IMAGES = 25  # of a configuration
@@ -48,8 +48,6 @@ def random_part(part: type, rng: Rng) -> Any:
             values[setting.name] = value | 1 if odd else value
     if part is DetectorConfig:
         values["max_corners"] = one_of(rng, 65536, 1, int(rng.integers(1, 1000)))
-        if isinstance(values["detection"], RingHarmonic) and values.get("scale"):
-            values["detection"] = dataclasses.replace(values["detection"], octaves=0)
     return part(**values)
 
 
@@ -145,11 +143,10 @@ def test_drawn_images_of_drawn_shapes_and_settings_give_what_the_oracle_gives(de
 # of any image
 
 SIDE = 47
-WHOLE = [config for config in CONFIGS.values() if config.scale is None]
 TURNS = [(turns, mirrored) for turns in range(4) for mirrored in (False, True)]
 seeds = st.integers(0, 2**32 - 1)
 dtypes = st.sampled_from([np.uint8, np.uint16])
-configs = st.sampled_from(WHOLE)
+configs = st.sampled_from(list(CONFIGS.values()))
 several = hypothesis.settings(max_examples=25, deadline=None, derandomize=True)
 
 

@@ -65,9 +65,8 @@ class LatticePlan:
         self.full_scale = full_scale
         self.constants = LatticeConstants() if constants is None else constants
         self.lock = threading.RLock()  # held by who uses the plan
-        self._padded = detection is None or detection.scale is None  # the image, by its border
         if detection:
-            self.capacity, self.pad, self.step = capacity, detection.pad, detection.full_step
+            self.capacity, self.pad, self.step = capacity, detection.pad, detection.step
             given = {"image": detection.arrays["image"], "corners": detection.arrays["result"]}
         else:
             self.capacity, self.pad = multiple(capacity, GROUP), LEAST_PAD
@@ -115,7 +114,6 @@ class LatticePlan:
             "PIXEL": "uchar" if self.dtype == np.uint8 else "ushort",
             "IS_CPU": int(self.device.kind is DeviceKind.CPU),
             "PAD": self.pad,
-            "PADDED": int(self._padded),
             "WHOLE_LEVELS": int(whole),
             "HEAD": RESULT_HEAD,
             "EDGES_FIELD": EDGES.start,

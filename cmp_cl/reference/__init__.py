@@ -15,7 +15,7 @@ from cmp_cl.config import BinaryRings, DetectorConfig, RapidCriteria
 from cmp_cl.corners import Corners, HarmonicMaps, Maps
 from cmp_cl.errors import ConfigError, check_kind
 from cmp_cl.image import GreyImage, check_image, check_mask
-from cmp_cl.reference import harmonic, refine, scale
+from cmp_cl.reference import harmonic, refine
 from cmp_cl.reference.paper import binarize, criteria, gate, nms, ring, spectral
 
 __all__ = ["detect", "detect_with_margin", "maps"]
@@ -46,19 +46,14 @@ def detect_with_margin(
     image = check_image(image)
     config = DetectorConfig() if config is None else config
     check_kind("config", config, DetectorConfig, ConfigError)
-    factor = 1.0 if config.scale is None else float(config.scale)
-    found = _at_scale(image, config, mask, factor)
+    found = _found(image, config, mask)
     pixel = np.stack([harmonic.in_frame(at, found.halvings) for at in (found.x, found.y)], axis=1)
-    centroid, rounded, images = found.centroid, found.rounded, found.images
-    if factor != 1:
-        size_of_frame = image.shape[::-1]
-        pixel = scale.nearest(scale.to_full(pixel.astype(np.float64), factor), size_of_frame)
-        centroid = scale.to_full(centroid, factor)
-        rounded, images = scale.nearest(centroid + scale.BORDER, size_of_frame), [image]
     values: dict[str, NDArray[Any]] = {}
-    for halvings, octave in enumerate(images):
+    for halvings, octave in enumerate(found.images):
         here, size = found.halvings == halvings, 2**halvings
-        refined = refine.refine(octave, rounded[here], centroid[here], config.refinement, factor)
+        refined = refine.refine(
+            octave, found.rounded[here], found.centroid[here], config.refinement
+        )
         placed = dataclasses.replace(
             refined, xy=refined.xy * size + (size - 1) / 2, sigma=refined.sigma * size
         )
@@ -72,7 +67,7 @@ def detect_with_margin(
         pixel=pixel.astype(np.int32),
         octave=found.halvings.astype(np.uint8),
         response=found.response.astype(np.float32),
-        edge_radius=refine.edge_radius(config.refinement, factor),
+        edge_radius=refine.edge_radius(config.refinement),
         device="NumPy",
         **values,
     )
@@ -85,13 +80,12 @@ def maps(
     """Return every intermediate image of `detect`, with a value at every pixel."""
     image = check_image(image)
     config = config or DetectorConfig()
-    return _at_scale(image, config, mask, float(config.scale or 1)).maps
+    return _found(image, config, mask).maps
 
 
-def _at_scale(image: GreyImage, config: DetectorConfig, mask: Mask, factor: float) -> nms.Found:
+def _found(image: GreyImage, config: DetectorConfig, mask: Mask) -> nms.Found:
     full_scale = config.grey_levels(image.dtype)
     allowed = np.ones(image.shape, np.bool_) if mask is None else check_mask(mask, image.shape)
-    image, allowed = scale.to_working(image, factor), scale.mask_at_working(allowed, factor)
     if isinstance(config.detection, BinaryRings):
         return _of_rings(image, config.detection, config.nms_radius, full_scale, allowed)
     return harmonic.corners(image, config.detection, config.nms_radius, full_scale, allowed)

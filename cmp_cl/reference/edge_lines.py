@@ -21,7 +21,7 @@ LINES_ERROR = 0.02
 
 
 def edge_lines(
-    points: EdgePoints, max_shift: float, scale: float
+    points: EdgePoints, max_shift: float
 ) -> tuple[Floats, NDArray[np.uint8], NDArray[np.uint8], Floats]:
     """Apply EDGE_LINES: line e0 e2 meets line e1 e3.
 
@@ -34,8 +34,7 @@ def edge_lines(
     first, second = both_lines(points)
     crossing = intersect(first, second)
     near = within(crossing, max_shift)
-    largest = (LARGEST_RESIDUAL / scale) ** 2
-    meeting = bounded(near, first.residual + second.residual, largest)
+    meeting = bounded(near, first.residual + second.residual, LARGEST_RESIDUAL**2)
     method = np.where(meeting.accepted, Method.EDGE_LINES, Method.KEPT).astype(np.uint8)
     refusal = np.select(
         [meeting.accepted, near.accepted, crossing.accepted],

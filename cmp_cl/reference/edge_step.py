@@ -55,17 +55,16 @@ def edge_step(
     shift: Floats,
     points: EdgePoints,
     refinement: EdgeStep,
-    scale: float,
 ) -> Step:
     """Apply EDGE_STEP: one weighted linear least-squares step of a blurred corner from EDGE_LINES.
 
     The model of the grey around x is (m + c f(n1.u) g(n2.u)) (1 + e.u). f and g are smooth steps of
     1.2 px, and e is the relative gradient of the light. The radius of the model is
-    clamp(0.75 cell s, 4.5, 9) / s with the working scale s. The terms of the normal equations that
-    depend only on the model are integrated over the disc. In the frame of the edges the equations
-    separate into two systems of two unknowns.
+    clamp(0.75 cell, 4.5, 9). The terms of the normal equations that depend only on the model are
+    integrated over the disc. In the frame of the edges the equations separate into two systems of
+    two unknowns.
     """
-    radius = disc_radius(refinement, scale)
+    radius = disc_radius(refinement)
     n1, n2 = (normal_of(line) for line in both_lines(points))
     at_once = max(1, 2_000_000 // math.ceil(2 * radius + 1) ** 2)
     blocks = [slice(k, k + at_once) for k in range(0, len(start), at_once)]
@@ -77,8 +76,7 @@ def edge_step(
     )
     position = shift + step
     length, moved = norm(step), norm(position)
-    longest, furthest = LARGEST_STEP / scale, STEP_SHIFT / scale
-    accepted = solvable & (length <= longest) & (moved <= furthest)
+    accepted = solvable & (length <= LARGEST_STEP) & (moved <= STEP_SHIFT)
 
     typical, coarse = 0.0, 1.0
     if accepted.any():
@@ -88,12 +86,12 @@ def edge_step(
     odd = np.maximum(np.where(accepted, correlation, typical), typical)
     of_step = STEP_ERROR**2 + 0.5 * variance * coarse
     of_shape = VARIANCE_OF_ODD * np.maximum(0, odd) ** 2
-    of_refused = np.where(solvable, longest**2, 0)  # the lines and the step differ by more
+    of_refused = np.where(solvable, LARGEST_STEP**2, 0)  # the lines and the step differ by more
     margin = np.min(
         [
             near,
-            np.where(solvable, np.abs(length - longest) / longest, np.inf),
-            np.where(solvable, np.abs(moved - furthest) / furthest, np.inf),
+            np.where(solvable, np.abs(length - LARGEST_STEP) / LARGEST_STEP, np.inf),
+            np.where(solvable, np.abs(moved - STEP_SHIFT) / STEP_SHIFT, np.inf),
             np.where(accepted, np.abs(odd - typical - DOUBT) / DOUBT, np.inf),
         ],
         axis=0,
@@ -110,9 +108,9 @@ def edge_step(
     )
 
 
-def disc_radius(refinement: EdgeStep, scale: float) -> float:
-    """Return the radius of the model, px of the full image."""
-    return min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
+def disc_radius(refinement: EdgeStep) -> float:
+    """Return the radius of the model, px."""
+    return min(max(0.75 * refinement.cell, 4.5), 9.0)
 
 
 def median(values: Floats) -> float:

@@ -59,33 +59,11 @@ def circle(radius: int) -> tuple[tuple[int, int], ...]:
     return tuple(sorted(ring, key=lambda point: math.atan2(point[0], -point[1]) % math.tau))
 
 
-def ring_samples(
-    image: GreyImage, start: NDArray[np.int64], radius: int, scale: float
-) -> tuple[Floats, Floats]:
-    """Return (samples, 2) offsets and (N, samples) grey levels of a refinement ring.
-
-    At scale 1 it is the integer circle. Otherwise it has 32 samples at radius / scale, interpolated
-    bilinearly; sample k is at the angle k 2 pi / 32 clockwise from twelve o'clock.
-    """
+def ring_samples(image: GreyImage, start: NDArray[np.int64], radius: int) -> tuple[Floats, Floats]:
+    """Return (samples, 2) offsets and (N, samples) grey levels of a refinement ring."""
     x, y = start.T
-    if scale == 1:
-        offsets = circle(radius)
-        return np.array(offsets, np.float64), ring_greys(image, x, y, offsets).astype(np.float64)
-    angle = np.arange(32) * (math.tau / 32)
-    offset = radius / scale * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
-    return offset, bilinear(image, x[:, None] + offset[:, 0], y[:, None] + offset[:, 1])
-
-
-def bilinear(image: GreyImage, x: Floats, y: Floats) -> Floats:
-    """Interpolate the grey levels at positions, border pixels repeated."""
-    height, width = image.shape
-    left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    fx, fy = x - left, y - top
-    columns = [np.clip(left + step, 0, width - 1) for step in (0, 1)]
-    rows = [np.clip(top + step, 0, height - 1) for step in (0, 1)]
-    grey = image.astype(np.float64)
-    above, below = ((1 - fx) * grey[row, columns[0]] + fx * grey[row, columns[1]] for row in rows)
-    return (1 - fy) * above + fy * below
+    offsets = circle(radius)
+    return np.array(offsets, np.float64), ring_greys(image, x, y, offsets).astype(np.float64)
 
 
 def threshold(grey: Floats) -> Floats:
@@ -97,27 +75,24 @@ def threshold(grey: Floats) -> Floats:
     return result
 
 
-def edge_points(image: GreyImage, start: NDArray[np.int64], scale: float) -> EdgePoints:
+def edge_points(image: GreyImage, start: NDArray[np.int64]) -> EdgePoints:
     """Match the edge points of all rings.
 
     If the first black sector of a ring lies opposite that of the smallest valid ring, its (e0, e1)
     and (e2, e3) are swapped.
     """
-    rings = [ring_samples(image, start, radius, scale) for radius in RADII]
+    rings = [ring_samples(image, start, radius) for radius in RADII]
     level = threshold(rings[0][1])
     found = [_ring_edges(offset, grey - level[:, None]) for offset, grey in rings]
     point = np.stack([each[0] for each in found], axis=1)
     valid = np.stack([each[1] for each in found], axis=1)
-    margin = np.full(len(start), np.inf)
-    if scale != 1:  # on the integer rings greys and threshold are exact in float32 too
-        margin = np.min([each[2] for each in found], axis=0) / np.maximum(level, 1)
 
     axis = (point[:, :, 0] + point[:, :, 1] - point[:, :, 2] - point[:, :, 3]) / 2
     smallest = axis[np.arange(len(start)), np.argmax(valid, axis=1)]
     dot = (axis * smallest[:, None]).sum(axis=2)
     point = np.where((dot < 0)[..., None, None], np.roll(point, 2, axis=2), point)
     cosine = np.abs(dot) / np.maximum(norm(axis) * norm(smallest)[:, None], 1e-12)
-    margin = np.minimum(margin, np.where(valid, cosine, np.inf).min(axis=1))
+    margin = np.where(valid, cosine, np.inf).min(axis=1)
 
     unit = point / np.maximum(norm(point), 1e-12)[..., None]
     direction = np.where(valid[..., None, None], unit, 0).sum(axis=1)
@@ -127,12 +102,11 @@ def edge_points(image: GreyImage, start: NDArray[np.int64], scale: float) -> Edg
     return EdgePoints(point=point, valid=valid, seen=seen, direction=direction, margin=margin)
 
 
-def _ring_edges(offset: Floats, d: Floats) -> tuple[Floats, Bools, Floats]:
-    """Return the edge points (N, 4, 2), whether there are four (N,), and the margin (N,).
+def _ring_edges(offset: Floats, d: Floats) -> tuple[Floats, Bools]:
+    """Return the edge points (N, 4, 2), and whether there are four (N,).
 
     d: (N, samples) grey minus threshold, black where negative. A ring without four boundaries is
-        smoothed once by the majority of three samples. The margin is the smallest |d|, or the
-        smallest difference across a boundary if that is smaller, in grey levels.
+        smoothed once by the majority of three samples.
     """
     black = d < 0
     four = _changes(black).sum(axis=1) == 4
@@ -151,8 +125,7 @@ def _ring_edges(offset: Floats, d: Floats) -> tuple[Floats, Bools, Floats]:
     with np.errstate(invalid="ignore", divide="ignore"):
         fraction = np.where(difference == 0, 0.5, np.clip(near / difference, 0, 1))
     point = offset[boundary] + fraction[..., None] * (offset[after] - offset[boundary])
-    decided = np.minimum(np.abs(d).min(axis=1), np.abs(difference).min(axis=1))
-    return point, four, decided
+    return point, four
 
 
 def _changes(black: Bools) -> Bools:

@@ -122,7 +122,7 @@ def corners(
     full_scale: int,
     mask: NDArray[np.bool_],
 ) -> Corners:
-    """Find the corners of an image at working size.
+    """Find the corners of an image.
 
     mask: (H, W), where maxima may be kept. Maxima elsewhere still suppress their neighbours.
     """

@@ -1,8 +1,4 @@
-"""Refinement on the grey image (section 3.5, Fig. 9), in float64.
-
-With a working scale s, lengths that are given in px of the working image are divided by s: the
-radii, the largest shift, the largest step.
-"""
+"""Refinement on the grey image (section 3.5, Fig. 9), in float64."""
 
 import dataclasses
 import math
@@ -44,13 +40,11 @@ def refine(
     start: NDArray[np.int64],
     centroid: Floats,
     refinement: EdgeLines | EdgeStep | Midlines | None,
-    scale: float,
 ) -> Refined:
     """Refine the positions of N corners.
 
     start: (N, 2) (x, y), the rounded centroids; centroid: (N, 2), the positions that are kept if a
-        check rejects the refinement; both in the full image. scale: the working scale that they
-        come from.
+        check rejects the refinement.
     """
     count = len(start)
     unknown = np.full(count, np.nan)
@@ -64,7 +58,7 @@ def refine(
             doubtful=np.zeros(count, np.bool_),
             margin=np.full(count, np.inf),
         )
-    points = edge_points(image, start, scale)
+    points = edge_points(image, start)
     two_rings = points.valid.sum(axis=1) >= 2
     midline = isinstance(refinement, Midlines)
     enough = two_rings if midline else enough_points(points)
@@ -72,17 +66,15 @@ def refine(
     sigma = unknown
     doubtful = np.zeros(count, np.bool_)
     if isinstance(refinement, Midlines):
-        shift, method, refusal, margin = midlines(points, refinement.fit, max_shift / scale)
+        shift, method, refusal, margin = midlines(points, refinement.fit, max_shift)
     else:
-        shift, method, refusal, margin = edge_lines(points, max_shift / scale, scale)
+        shift, method, refusal, margin = edge_lines(points, max_shift)
         sigma = np.where(method == Method.EDGE_LINES, lines_sigma(points), np.nan)
     method = np.where(enough, method, Method.KEPT).astype(np.uint8)
     refusal = np.where(enough, refusal, Refusal.RINGS).astype(np.uint8)
     lines = np.nonzero(method == Method.EDGE_LINES)[0]
     if isinstance(refinement, EdgeStep) and len(lines):
-        step = edge_step(
-            image, start[lines], shift[lines], _chosen(points, lines), refinement, scale
-        )
+        step = edge_step(image, start[lines], shift[lines], _chosen(points, lines), refinement)
         accepted = lines[step.accepted]
         shift[accepted] = step.position[step.accepted]
         method[accepted] = Method.EDGE_STEP
@@ -104,10 +96,10 @@ def refine(
     )
 
 
-def edge_radius(refinement: EdgeLines | EdgeStep | Midlines | None, scale: float) -> float:
+def edge_radius(refinement: EdgeLines | EdgeStep | Midlines | None) -> float:
     """Return the radius within which the refinement assumes straight edges, px of the image; NaN
     without EDGE_STEP."""
-    return disc_radius(refinement, scale) if isinstance(refinement, EdgeStep) else math.nan
+    return disc_radius(refinement) if isinstance(refinement, EdgeStep) else math.nan
 
 
 def _chosen(points: EdgePoints, rows: NDArray[np.int64]) -> EdgePoints:

@@ -3,7 +3,6 @@
 A frame passes through these, from its upload to its corners:
 
     plan      buffers and bound kernels for one shape: upload, launch, read; grows the lists
-    scale     the image at its working scale, if there is one
     harmonic  with RingHarmonic: smoothing, responses, maxima, checks -> list of corners
     rings     with BinaryRings: binarize, criteria (or spectral), nms, gate -> list of corners
     refine    list of corners -> positions, as the host reads them

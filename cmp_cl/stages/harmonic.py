@@ -1,4 +1,4 @@
-"""The grey-level rule, from the image at working scale to the list of its corners."""
+"""The grey-level rule, from the image to the list of its corners."""
 
 from typing import Any, cast
 
@@ -29,7 +29,7 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
 
 
 def sizes(plan: PlanBase) -> dict[str, int]:
-    frames, plane = plan.frames, plan.working[0] * plan.step
+    frames, plane = plan.frames, plan.shape[0] * plan.step
     lists, sums = frames * plan.kinds, frames * (1 + plan.compiled_octaves)
     cpu = plan.for_cpu
     bands = plan.bands if cpu else noise.bands(plan)
@@ -42,7 +42,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
         "noise": 8 * sums * bands,
         "levels": 8 * lists,
         "maxima": frames * plane // 8,
-        "row_counts": 4 * frames * plan.working[0],
+        "row_counts": 4 * frames * plan.shape[0],
         "row_columns": 4 * frames * plan.corner_capacity,
         "work": 2 * frames * plan.bands * _work_rows(plan) * plan.step if cpu else 0,
     }
@@ -50,11 +50,11 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 
 def scratch(plan: PlanBase) -> list[dict[str, int]]:
     """Return the bytes of the temporary arrays, layout by layout."""
-    of_frame = 3 * plan.kinds * plan.list_capacity + (1 + plan.compiled_octaves) * plan.working[0]
+    of_frame = 3 * plan.kinds * plan.list_capacity + (1 + plan.compiled_octaves) * plan.shape[0]
     decided = {"strong": 4 * plan.frames * (of_frame if plan.octaves else 1)}
     if plan.for_cpu:
         return [decided]
-    plane = 2 * (plan.frames * plan.working[0] + 2) * plan.step
+    plane = 2 * (plan.frames * plan.shape[0] + 2) * plan.step
     return [noise.scratch(plan), dict.fromkeys(("fine", "coarse", "response"), plane), decided]
 
 
@@ -76,9 +76,7 @@ def launches(plan: PlanBase) -> list[Launch]:
 def launch_in_place(plan: PlanBase) -> Launch | None:
     """Return the first of them for frames in a buffer of their own, which is its first argument,
     see `set_place`; None if the image must be there before."""
-    if not plan.for_cpu or plan.scale is not None:
-        return None
-    return _by_bands(plan)
+    return _by_bands(plan) if plan.for_cpu else None
 
 
 def set_place(launch: Launch, start: int, step: int, apart: int) -> None:
@@ -104,7 +102,7 @@ def _full_scale(plan: PlanBase) -> int:
 
 
 def _by_pixels(plan: PlanBase) -> list[Launch]:
-    stages = [plan.few("repeat_border", plan.frames * plan.working[0], 1)]
+    stages = [plan.few("repeat_border", plan.frames * plan.shape[0], 1)]
     for octave in range(1, plan.octaves + 1):
         larger = plan.size_of(octave - 1)
         halving = plan.dense(
@@ -190,10 +188,10 @@ def _by_bands(plan: PlanBase) -> Launch:
         "harmonic_band",
         (plan.bands, plan.frames),
         (1, 1),
-        memory=plan.image,
+        memory=plan.arrays["image"],
         frame_start=np.uint64(plan.step + plan.pad),
         frame_step=np.uint32(plan.step),
-        frame_apart=np.int32(plan.working[0] * plan.step),
+        frame_apart=np.int32(plan.shape[0] * plan.step),
         inverse=np.float32(1 / _full_scale(plan)),
         work_size=np.uint32(_work_rows(plan) * plan.step),
         **_numbers(plan),

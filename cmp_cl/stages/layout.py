@@ -11,13 +11,10 @@ from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.launches import GROUP, Launch, bound, constant, multiple
 from cmp_cl.opencl.memory import Memory
 from cmp_cl.opencl.program import Kernels
-from cmp_cl.stages.corner_model import step_radius
-from cmp_cl.stages.resampling import working_shape
 from cmp_cl.stages.types import types_of
 
 LEAST_PAD = 16  # columns on either side of the pixels, for rings, discs and tents
 LANES = 8  # corners of a vector in the form for CPUs
-WIDEST_OF_EIGHT = 24.0  # px, radius of the discs for which kernels/cpu/edge_step.cl has room
 CORNER_COLUMNS = 6  # x, y, response, and the sum and the moments of the responses around it
 LEAST_OCTAVE = 48  # px, the shorter side of a halved frame
 MOST_OCTAVES = 3
@@ -33,19 +30,17 @@ class PlanBase:
     rows, so that its data stay in the cache, or eight corners or pixels, which fill a vector.
     kernels/cpu holds it for the stages in which it makes a whole frame at least 1.3 times as fast.
     The results are the same.
-    shape: (H, W) of a frame; working: the same at the working scale. pad: columns of padding on
-    either side; step, full_step: elements of a row at the working and at full scale.
+    shape: (H, W) of a frame. pad: columns of padding on either side; step: elements of a row.
     octaves: number of halved frames, which lie behind the frames in "image"; compiled_octaves: the
     same for which kernels are compiled, all or none, so that other sizes have the same kernels.
     frames: number of frames; kinds: number of lists of maxima or candidates per frame, with
     `list_capacity` entries each; corner_capacity: entries of the list of a frame's corners. bands:
     bands of rows that a frame is divided into in the form for CPUs. memory: by name, an array each;
-    arrays: their buffers and parts of them, by name. image: the input of the first stage.
+    arrays: their buffers and parts of them, by name.
     """
 
     kernels: Kernels
     arrays: dict[str, cl.Buffer]
-    image: cl.Buffer
 
     def __init__(
         self,
@@ -66,17 +61,15 @@ class PlanBase:
         self.types = types_of(dtype, config)
         self.config = config
         self.rule = config.detection
-        self.scale = None if config.scale == 1 else config.scale
         self.frames = frames
-        self.working = shape if self.scale is None else working_shape(shape, self.scale)
-        pixels = self.working[0] * self.working[1]
+        pixels = shape[0] * shape[1]
         self.octaves = self.compiled_octaves = 0
         if isinstance(self.rule, BinaryRings):
             self.kinds = 1
             self.pad = multiple(max(LEAST_PAD, self.rule.threshold.window // 2), LEAST_PAD)
             self.list_capacity = multiple(pixels // 20 + 1, GROUP)  # the lists grow
         else:
-            shorter = min(self.working) // LEAST_OCTAVE
+            shorter = min(shape) // LEAST_OCTAVE
             self.octaves = min(self.rule.octaves, max(shorter, 1).bit_length() - 1)
             self.compiled_octaves = MOST_OCTAVES if self.octaves else 0
             self.kinds = 1 + self.rule.fine + self.compiled_octaves
@@ -84,15 +77,14 @@ class PlanBase:
             # One maximum in 128 pixels is one in a cell of 11 px; the lists grow. Each band fills
             # up its last entries.
             self.list_capacity = multiple(pixels // 128, GROUP) + GROUP * (1 + self.bands)
-        self.step = multiple(self.working[1] + 2 * self.pad, GROUP)
-        self.full_step = multiple(shape[1] + 2 * self.pad, GROUP)
+        self.step = multiple(shape[1] + 2 * self.pad, GROUP)
         # One corner in 96 pixels is one in a cell of 10 px; the list grows too.
         self.corner_capacity = multiple(min(config.max_corners, pixels // 96 + 256), GROUP)
         self.memory: dict[str, Memory] = {}
 
     def size_of(self, octave: int) -> dict[str, Any]:
         """Return rows, columns and step of an octave, by argument."""
-        rows, columns = (length >> octave for length in self.working)
+        rows, columns = (length >> octave for length in self.shape)
         step = multiple(columns + 2 * self.pad, GROUP) if octave else self.step
         return {"rows": np.uint32(rows), "columns": np.uint32(columns), "step": np.uint32(step)}
 
@@ -100,7 +92,7 @@ class PlanBase:
         """Return the image of an octave; in the end S3 of a halved frame, in which its corners are
         refined."""
         if not octave:
-            return self.image
+            return self.arrays["image"]
         start, end = (self.dtype.itemsize * at for at in self.octave_starts[octave : octave + 2])
         return self.memory["image"].buffer.get_sub_region(start, end - start)
 
@@ -120,15 +112,12 @@ class PlanBase:
         if not self.for_cpu:
             return 1
         units = self.device.handle.max_compute_units
-        return max(min(units, self.working[0] // 32), 1)
+        return max(min(units, self.shape[0] // 32), 1)
 
     @property
     def lanes(self) -> int:
         """Return the number of corners that a work-item of refinement processes at a time."""
-        refinement = self.config.refinement
-        eight = isinstance(refinement, EdgeLines | EdgeStep)
-        if isinstance(refinement, EdgeStep):
-            eight = step_radius(refinement, self.scale or 1.0) <= WIDEST_OF_EIGHT
+        eight = isinstance(self.config.refinement, EdgeLines | EdgeStep)
         return LANES if self.for_cpu and eight else 1
 
     def constant(self, table: NDArray[Any]) -> cl.Buffer:
@@ -198,8 +187,7 @@ class PlanBase:
     def width(self) -> int:
         """Work-items of a group of a dense kernel: a share of the row, padding included.
 
-        On a CPU the grey-level rule has them for maps and for a working scale alone, and they are
-        compiled for one group.
+        On a CPU the grey-level rule has them for maps alone, and they are compiled for one group.
         """
         if self._on_cpu and not isinstance(self.rule, BinaryRings):
             return GROUP

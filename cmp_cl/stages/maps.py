@@ -36,7 +36,7 @@ def read_maps(plan: Plan) -> Maps | HarmonicMaps:
 
 def _plane(plan: Plan, buffer: cl.Buffer, dtype: Any) -> NDArray[Any]:
     """Return a plane without its padding, (H, W)."""
-    rows, columns = plan.working
+    rows, columns = plan.shape
     padded = np.empty((rows + 2, plan.step), dtype)
     cl.enqueue_copy(plan.queue, padded, buffer)
     return np.ascontiguousarray(padded[1:-1, plan.pad : plan.pad + columns])
@@ -44,7 +44,7 @@ def _plane(plan: Plan, buffer: cl.Buffer, dtype: Any) -> NDArray[Any]:
 
 def _bits(plan: Plan, name: str) -> NDArray[np.bool_]:
     """Return a buffer of bits as an image."""
-    rows, columns = plan.working
+    rows, columns = plan.shape
     bits = np.empty((rows, plan.step // 8), np.uint8)
     cl.enqueue_copy(plan.queue, bits, plan.arrays[name])
     padded = np.unpackbits(bits, axis=1, bitorder="little")
@@ -75,7 +75,7 @@ def _at_corners(plan: Plan) -> NDArray[np.bool_]:
         plan.queue, columns[: CORNER_COLUMNS + (plan.octaves > 0)], plan.arrays["corners"]
     )
     x, y, *_, octave = columns[:, : counts[-1]]
-    image = np.zeros(plan.working, np.bool_)
+    image = np.zeros(plan.shape, np.bool_)
     image[(y << octave) + (1 << octave >> 1), (x << octave) + (1 << octave >> 1)] = True
     return image
 
@@ -105,7 +105,7 @@ def _ring_maps(plan: Plan, rule: BinaryRings) -> dict[str, Any]:
 
 def _per_pixel(plan: Plan, name: str, outputs: list[Any], *inputs: Any) -> list[NDArray[Any]]:
     """Run a kernel that writes maps with one work-item per pixel."""
-    rows = plan.working[0]
+    rows = plan.shape[0]
     size = (rows + 2) * plan.step
     buffers = [
         cl.Buffer(plan.queue.context, cl.mem_flags.WRITE_ONLY, size * np.dtype(dtype).itemsize)
@@ -149,7 +149,7 @@ def _spectral_maps(plan: Plan) -> dict[str, NDArray[Any] | None]:
 
 def _at_candidates(plan: Plan, dtype: Any, name: str | None) -> NDArray[Any]:
     """Return an image of a number for each candidate, 1 if no list is named, and 0 elsewhere."""
-    rows, capacity = plan.working[0], plan.list_capacity
+    rows, capacity = plan.shape[0], plan.list_capacity
     counts = np.empty(2, np.uint32)
     index = np.empty(capacity, np.uint32)
     numbers = np.ones(capacity, plan.types["CONTRAST"])
@@ -159,4 +159,4 @@ def _at_candidates(plan: Plan, dtype: Any, name: str | None) -> NDArray[Any]:
         cl.enqueue_copy(plan.queue, numbers, plan.arrays[name])
     image = np.zeros(rows * plan.step, dtype)
     image[index[: counts[0]]] = numbers[: counts[0]]
-    return image.reshape(rows, plan.step)[:, plan.pad :][:, : plan.working[1]]
+    return image.reshape(rows, plan.step)[:, plan.pad :][:, : plan.shape[1]]

@@ -10,7 +10,7 @@ NOISE_BAND = 8  # rows of a work-item
 
 def bands(plan: PlanBase, octave: int = 0) -> int:
     """Return the number of bands of an octave of a frame, each of which has a sum."""
-    return -(-(plan.working[0] >> octave) // NOISE_BAND)
+    return -(-(plan.shape[0] >> octave) // NOISE_BAND)
 
 
 def scratch(plan: PlanBase) -> dict[str, int]:

@@ -22,11 +22,10 @@ from cmp_cl.opencl.launches import GROUP, Launch, enqueue, multiple
 from cmp_cl.opencl.memory import ALIGNMENT, Memory, copy_rectangle
 from cmp_cl.opencl.pocl import is_pocl
 from cmp_cl.opencl.program import Kernels, Programs
-from cmp_cl.stages import harmonic, noise, refine, scale
+from cmp_cl.stages import harmonic, noise, refine
 from cmp_cl.stages.layout import CORNER_COLUMNS, LANES, LISTS, PlanBase
 from cmp_cl.stages.paper import rings
 from cmp_cl.stages.refine import READ_FIELDS, RESULT_HEAD
-from cmp_cl.stages.resampling import full_pixels
 from cmp_cl.stages.types import defines_of
 
 SPREAD = 4  # times their pixels: frames that lie in more memory are copied
@@ -42,7 +41,7 @@ class Overflow(Exception):
 
 
 class Plan(PlanBase):
-    """Buffers and bound kernels for `frames` frames of one shape at the working scale.
+    """Buffers and bound kernels for `frames` frames of one shape.
 
     mask: (H, W) bool, where candidates may be centred, or None.
     frames: number of frames at a time. portable: whether kernels have the
@@ -85,7 +84,6 @@ class Plan(PlanBase):
             "OCTAVES": self.compiled_octaves,
             "NOISE_BAND": noise.NOISE_BAND,
             **defines_of(self.types),
-            **scale.defines(self),
             **self.detection.defines(self),
             **refine.defines(self),
         }
@@ -95,21 +93,18 @@ class Plan(PlanBase):
     @property
     def stages(self) -> list[str]:
         """Return the kernel files that the configuration needs, in the order of the stages."""
-        return [*scale.files(self), *self.detection.files(self), *refine.files(self)]
+        return [*self.detection.files(self), *refine.files(self)]
 
     # What is allocated
 
     @property
     def sizes(self) -> dict[str, int]:
         """Return the bytes of every buffer, by name."""
-        pixel, elements = self.dtype.itemsize, self.octave_starts[-1]
-        if self.scale is not None:
-            elements = (self.frames * self.shape[0] + 2) * self.full_step
         layouts = self.detection.scratch(self)
         parts = [[multiple(size, ALIGNMENT) for size in each.values()] for each in layouts]
         columns = CORNER_COLUMNS + (self.octaves > 0)
         sizes = {
-            "image": elements * pixel,
+            "image": self.octave_starts[-1] * self.dtype.itemsize,
             **self.detection.sizes(self),
             "scratch": max((sum(sizes) for sizes in parts), default=0),
             "corners": 4 * columns * self.frames * self.corner_capacity,
@@ -117,8 +112,6 @@ class Plan(PlanBase):
             "counts": 4 * self.frames * (LISTS + 1),  # entries of the lists, corners
             **refine.sizes(self),
         }
-        if self.scale is not None:
-            sizes["working"] = (self.frames * self.working[0] + 2) * self.step * pixel
         return {name: size for name, size in sizes.items() if size}
 
     def _allocate(self) -> None:
@@ -171,14 +164,8 @@ class Plan(PlanBase):
         return parts
 
     def _upload_area(self) -> None:
-        allowed = np.ones(self.working, np.bool_)
-        if self._mask is not None:
-            nearest = [
-                full_pixels(np.arange(size, dtype=np.int32)[:, None], (whole,), self.scale or 1)
-                for size, whole in zip(self.working, self.shape, strict=True)
-            ]
-            allowed = self._mask[nearest[0], nearest[1].T]
-        after = self.step - self.pad - self.working[1]
+        allowed = np.ones(self.shape, np.bool_) if self._mask is None else self._mask
+        after = self.step - self.pad - self.shape[1]
         padded = np.pad(allowed, ((0, 0), (self.pad, after)))
         area = self.memory["area"]
         area.arrays["area"][0] = np.packbits(padded, bitorder="little")
@@ -192,9 +179,7 @@ class Plan(PlanBase):
     # What is launched
 
     def _bind(self) -> None:
-        self.image = self.arrays["image" if self.scale is None else "working"]
-        detection = [*scale.launches(self), *self.detection.launches(self)]
-        self.launches = [*detection, *refine.launches(self)]
+        self.launches = [*self.detection.launches(self), *refine.launches(self)]
         # The same for frames that lie elsewhere. Intel's runtime copies such frames, and PoCL reads
         # them where they lie.
         self._in_place: list[Launch] = []
@@ -239,7 +224,7 @@ class Plan(PlanBase):
                 buffer_origin=(self.pad * size, n * self.shape[0] + 1, 0),
                 host_origin=(0, 0, 0),
                 region=(self.shape[1] * size, self.shape[0], 1),
-                buffer_pitches=(self.full_step * size, 0),
+                buffer_pitches=(self.step * size, 0),
                 host_pitches=(pitch, 0),
                 is_blocking=False,
             )
@@ -253,7 +238,7 @@ class Plan(PlanBase):
         self._wait()  # for an earlier frame that may still run
         rows, columns = self.shape
         elements = self.memory["image"].arrays["image"][0].view(self.dtype)
-        lines = elements[: (self.frames * rows + 2) * self.full_step].reshape(-1, self.full_step)
+        lines = elements[: (self.frames * rows + 2) * self.step].reshape(-1, self.step)
         for n, frame in enumerate(frames):
             lines[1 + n * rows : 1 + (n + 1) * rows, self.pad : self.pad + columns] = frame
 

@@ -11,18 +11,15 @@ from numpy.typing import NDArray
 from cmp_cl.config import EdgeLines, EdgeStep, Fit, Midlines
 from cmp_cl.corners import Corners
 from cmp_cl.opencl.launches import GROUP, Launch, multiple
-from cmp_cl.stages.corner_model import BLUR, moments, step_radius
+from cmp_cl.stages.corner_model import ANGLES, BLUR, moments, step_radius
 from cmp_cl.stages.layout import LANES, LISTS, PlanBase
-from cmp_cl.stages.resampling import full_pixels
 
 RESULT_HEAD = 16  # numbers before the fields of a frame, as in kernels/result.clh
 RESULT_FIELDS, READ_FIELDS = 13, 11  # of a corner; the last two stay on the device
 POSITION, PIXEL, EDGES = slice(0, 2), slice(2, 4), slice(4, 8)
 RESPONSE, METHOD, VARIANCE = 8, 9, 10
 SHARES = 32  # shares of the corners for each unit of the device
-RADII = (3, 4, 5)  # of the rings, px of the working image
-RING_SAMPLES = 32
-STEP_SHIFT = 2.0  # px of the working image: EDGE_STEP's largest distance from its start
+STEP_SHIFT = 2.0  # px: EDGE_STEP's largest distance from its start
 MEDIANS = 2  # of an octave's residuals, as in kernels/residual.cl
 MEDIAN_GROUP = 256  # work-items that find one
 
@@ -46,16 +43,10 @@ def _name(refinement: EdgeLines | EdgeStep | Midlines) -> str:
 def defines(plan: PlanBase) -> dict[str, str | int]:
     refinement = plan.config.refinement
     quadratic = isinstance(refinement, Midlines) and refinement.fit is Fit.QUADRATIC
-    table = (
-        moments(step_radius(refinement, plan.scale or 1.0))
-        if isinstance(refinement, EdgeStep)
-        else ()
-    )
     return {
         "LANES": plan.lanes,
         "LISTS": LISTS,
-        "SCALED": int(plan.scale is not None),
-        "ANGLES": len(table) - 1,
+        "ANGLES": ANGLES,
         "BLUR": f"{BLUR}f",
         "QUADRATIC": int(quadratic),
     }
@@ -76,8 +67,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the list of corners to positions."""
     if plan.config.refinement is None:
-        scale = np.float32(plan.scale or 1)
-        return [plan.of_corners("centroids", **_full_size(plan), scale=scale)]
+        return [plan.of_corners("centroids")]
     given = {name: plan.arrays[name] for name in ("corners", "counts", "result")}
     refined, *grown = looks(plan, room=plan.corner_capacity, **given)
     if not grown:
@@ -97,19 +87,14 @@ def looks(
     corners, counts, result: as those of the plan, see kernels/result.clh, with room for so many
     corners in each frame, a multiple of the work-items in a group.
     """
-    refinement, factor = plan.config.refinement, plan.scale or 1.0
+    refinement = plan.config.refinement
     if refinement is None:
         return []
     eight = plan.lanes == LANES
-    rings: dict[str, Any] = {}
-    if plan.scale is not None:
-        if eight:
-            rings["ring_reach"] = np.uint32(math.ceil(RADII[-1] / plan.scale) + 1)
-        rings["ring_samples"] = _ring_samples(plan, plan.scale)
     disc: dict[str, Any] = {}
     shift = STEP_SHIFT
     if isinstance(refinement, EdgeStep):
-        radius = step_radius(refinement, factor)
+        radius = step_radius(refinement)
         disc = {"radius": np.float32(radius), "moments": plan.constant(moments(radius))}
     else:
         shift = refinement.max_shift
@@ -125,32 +110,13 @@ def looks(
         f"{_name(refinement)}_eight" if eight else _name(refinement),
         (shares if eight else room, plan.frames),
         (1 if eight else GROUP, 1),
-        image=plan.arrays["image"],
-        **_full_size(plan),
         **listed,
-        max_shift=np.float32(shift / factor),
-        scale=np.float32(factor),
-        **rings,
+        max_shift=np.float32(shift),
         **disc,
     )
     if not isinstance(refinement, EdgeStep):
         return [launch]
     return [launch, plan.stage("grow_variance", (room, plan.frames), (GROUP, 1), **listed)]
-
-
-def _full_size(plan: PlanBase) -> dict[str, Any]:
-    rows, columns = (np.uint32(n) for n in plan.shape)
-    return {"rows": rows, "columns": columns, "step": np.uint32(plan.full_step)}
-
-
-def _ring_samples(plan: PlanBase, scale: float) -> cl.Buffer:
-    """Return (rings, 32, 8) float32, see RING_32 in kernels/edges.clh."""
-    angle = np.arange(RING_SAMPLES) * (math.tau / RING_SAMPLES)
-    circle = np.stack([np.sin(angle), -np.cos(angle)], axis=1)
-    offset = np.float32(np.array(RADII)[:, None, None] / scale * circle)
-    pixel = np.floor(offset)
-    parts = (offset, np.roll(offset, -1, axis=1) - offset, pixel, offset - pixel)
-    return plan.constant(np.concatenate(parts, axis=2))
 
 
 class Found:
@@ -166,20 +132,17 @@ class Found:
         plan, device, found = self._plan, str(self._plan.device), []
         refinement, radius = plan.config.refinement, math.nan
         if isinstance(refinement, EdgeStep):
-            radius = step_radius(refinement, plan.scale or 1.0)
+            radius = step_radius(refinement)
         for row, count in zip(self._rows, self.counts, strict=True):
             padded = multiple(count, LANES)
             fields = row[RESULT_HEAD:][: READ_FIELDS * padded].reshape(READ_FIELDS, padded)
             method, refusal, octave, doubtful = (
                 fields[METHOD].view(np.uint8).reshape(4, padded)[:, :count]
             )
-            pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
-            if plan.scale is not None:
-                pixel = full_pixels(pixel, plan.shape[::-1], plan.scale)
             found.append(
                 Corners(
                     xy=fields[POSITION].reshape(-1, 2)[:count],
-                    pixel=pixel,
+                    pixel=fields[PIXEL].view(np.int32).reshape(-1, 2)[:count],
                     octave=octave,
                     response=fields[RESPONSE, :count],
                     method=method,

@@ -13,7 +13,6 @@ _BY_PIXEL: dict[str, tuple[type[np.generic], type[np.generic]]] = {
     "CURVATURE": (np.int16, np.int32),  # [1 -2 1] along an axis, and along both
     "NOISE": (np.uint16, np.uint32),  # eight absolute curvatures
     "ROW_NOISE": (np.uint32, np.uint64),  # the same, summed over a row
-    "WEIGHTED": (np.uint32, np.uint64),  # a resampled pixel, times the sum of its weights
     "SUM_OF_COLUMN": (np.uint16, np.uint32),  # the sum of a window's column
     "LEVEL": (np.int32, np.uint32),  # (I + C) n, compared with the sum of a window
     "CONTRAST": (np.int16, np.int32),  # of the gate

@@ -7,13 +7,9 @@
  * the next eight of the list, so every loop has the same length for every corner. The work from a
  * pixel to the sums is cut into four loops, so that several vectors are in flight at a time. */
 
-#if SCALED /* a radius of 24 needs 49 rows and 1950 pixels */
-#define MOST_ROWS 49
-#define MOST_PIXELS 1950
-#else /* a radius of 9 needs 19 rows and 312 pixels */
+/* A radius of 9 needs 19 rows and 312 pixels. */
 #define MOST_ROWS 19
 #define MOST_PIXELS 312
-#endif
 #define BEHIND 32 /* elements behind the last pixel, which vector stores overwrite */
 #define BEFORE 8 /* residuals before the first pixel, all 0, as those behind the last */
 
@@ -63,19 +59,12 @@ void list_disc(Disc *disc, const int reach, const float radius_2) {
 
 /* Read the pixels of the disc around (x, y). The image begins at `start`. */
 void read_disc(const Disc *disc, __global const PIXEL *image, const size_t start, const int last,
-               const uint columns, const uint step, const int x, const int y, PIXEL *pixel_of) {
+               const uint step, const int x, const int y, PIXEL *pixel_of) {
   const int top = y - disc->reach;
   __global const PIXEL *line = image + HELD_ROW(top, last, start, step);
   for (int k = 0; k <= 2 * disc->reach; line += (uint)(top + k) < (uint)last ? step : 0, ++k) {
     const int begin = disc->begin_of[k], width = disc->begin_of[k + 1] - begin;
     const int left = x + disc->left_of[k];
-#if SCALED
-    if (left < 0 || left + width > (int)columns) { /* the padding does not repeat the border here */
-      for (int i = 0; i < width; ++i)
-        pixel_of[begin + i] = line[SMALLER(LARGER(left + i, 0), (int)columns - 1)];
-      continue;
-    }
-#endif
     for (int i = 0; i < width; i += 16)
       *(PIXELS_ANYWHERE *)(pixel_of + begin + i) =
           *(__global const PIXELS_ANYWHERE *)(line + left + i);
@@ -191,7 +180,7 @@ typedef struct {
 /* The number of one corner in a vector of eight. */
 #define OF_LANE(v) ((const float *)&(v))[lane]
 
-__kernel void edge_step_eight(CORNERS_TO_REFINE, SCALED_RINGS const float radius,
+__kernel void edge_step_eight(CORNERS_TO_REFINE, const float radius,
                               __global const float8 *restrict moments,
                               __global float *restrict result) {
   FRAME_OF_WORK_ITEM
@@ -234,7 +223,7 @@ __kernel void edge_step_eight(CORNERS_TO_REFINE, SCALED_RINGS const float radius
                            centre};
 
       const int x_of = near_x + middle_x, y_of = near_y + middle_y;
-      read_disc(&disc, image, start, last, columns, pitch, x_of, y_of, values.pixel_of);
+      read_disc(&disc, image, start, last, pitch, x_of, y_of, values.pixel_of);
       values_of(&disc, &model, &values);
       const int last_of = ((const int *)&last_column)[lane];
       const int is_cut = CUT(x_of, disc.reach, last_of) || CUT(y_of, disc.reach, last);

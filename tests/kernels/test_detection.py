@@ -1,7 +1,7 @@
 """The kernels from an image to its corners before refinement: both rules equal the oracle.
 
 Rings: binarize, criteria, spectral, noise, gate, nms, collect. Grey levels: harmonic, in both
-forms. Scale: resample.
+forms.
 """
 
 import time
@@ -61,7 +61,6 @@ CONFIGS = {  # others are drawn in tests/test_properties.py
     "rings, gate by the best": gated(minimum=0, relative=1, noise=0),
     "rings, gate by noise": gated(minimum=0, relative=0, noise=1.3),
     "spectral": rings(PLAIN, criteria=SpectralCriteria()),
-    "rings, odd scale": rings(PLAIN, scale=0.63, nms_radius=1),
 }
 DENSEST = "harmonic, all", "rings, all, radius 7", "rings, gate by the best"
 
@@ -104,7 +103,7 @@ SHAPES = [(1, 1), (1, 40), (31, 1), (2, 2), (2, 31), (5, 3), (9, 11), (11, 64), 
 
 
 @pytest.mark.parametrize("shape", some(SHAPES, ((1, 1), (2, 31), (9, 11))), ids=str)
-@pytest.mark.parametrize("config", some(CONFIGS, ("harmonic, all", "spectral", "rings, odd scale")))
+@pytest.mark.parametrize("config", some(CONFIGS, ("harmonic, all", "spectral")))
 def test_images_smaller_than_rings_and_windows(detector_in_form, shape, config):
     for image in (noise(shape, seed=4), np.full(shape, 255, np.uint8)):
         assert_equal(detector_in_form(image, CONFIGS[config]), image)
@@ -213,14 +212,14 @@ def test_the_percentile_of_short_lists_has_the_right_rank(detector_for, dtype):
 # masks, batches, capacity
 
 
-@pytest.mark.parametrize("config", [DENSE, DENSE_RINGS, rings(PLAIN, scale=0.5)], ids=str)
+@pytest.mark.parametrize("config", [DENSE, DENSE_RINGS], ids=str)
 def test_corners_lie_inside_the_mask_and_samples_beyond_it(detector_in_form, config):
     image = EIGHT["texture"]
     mask = np.zeros(images.SHAPE, np.bool_)
     mask[11:40, 5:81:2] = True
     corners = assert_equal(detector_in_form(image, config, mask), image, mask=mask)
     assert 0 < len(corners) < len(detector_in_form(image, config)(image))
-    assert mask[corners.pixel[:, 1], corners.pixel[:, 0]].all() or config.scale
+    assert mask[corners.pixel[:, 1], corners.pixel[:, 0]].all()
 
 
 @pytest.mark.parametrize(

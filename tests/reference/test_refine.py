@@ -1,16 +1,14 @@
-"""The working scale and the refinement of the oracle, on perfect corners at known positions."""
+"""The refinement of the oracle, on perfect corners at known positions."""
 
 import math
 
-import cv2
 import numpy as np
 import pytest
 from corner_images import board, corner, noise, to_nearest
 
 from cmp_cl import reference
-from cmp_cl.config import DetectorConfig, EdgeLines, EdgeStep, Midlines, RingHarmonic
+from cmp_cl.config import DetectorConfig, EdgeLines, EdgeStep, Midlines
 from cmp_cl.corners import Corners, Method
-from cmp_cl.reference import scale
 
 RNG = np.random.default_rng(11)
 PLACES = [
@@ -18,25 +16,12 @@ PLACES = [
 ]
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-@pytest.mark.parametrize("factor", [0.25, 0.5, 1.5, 2.0])
-def test_scaling_agrees_with_opencv(dtype, factor):
-    image = noise((40, 48)).astype(dtype)
-    how = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
-    peer = cv2.resize(image, None, fx=factor, fy=factor, interpolation=how)
-    scaled = scale.to_working(image, factor)
-    assert scaled.dtype == dtype
-    assert np.abs(scaled.astype(np.int64) - peer).max() <= 1
+def found(image: np.ndarray, refinement: object) -> Corners:
+    return reference.detect(image, DetectorConfig(refinement=refinement))
 
 
-def found(image: np.ndarray, refinement: object, **changes: object) -> Corners:
-    rule = RingHarmonic(octaves=0)  # a working scale takes their place
-    config = DetectorConfig(detection=rule, refinement=refinement, **changes)
-    return reference.detect(image, config)
-
-
-def one(image: np.ndarray, refinement: object, **changes: object) -> Corners:
-    corners = found(image, refinement, **changes)
+def one(image: np.ndarray, refinement: object) -> Corners:
+    corners = found(image, refinement)
     assert len(corners) == 1
     return corners
 
@@ -50,15 +35,11 @@ def one(image: np.ndarray, refinement: object, **changes: object) -> Corners:
         (Midlines(), Method.CUSP, 0.3),
     ],
 )
-@pytest.mark.parametrize(
-    ("opening", "scale"), [(90, None), (90, 0.7), (90, 1.5), (70, None), (110, None)]
-)
-def test_a_perfect_corner_is_found_where_it_is(refinement, method, bound, opening, scale):
-    # A centroid is as exact as pixels of the working image, which are 1.4 px wide at 0.7.
-    bound *= 1.5 if refinement is None and scale == 0.7 else 1
+@pytest.mark.parametrize("opening", [70, 90, 110])
+def test_a_perfect_corner_is_found_where_it_is(refinement, method, bound, opening):
     for x, y, angle in PLACES:
         image = corner(x, y, angle, opening=math.radians(opening))
-        corners = one(image, refinement, scale=scale)
+        corners = one(image, refinement)
         assert math.dist(corners.xy[0], (x, y)) < bound
         assert corners.method[0] == method
 

@@ -46,13 +46,6 @@ CONFIGS = {
         criteria=SpectralCriteria(correlation=0, corrosion_threshold=None), refinement=Midlines()
     ),
     "quadratic midlines": DetectorConfig(refinement=Midlines(fit=Fit.QUADRATIC)),
-    "smaller, step": DetectorConfig(
-        detection=RingHarmonic(octaves=0), scale=0.7, refinement=EdgeStep(cell=11)
-    ),
-    "larger, midlines": DetectorConfig(
-        detection=RingHarmonic(octaves=0), scale=1.3, refinement=Midlines()
-    ),
-    "rings, smaller": rings(scale=0.5),
 }
 
 

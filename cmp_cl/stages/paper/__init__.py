@@ -1,1 +1,1 @@
-"""The paper's rule, from the image at its working scale to the list of its corners."""
+"""The paper's rule, from the image to the list of its corners."""

@@ -28,7 +28,7 @@ def macros(plan: PlanBase, rule: BinaryRings) -> dict[str, str]:
 
 def launches(plan: PlanBase, rule: BinaryRings) -> list[Launch]:
     """Return the launches from the image to the binary image, and to empty lists."""
-    threshold, frame_rows = rule.threshold, plan.frames * plan.working[0]
+    threshold, frame_rows = rule.threshold, plan.frames * plan.shape[0]
     column, level = plan.types["SUM_OF_COLUMN"].type, plan.types["LEVEL"].type
     # A mean of bytes is never above 255.
     offset = threshold.offset if plan.dtype == np.uint16 else min(threshold.offset, 255)

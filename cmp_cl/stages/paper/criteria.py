@@ -13,7 +13,7 @@ from cmp_cl.stages.paper import spectral
 def launches(plan: PlanBase, rule: BinaryRings) -> list[Launch]:
     """Return the launches from the binary image to the list of candidates."""
     rapid = isinstance(rule.criteria, RapidCriteria)
-    items, group = (plan.step // 8, plan.working[0], plan.frames), (plan.width // 8, 1, 1)
+    items, group = (plan.step // 8, plan.shape[0], plan.frames), (plan.width // 8, 1, 1)
     return [
         (_rapid if rapid else _spectral)(plan, rule),
         plan.stage("list_candidates", items, group, **_lists(plan)),

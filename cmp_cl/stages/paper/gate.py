@@ -21,7 +21,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
         "found": 8 * plan.frames,
         "bounds": 8 * plan.frames,
         "bins": 4 * plan.frames * BINS,
-        "passed": plan.frames * plan.working[0] * plan.step // 8,
+        "passed": plan.frames * plan.shape[0] * plan.step // 8,
     }
 
 

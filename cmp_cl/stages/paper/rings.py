@@ -1,4 +1,4 @@
-"""The paper's rule, from the image at its working scale to the list of its corners.
+"""The paper's rule, from the image to the list of its corners.
 
 The order is binarize, criteria, nms, gate, and the list of the corners with the moments of the
 response.
@@ -38,7 +38,7 @@ def macros(plan: PlanBase) -> dict[str, str]:
 
 
 def sizes(plan: PlanBase) -> dict[str, int]:
-    plane = plan.working[0] * plan.step
+    plane = plan.shape[0] * plan.step
     image = plan.frames * plane + 2 * plan.step
     rule = _rule(plan)
     return {
@@ -46,7 +46,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
         "binary": image,
         "candidates": 4 * plan.frames * plan.list_capacity,
         "maxima": plan.frames * plane // 8,
-        "row_counts": 4 * plan.frames * plan.working[0],
+        "row_counts": 4 * plan.frames * plan.shape[0],
         **(gate.sizes(plan) if rule.contrast is not None else {}),
     }
 
@@ -59,7 +59,7 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
     """
     rule = _rule(plan)
     element = plan.types["RESPONSE"].itemsize
-    plane = (plan.frames * plan.working[0] + 2) * plan.step
+    plane = (plan.frames * plan.shape[0] + 2) * plan.step
     lists = {"responses": element * plan.frames * plan.list_capacity}
     keys = {"key": plan.types["SCORE"].itemsize * plane} if nms.keeps_keys(plan) else {}
     gated = {} if rule.contrast is None else gate.scratch(plan)
@@ -83,7 +83,7 @@ def launches(plan: PlanBase) -> list[Launch]:
         *criteria.launches(plan, rule),
         *nms.launches(plan),
         *gated,
-        plan.few("list_maxima", plan.working[0], plan.frames, **kept),
+        plan.few("list_maxima", plan.shape[0], plan.frames, **kept),
         plan.of_corners("centroid"),
     ]
 
