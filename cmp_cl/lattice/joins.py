@@ -97,7 +97,8 @@ class Joining:
         some = self.members[part]
         corner = self.units.corner[some]
         number = self.units.number[some] * TURNS[at.quarter] + at.offset
-        key = np.rint(number.imag).astype(np.int64) << 32 | np.rint(number.real).astype(np.uint32)
+        row, column = (np.rint(each).astype(np.int64) for each in (number.imag, number.real))
+        key = (row << 32) + column
         fresh = ~self.taken[corner]
         if len(self.keys):
             fresh &= self.keys[np.searchsorted(self.keys[:-1], key)] != key
