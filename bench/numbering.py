@@ -67,6 +67,8 @@ ABLATION: dict[str, dict[str, Any]] = {
     "no joins across tears": {"join_votes": 1e9},
     "joins whatever the colours": {"join_votes": 0.0},
     "joins whatever the surface": {"factor": lambda _: 2.0},
+    "a bent surface needs no more votes": {"join_bend": 1e9},
+    "few votes count as others": {"join_few": 0.0},
     "torn corners count as whole ones": {"rough_weight_per_px2": 1e9},
     "no test of nodes": {"prior_nats": 1e6},
     "nodes whatever their sides": {"side_nats": 0.0, "prior_nats": K.prior_nats + 4 * K.side_nats},
