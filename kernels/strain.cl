@@ -330,7 +330,7 @@ int fit_surfaces(const int i, __global const float *rest_position,
                  __global const float *displacement, __global const uchar *valid,
                  __global const float *quadratic, __global const float *cubic,
                  float3 (*slope)[2], float3 *apart, float *own, float *more) {
-  if (!REACH_DOWN || !REACH_ALONG) return 0;
+  if (REACH_DOWN * REACH_ALONG == 0) return 0;
   const Window near = window_around(i, SIDE), wide = window_around(i, CUBIC_SIDE);
   const int near_is_whole = is_whole(valid, near, SIDE);
   const int wide_is_whole = is_whole(valid, wide, CUBIC_SIDE);
