@@ -52,7 +52,7 @@ class LatticeConstants:
         fewer.
     least_board: nodes, of a board, and faces, of a part that begins one; smaller parts, of two
         faces or more, only lie beside others. Without them 241 477 corners of torn gels lose 333
-        right nodes, and a board of 53 125 corners in noise all but 18 493 of 48 825. A single face
+        right nodes, and a board of 53 125 corners in noise all but 18 493 of 48 462. A single face
         agrees with none: of 734 placed ones 8 are wrong, of 588 larger parts 2.
     least_line: share, of its places in view that an outer line must hold, and a whole board; and of
         the corners beside a board that must lie on its lattice. With .7 a line of noise beside one
