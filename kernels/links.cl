@@ -118,10 +118,10 @@ __kernel void choose_links(__global const float *restrict corners, const uint ca
   }
 }
 
-/* twin[h]: the half-edge at the other end of a link. face[h]: NONE, for `close_faces`. One work-item per half-edge; that of the lower
- * end looks at the side of both. Tabs of a puzzle, and a side that bends, hide colours near the
- * chord, marks those deeper in the cells, and a bar both. least_middle: share of the contrast, summed
- * over three points. deep: share of the side, how far beside it. */
+/* twin[h]: the half-edge at the other end of a link. face[h]: NONE, for `close_faces`. One work-item
+ * per half-edge; that of the lower end looks at the side of both. Tabs of a puzzle, and a side that
+ * bends, hide colours near the chord, marks those deeper in the cells, and a bar both. least_middle:
+ * share of the contrast, summed over three points. deep: share of the side, how far beside it. */
 __kernel void keep_links(__global const float *restrict corners, const uint capacity,
                          __global const int *restrict contrast, LEVELS_OF_IMAGE,
                          const float least_middle, const float deep,
