@@ -127,13 +127,14 @@ def test_points_on_a_line(device):
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (0, 2, 1)])
-def test_of_equal_chords_the_one_to_the_lower_corner_is_a_link(device, order):
-    """Two corners lie as far above the boundary of a third as below it."""
-    xy = np.array([(100.0, 100.0), (120.0, 96.0), (120.0, 104.0)])
+@pytest.mark.parametrize("y", [100, 128])
+def test_of_equal_chords_the_one_to_the_lower_corner_is_a_link(device, order, y):
+    """Two corners lie as far above the boundary of a third as below it, in one bin or in two."""
+    xy = np.array([(100.0, y), (120.0, y - 4), (120.0, y + 4)])
     quarter = np.array([0, 1, 1]) * np.pi / 2
     edges = (quarter[:, None] + np.arange(4) * (np.pi / 2) + np.pi) % (2 * np.pi) - np.pi
     image = np.full((200, 200), 200, np.uint8)
-    image[101:] = 50
+    image[y + 1 :] = 50
     corners = keep(corners_at(xy, edges=edges), np.array(order))
     parts, _ = assert_equal_to_the_oracle(device, image, corners)
     assert parts.twin[0] >> 2 == 1
