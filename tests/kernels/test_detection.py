@@ -238,9 +238,13 @@ def test_frames_of_a_batch_do_not_see_each_other(detector_in_form, config):
 @pytest.mark.parametrize(("count", "regrown"), [(64, False), (65, True)])
 @pytest.mark.parametrize("config", [harmonic(1, noise=0, relative=0, fine=False), DENSE_RINGS])
 def test_a_list_that_overflows_is_made_again_and_holds_every_maximum(
-    device_in_form, config, count, regrown
+    device_in_form, monkeypatch, config, count, regrown
 ):
-    """A mask leaves exactly that many candidates in one list, each of which is a maximum."""
+    """A mask leaves exactly that many candidates in one list, each of which is a maximum.
+
+    There is one band, because each band that finds one takes a block of the list.
+    """
+    monkeypatch.setattr(PlanBase, "bands", 1)
     image = images.texture((200, 83), seed=9)
     mask = np.zeros(image.shape, np.bool_)
     mask[tuple(np.argwhere(reference.maps(image, config).maximum)[:count].T)] = True
