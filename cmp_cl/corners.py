@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from cmp_cl.image import GreyImage
+from cmp_cl.image import GreyImage, check_image
 
 BLOCK = 4  # px, over which edges are looked for
 EDGE = 1 / 5  # of the brightest block: a strong edge
@@ -94,7 +94,9 @@ class Corners:
         checkerboard do: most are then noise or texture.
 
         image: (H, W), which they are of. full_scale: its largest grey level, if that was given.
+        Raises ImageError for anything else.
         """
+        image = check_image(image)
         if levels := _misfit(int(image.max()), image.dtype, full_scale):
             return levels
         if _is_mosaic(image):

@@ -15,7 +15,7 @@ from io import StringIO
 from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO
-from zipfile import ZipFile
+from zipfile import ZipFile, is_zipfile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,6 +187,9 @@ def read_npz(
     """
     with open(path, "rb") as file:
         try:
+            if not is_zipfile(file):
+                raise ValueError("it is cut off, or not what numpy.savez writes")
+            file.seek(0)
             with np.load(file, allow_pickle=False) as data:
                 found = [name for name in data if names is None or name in names]
                 promised = {name: _promised(data.zip, f"{name}.npy") for name in found}

@@ -56,18 +56,18 @@ class Checkerboard:
         .png: grey levels at `dpi` pixels per inch, which the file states; a pixel on an edge is
         darker the more of it is covered.
 
-        Raises ConfigError on another suffix, a dpi outside 10 to 10 000, more than 100 million
-        pixels or without matplotlib, OSError if the file cannot be written.
+        Raises ConfigError on another suffix, a dpi outside 10 to 10 000, no pixel, more than 100
+        million or without matplotlib, OSError if the file cannot be written.
         """
         suffix = suffix_of(path, ConfigError)
         if suffix not in (".svg", ".png"):
             raise ConfigError(f"{str(path)!r}: the suffix must be .svg or .png")
         check_range("dpi", dpi, 10, 10_000)
         pixels = [int(side / _MM_PER_INCH * dpi) for side in self.size]
-        if suffix == ".png" and pixels[0] * pixels[1] > _MOST_PIXELS:
+        if suffix == ".png" and not 0 < pixels[0] * pixels[1] <= _MOST_PIXELS:
             raise ConfigError(
-                f"{pixels[0]} x {pixels[1]} px are more than {_MOST_PIXELS // 10**6} million; "
-                "take a smaller dpi, or .svg"
+                f"the sheet has {pixels[0]} x {pixels[1]} px, and a .png from 1 to "
+                f"{_MOST_PIXELS // 10**6} million; take another dpi, or .svg"
             )
         with extra("plot", "a pattern"):
             from matplotlib.figure import Figure

@@ -56,6 +56,8 @@ def several(views=None, **changed):
         (lambda: media.write_image("a.png", None), "image must be of type ndarray"),
         (lambda: corner_overlay(IMAGE, GRID), "corners must be of type Corners"),
         (lambda: grid_overlay(IMAGE, None), "grid must be of type Grid"),
+        (lambda: Moment.of(FIELD).maps("height"), "quantity must be of type Quantity"),
+        (lambda: detect(IMAGE).advice(None), "expected a NumPy array"),
         (lambda: build_grid(GRID, IMAGE), "corners must be of type Corners"),
         (lambda: Source(0), "a source is named by a text such as '0' or .*, not 0$"),
         (lambda: reference.detect(IMAGE, "a"), "config must be of type DetectorConfig"),

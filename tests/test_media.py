@@ -44,8 +44,8 @@ def test_a_photograph_comes_upright(tmp_path):
 
 def test_colour_becomes_grey_as_in_opencv(tmp_path):
     colour = np.dstack([NOISE, NOISE[::-1], NOISE[:, ::-1]])
-    alpha = np.dstack([colour, NOISE])
-    for name, image in (("c.png", colour), ("c.jpg", colour), ("a.png", alpha)):
+    opaque = np.dstack([colour, np.full_like(NOISE, 255)])
+    for name, image in (("c.png", colour), ("c.jpg", colour), ("a.png", opaque)):
         path = tmp_path / name
         media.write_image(path, image)
         read = media.read_image(path)
@@ -276,13 +276,23 @@ def test_a_file_pattern_that_the_shell_did_not_expand_stands_for_its_files(tmp_p
         media.find_inputs([tmp_path / "d*.png"])
 
 
-def test_what_is_transparent_is_white(tmp_path):
-    drawn = np.zeros((20, 30, 4), np.uint8)
+@pytest.mark.parametrize(("suffix", "ground"), [("png", 0), ("png", 90), ("tif", 90), ("webp", 0)])
+def test_what_is_transparent_is_white(tmp_path, suffix, ground):
+    """Whatever grey level lies under it."""
+    drawn = np.full((20, 30, 4), ground, np.uint8)
+    drawn[..., 3] = 0
     drawn[5:10, 5:10] = 50, 50, 50, 255
     drawn[12:15, :, 3] = 128
-    cv2.imwrite(str(tmp_path / "logo.png"), drawn)
-    grey = media.read_image(tmp_path / "logo.png")
-    assert (grey[0, 0], grey[6, 6], grey[13, 0]) == (255, 50, 127)
+    pages = 1 + (suffix == "tif")
+    cv2.imwritemulti(str(tmp_path / f"logo.{suffix}"), [drawn] * pages)
+    read = list(media.read_pages(tmp_path / f"logo.{suffix}"))
+    assert len(read) == pages
+    for grey in read:
+        half = (ground * 128 + 255 * 127) / 255
+        np.testing.assert_allclose((grey[0, 0], grey[6, 6], grey[13, 0]), (255, 50, half), atol=1)
+
+
+def test_black_is_not_transparent(tmp_path):
     cv2.imwrite(str(tmp_path / "black.png"), np.zeros((5, 5), np.uint8))
     assert not media.read_image(tmp_path / "black.png").any()
 

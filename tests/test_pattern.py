@@ -59,11 +59,13 @@ def test_a_png_states_its_resolution(tmp_path):
         ({"shape": (2000, 2000)}, "more than"),
         ({"cell": -1}, "cell"),
         ({"cell": float("nan")}, "cell"),
+        ({"cell": 0.01}, "has 0 x 0 px"),
+        ({"cell": 250}, "and a .png from 1 to 100 million"),
     ],
 )
-def test_patterns_that_cannot_be_drawn_are_refused(wrong, says):
+def test_patterns_that_cannot_be_drawn_are_refused(tmp_path, wrong, says):
     with pytest.raises(cmp_cl.ConfigError, match=says):
-        Checkerboard(**{"shape": (4, 4), "cell": 4, **wrong})
+        Checkerboard(**{"shape": (4, 4), "cell": 4, **wrong}).save(tmp_path / "board.png", dpi=DPI)
 
 
 def test_the_command_writes_the_pattern_that_it_reports(tmp_path, capsys):

@@ -414,9 +414,14 @@ def test_a_full_disk_is_reported_and_keeps_all_frames_up_to_then(
 
 def test_a_file_that_is_no_series_is_refused(tmp_path):
     (tmp_path / "bad.npz").write_bytes(b"nothing")
+    (tmp_path / "picture.npz").write_bytes(b"\x89PNG")
+    with open(tmp_path / "array.npz", "wb") as file:
+        np.save(file, np.zeros(3))
     np.savez(tmp_path / "other.npz", x=1)
     for name, error, why in (
-        ("bad.npz", FieldError, "no series"),
+        ("bad.npz", FieldError, "no series: it is cut off, or not what numpy.savez writes$"),
+        ("picture.npz", FieldError, "no series: it is cut off, or not what numpy.savez writes$"),
+        ("array.npz", FieldError, "no series: it is cut off, or not what numpy.savez writes$"),
         ("other.npz", FieldError, "index"),
         ("x.txt", ConfigError, "ends in"),
         ("gone.npz.part", FieldError, "no file"),

@@ -112,7 +112,7 @@ class Measurement(Closing):
         self._streams = False
         self._events: list[tuple[str, cl.Event]] = []  # of the last frame, but of the detector
         self._follows = False  # whether the tracker has the nodes of the frame before
-        self._size, self._views_of = check_image(at_rest).shape, views_of
+        self._kind, self._views_of = _kind_of(at_rest), views_of
         chosen, images = select_device(device), views_of(at_rest)
         if config is None:
             with named(0, images):
@@ -293,12 +293,12 @@ class Measurement(Closing):
         raise NotImplementedError
 
     def _checked(self, frame: GreyImage) -> tuple[GreyImage, ...]:
-        """Return the views of a frame; raises ImageError unless it has the size of that at rest."""
-        shape = check_image(frame).shape
-        if shape != self._size:
+        """Return the views of a frame; raises ImageError unless it is like that at rest."""
+        kind = _kind_of(frame)
+        if kind != self._kind:
             raise ImageError(
-                f"the frame at rest is {self._size}, this one {shape}; measure a recording of "
-                "another size against its own frame at rest"
+                f"the frame at rest is {self._kind}, this one {kind}; measure a recording of "
+                "another size or type against its own frame at rest"
             )
         return self._views_of(frame)
 
@@ -408,6 +408,12 @@ class Measurement(Closing):
         """Put the nodes of grids on the device. The tracker goes on from them if they suffice."""
         self._plan.take(grids, corners)
         self._follows = self._tracker is not None and self._tracker.begin(grids)
+
+
+def _kind_of(frame: GreyImage) -> str:
+    """Return the shape and the type of an image, as text; raises ImageError for anything else."""
+    image = check_image(frame)
+    return f"{image.shape} of {image.dtype}"
 
 
 def _grids(

@@ -25,7 +25,8 @@ VIDEO_SUFFIXES = frozenset(  # a GIF is read as a video: it may have several fra
     | {".webm", ".wmv", ".y4m"}
 )
 _OF_16_BITS = frozenset({".jp2", ".pgm", ".png", ".pnm", ".tif", ".tiff"})
-_WITHOUT_ALPHA = re.compile(rb"\xff\xd8|BM|P")
+# A JPEG, a BMP, a PBM to PPM, and a PNG of grey levels or of colours alone
+_WITHOUT_ALPHA = re.compile(rb"\xff\xd8|BM|P|\x89PNG.{21}[\x00\x02]", re.DOTALL)
 _MOST_BYTES = 1 << 30  # of an image file
 _BLOCK = 1 << 26  # px of the pages that are decoded at once: OpenCV repeats all earlier ones
 _MOST_OVER_WHITE = 10**9 // 9  # bytes of a grey image: OpenCV has all four channels twice beside it
@@ -68,7 +69,8 @@ def read_image(path: str | PathLike[str]) -> GreyImage:
 def read_pages(path: str | PathLike[str]) -> Iterator[GreyImage]:
     """Read the pages of an image file one by one, as `read_image` does; only a TIFF has several.
 
-    Of a TIFF that is cut off, those before the cut are read.
+    Of a TIFF that is cut off, those before the cut are read. The first page says whether any is
+    transparent.
     """
     check_path(path, ImageError)
     if os.path.exists(path) and not os.path.isfile(path):
@@ -79,15 +81,17 @@ def read_pages(path: str | PathLike[str]) -> Iterator[GreyImage]:
         data = np.fromfile(path, np.uint8)
     except OSError as error:
         raise ImageError(f"cannot read {str(path)!r}: {error.strerror}") from error
-    first, pages = 0, decoded(data, path, 0, 1)
+    first, pages = 0, _decoded(data, path, 0, 1)
     count = max(1, _BLOCK // max(pages[0].size, 1))
+    alpha = _has_alpha(pages[0], data)
     while pages:
-        yield from pages
+        for number, page in enumerate(pages, first):
+            yield _over_white(page, data, number) if alpha else page
         first += len(pages)
-        pages = decoded(data, path, first, count)
+        pages = _decoded(data, path, first, count)
 
 
-def decoded(
+def _decoded(
     data: NDArray[np.uint8], path: str | PathLike[str], first: int, count: int
 ) -> list[GreyImage]:
     """Decode at most `count` pages of an image file, from the page `first`; path: for messages.
@@ -117,7 +121,7 @@ def decoded(
                 f"{str(path)!r} holds {page.dtype} pixels, expected 8 or 16 bits without sign; "
                 "scale it and save it as PNG"
             )
-    return [_over_white(page, data, first + k) for k, page in enumerate(pages)]
+    return list(pages)
 
 
 def _has_chunks(data: NDArray[np.uint8]) -> bool:
@@ -133,12 +137,18 @@ def _has_chunks(data: NDArray[np.uint8]) -> bool:
     return place == data.size
 
 
+def _has_alpha(grey: GreyImage, data: NDArray[np.uint8]) -> bool:
+    """Return whether the first page of a file may be transparent; grey: this page."""
+    if grey.nbytes > _MOST_OVER_WHITE or _WITHOUT_ALPHA.match(data[:26].tobytes()):
+        return False
+    full = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    return full is not None and full.shape == (*grey.shape, 4)
+
+
 def _over_white(grey: GreyImage, data: NDArray[np.uint8], page: int) -> GreyImage:
-    """Return a page over a white ground, if its file is a PNG, a WebP or a TIFF with alpha."""
-    if grey.all() or grey.nbytes > _MOST_OVER_WHITE or _WITHOUT_ALPHA.match(data[:2].tobytes()):
-        return grey  # nothing that is transparent is grey 0
+    """Return a page of a file with alpha over a white ground."""
     full = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED, range=(page, page + 1))[1]
-    if not full or full[0].ndim != 3 or full[0].shape != (*grey.shape, 4):
+    if not full or full[0].shape != (*grey.shape, 4):
         return grey
     white = np.iinfo(grey.dtype).max
     for row, pixels in zip(grey, full[0], strict=True):  # a whole image of floats is too large

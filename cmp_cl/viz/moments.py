@@ -106,7 +106,9 @@ class Moment:
         return [*found, Quantity.STRAIN]
 
     def maps(self, quantity: Quantity) -> list[Map]:
-        """Return the maps of a quantity; raises FieldError for the height of one view."""
+        """Return the maps of a quantity; raises FieldError for another type, or the height of one
+        view."""
+        check_kind("quantity", quantity, Quantity, FieldError)
         if quantity is Quantity.DISPLACEMENT:
             return [Map("displacement", self.moved, self.unit)]
         if quantity is Quantity.SIGMA:
