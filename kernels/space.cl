@@ -142,10 +142,10 @@ void between(const REALS *one, const REALS *two, const REALS *offset, REALS *mid
     middle[k] = (depth_one * one[k] + depth_two * two[k] + offset[k]) / 2;
 }
 
-/* The point at which the rays of two image points (x, y, 1) meet best, in the frame of the left
+/* The point at which the rays of two image points (x, y, 1) meet best, all in the frame of the left
  * camera. */
 #if MEDIA
-/* turned: the second one in that frame. tangents, passed: of both rays, see window.clh. */
+/* tangents, passed: of both rays, see window.clh. */
 void meet_behind(__global const REAL *left, __global const REAL *right, const REALS *one,
                  const REALS *turned, REALS *point, REALS *tangents, REALS *passed) {
   REALS from_one[3], from_two[3], first[3], second[3], offset[3];
@@ -156,28 +156,9 @@ void meet_behind(__global const REAL *left, __global const REAL *right, const RE
   for (int k = 0; k < 3; ++k) point[k] += from_one[k];
 }
 #else
-/* Sampson's step moves them onto each other's epipolar lines first. */
-void meet(__global const REAL *camera, const REALS *one, const REALS *two, REALS *point) {
-  REALS essential[9], line_one[3], line_two[3], moved[3], centre[3];
-  for (int j = 0; j < 3; ++j) {
-    const int next = (j + 1) % 3, last = (j + 2) % 3; /* row j of the matrix of the cross product */
-    for (int k = 0; k < 3; ++k)
-      essential[3 * j + k] =
-          TRANSLATION[next] * ROTATION[3 * last + k] - TRANSLATION[last] * ROTATION[3 * next + k];
-  }
-  for (int j = 0; j < 3; ++j) {
-    line_one[j] = two[0] * essential[j] + two[1] * essential[3 + j] + essential[6 + j];
-    line_two[j] =
-        essential[3 * j] * one[0] + essential[3 * j + 1] * one[1] + essential[3 * j + 2];
-  }
-  const REALS square = line_one[0] * line_one[0] + line_one[1] * line_one[1] +
-                      line_two[0] * line_two[0] + line_two[1] * line_two[1];
-  const REALS step = dot_3(line_one, one) / fmax(square, (REALS)TINY);
-  const REALS first[3] = {one[0] - step * line_one[0], one[1] - step * line_one[1], one[2]};
-  const REALS second[3] = {two[0] - step * line_two[0], two[1] - step * line_two[1], two[2]};
-  turned_from(camera, second, moved);
-  for (int k = 0; k < 3; ++k) centre[k] = CENTRE[k];
-  between(first, moved, centre, point);
+void meet(__global const REAL *camera, const REALS *one, const REALS *turned, REALS *point) {
+  const REALS centre[3] = {CENTRE[0], CENTRE[1], CENTRE[2]};
+  between(one, turned, centre, point);
 }
 #endif
 
@@ -230,7 +211,7 @@ void fit(const REALS *jacobian, const REALS *weight, const REALS *residual, cons
  * unknown. rest: positions (3 planes), rest_*: their status, source, covariance (6 planes) and
  * motion by bent edges (3 planes). moved: 3 planes, 0 where not valid. points: the sum of the
  * covariances of both moments. own: the variance now per axis, in lines. misfit: the step from the
- * point at which the rays meet best to the node in the left view, px (2 planes): half of its
+ * point at which the rays meet best to the node in the left view, px (2 planes): about half of its
  * distance from its epipolar line, NaN where a view does not show it.
  * One work-item for WIDTH nodes. */
 __kernel void space(__global const float2 *nodes, __global const uchar *seen_status,
@@ -283,7 +264,7 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
   depth_right.all =
       project_behind(right, point, tangents[1], passed + PASSED, seen + 2, jacobian + 6);
 #else
-  meet(right, one, two, point);
+  meet(right, one, turned, point);
   depth_left.all = project(left, point, seen, jacobian);
   depth_right.all = project(right, point, seen + 2, jacobian + 6);
 #endif
