@@ -12,9 +12,10 @@ import numpy as np
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus, Others, Sides
-from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Border, Mask, Whole
+from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Border, Mask, Units, Votes, Whole
+from cmp_cl.lattice.bending import bending
 from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.lattice.joins import SHIFTS, Side, bending, factor
+from cmp_cl.lattice.joins import factor
 from cmp_cl.lattice.numbers import (
     Decision,
     Numbering,
@@ -25,6 +26,14 @@ from cmp_cl.lattice.numbers import (
 from cmp_cl.lattice.printing import prints_of
 
 K = LatticeConstants()
+# Of the second of two parts beside the first, in the same numbers.
+BESIDE = Votes(
+    first=np.zeros(1, np.int64),
+    second=np.ones(1, np.int64),
+    quarter=np.zeros(1, np.int64),
+    offset=np.zeros(1, np.complex128),
+    weight=np.zeros(1),
+)
 
 
 class Asked(NamedTuple):
@@ -89,11 +98,10 @@ class Found:
                 continue
             held = np.flatnonzero(lines)
             for last in held[:-1][np.diff(held) > 1]:
-                line = np.indices(board.owner.shape)[axis]
-                sides = (_side(board, each) for each in (line <= last, line > last))
-                smaller, larger = sorted(sides, key=lambda each: len(each.at))
-                if factor(bending(larger, smaller, SHIFTS, K)) < math.exp(K.sure_nats):
-                    unsure = max(unsure, len(smaller.at))
+                after = np.indices(board.owner.shape)[axis][board.owner >= 0] > last
+                nodes = _in_two(board, after)
+                if factor(bending(nodes, BESIDE, K))[0] < math.exp(K.sure_nats):
+                    unsure = max(unsure, int(np.count_nonzero(nodes.part)))
         return unsure
 
     @property
@@ -212,9 +220,20 @@ def _corners_beyond(board: Board, corners: Corners) -> tuple[int, Whole]:
     return len(row), np.where((away > 0).sum(axis=1) < K.beside, 0, lines)
 
 
-def _side(board: Board, some: Mask) -> Side:
-    row, column = np.nonzero(some & (board.owner >= 0))
-    return Side(board.at[row, column], column + 1j * row, np.ones(len(row), np.bool_))
+def _in_two(board: Board, after: Mask) -> Units:
+    """Return the nodes of a board as two parts, the larger one first; after: which are one."""
+    row, column = np.nonzero(board.owner >= 0)
+    part = after if 2 * np.count_nonzero(after) <= len(after) else ~after
+    order = np.argsort(part, kind="stable")
+    return Units(
+        corner=board.owner[row, column].astype(np.int64),
+        part=part.astype(np.int64),
+        number=column + 1j * row,
+        rotation=np.zeros(len(row), np.int64),
+        rim=np.ones(len(row), np.bool_),
+        at=board.at[row, column],
+        faces=np.zeros(2, np.int64),
+    ).chosen(order)
 
 
 def _decided(board: Board, asked: Asked, corners: Corners) -> Decision:

@@ -42,6 +42,11 @@ class Units(NamedTuple):
     at: Numbers
     faces: Whole
 
+    def chosen(self, some: Whole | Mask) -> "Units":
+        """Return some of the nodes, in this order."""
+        *nodes, faces = self
+        return Units._make([*(each[some] for each in nodes), faces])
+
 
 class Votes(NamedTuple):
     """Placements of one part beside another that have votes, each once.
@@ -56,6 +61,10 @@ class Votes(NamedTuple):
     quarter: Whole
     offset: Numbers
     weight: Float
+
+    def chosen(self, some: Whole | Mask) -> "Votes":
+        """Return some of the votes, in this order."""
+        return Votes._make(each[some] for each in self)
 
 
 class Border(NamedTuple):

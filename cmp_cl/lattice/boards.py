@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.lattice.arrays import Board
-from cmp_cl.lattice.joins import Joining
+from cmp_cl.lattice.joins import joined
 from cmp_cl.lattice.kernels import TAKEN
 from cmp_cl.lattice.plan import LatticePlan
 
@@ -24,19 +24,21 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
         if np.count_nonzero(alone.there) >= k.least_board:
             yield alone
         return
-    units, votes = plan.parts(xy)
-    joining = Joining(units, votes, len(xy), k)
+    units = joined(*plan.parts(xy), k)
     taken = np.zeros(len(xy), np.bool_)
-    left = list(range(len(units.faces)))
-    while left:
-        main, *left = left
-        if main and units.faces[main] < k.least_board:
+    for part in np.unique(units.part).tolist():
+        if part and units.faces[part] < k.least_board:
             continue
-        numbers = joining.run(main, left)
-        numbers[taken] = TAKEN
+        nodes = slice(*np.searchsorted(units.part, (part, part + 1)))
+        corner = units.corner[nodes]
+        if np.count_nonzero(~taken[corner]) < k.least_board:
+            continue
+        number, turn = units.number[nodes], units.rotation[nodes]
+        numbers = np.zeros((len(xy), 4), np.int32)
+        columns = number.real, number.imag, turn, np.where(taken[corner], TAKEN, 1)
+        numbers[corner] = np.rint(np.stack(columns, axis=1))
+        numbers[taken, 3] = TAKEN
         board = plan.settle(numbers)
-        if np.count_nonzero(board.there) < k.least_board:
-            continue
-        taken[board.owner[board.owner >= 0]] = True
-        left = [part for part in left if not taken[units.corner[joining.members[part]]].all()]
-        yield board
+        if np.count_nonzero(board.there) >= k.least_board:
+            taken[board.owner[board.owner >= 0]] = True
+            yield board

@@ -1,4 +1,4 @@
-"""Parts are placed beside each other across tears, if two kinds of evidence agree; on the host.
+"""Parts are joined across tears if two kinds of evidence agree; on the host.
 
 Colours: ways of a few steps from the rim of one part to the rim of another, along which black and
 white must change after every step, vote for a placement. Squeezed cells can get lost between the
@@ -7,230 +7,137 @@ numbers to positions bends least across the tear if the placement is right. What
 apart.
 """
 
-import itertools
-from collections import defaultdict
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cmp_cl.lattice.arrays import Float, Mask, Numbers, Units, Votes
+from cmp_cl.lattice.arrays import Float, Mask, Numbers, Units, Votes, Whole
+from cmp_cl.lattice.bending import TURNS, bending
 from cmp_cl.lattice.constants import LatticeConstants
-
-TURNS = np.array([1, 1j, -1, -1j])
-# Shifts that keep the colours, of which the one of least bending is looked for.
-SHIFTS = np.array([0, 1 + 1j, 1 - 1j, -1 + 1j, -1 - 1j, 2, -2, 2j, -2j])
-TREND = 6  # terms of a quadratic
-ROUNDING = 1e-9  # cells^2, of the energy of a flat surface, which is 0
+from cmp_cl.lattice.parts import summed
 
 
-class Placement(NamedTuple):
-    """A part's numbers times a quarter turn, plus an offset."""
+def joined(units: Units, votes: Votes, k: LatticeConstants) -> Units:
+    """Return the nodes of parts, each part in the numbers of the largest that it is joined to.
 
-    quarter: int
-    offset: complex
-
-    def inverse(self) -> "Placement":
-        """Return the placement of the other part in this one's numbers."""
-        back = -self.quarter % 4
-        return Placement(back, -self.offset * TURNS[back])
-
-    def within(self, other: "Placement") -> "Placement":
-        """Return the placement where the part is that this one is beside."""
-        quarter = (self.quarter + other.quarter) % 4
-        return Placement(quarter, self.offset * TURNS[other.quarter] + other.offset)
-
-
-class Joining:
-    """Joins the parts of a frame. units, votes: of its parts; corners: their number."""
-
-    def __init__(self, units: Units, votes: Votes, corners: int, k: LatticeConstants) -> None:
-        self.units, self.k, self.corners = units, k, corners
-        parts = len(units.faces)
-        bounds = np.searchsorted(units.part, np.arange(parts + 1))
-        self.members = [slice(*each) for each in itertools.pairwise(bounds.tolist())]
-        self.by_x = np.argsort(units.at.real, kind="stable")
-        self.x = units.at.real[self.by_x]
-        self.votes: list[list[tuple[int, Placement, float]]] = [[] for _ in range(parts)]
-        for first, second, quarter, offset, weight in zip(
-            *(each.tolist() for each in votes), strict=True
-        ):
-            at = Placement(quarter, offset)
-            self.votes[second].append((first, at, weight))
-            self.votes[first].append((second, at.inverse(), weight))
-
-    def run(self, main: int, others: Iterable[int]) -> NDArray[np.int32]:
-        """Place the main part, and beside it each of the others, in their order, that is sure where
-        it belongs. One that is not is looked at again once another part beside it is placed.
-
-        Returns `numbers`.
-        """
-        self.number = np.zeros_like(self.units.number)
-        self.rotation = np.zeros_like(self.units.rotation)
-        self.placed = np.zeros(len(self.number), np.bool_)  # units that number their corner
-        self.taken = np.zeros(self.corners, np.bool_)
-        self.keys = np.zeros(0, np.int64)  # of the numbers that are taken, in order
-        self.places: dict[int, Placement] = {}
-        left = {main, *others}
-        beside = {main}
-        while beside:
-            part = min(beside)
-            beside.remove(part)
-            at = Placement(0, 0j) if part == main else self.sure(part)
-            if at:
-                self.place(part, at)
-                left.remove(part)
-                beside |= {other for other, _, _ in self.votes[part]} & left
-        return self.numbers()
-
-    def numbers(self) -> NDArray[np.int32]:
-        """Return column, row, quarter turn, and 1 of every corner that is placed so far, (N, 4)."""
-        number, found = self.number[self.placed], np.zeros((self.corners, 4), np.int32)
-        columns = number.real, number.imag, self.rotation[self.placed], np.ones(len(number))
-        found[self.units.corner[self.placed]] = np.rint(np.stack(columns, axis=1))
-        return found
-
-    def place(self, part: int, at: Placement) -> None:
-        """Number the corners of a part that have no number, and whose number no other has."""
-        self.places[part] = at
-        some = self.members[part]
-        corner = self.units.corner[some]
-        number = self.units.number[some] * TURNS[at.quarter] + at.offset
-        row, column = (np.rint(each).astype(np.int64) for each in (number.imag, number.real))
-        key = (row << 32) + column
-        fresh = ~self.taken[corner]
-        if len(self.keys):
-            fresh &= self.keys[np.searchsorted(self.keys[:-1], key)] != key
-        self.number[some] = number
-        self.rotation[some] = (self.units.rotation[some] + at.quarter) % 4
-        self.placed[some] = fresh
-        self.taken[corner[fresh]] = True
-        new = np.sort(key[fresh])
-        self.keys = np.insert(self.keys, np.searchsorted(self.keys, new), new)
-
-    def sure(self, part: int) -> Placement | None:
-        """Return the placement of a part if it is sure.
-
-        It has the most votes, the surface bends least there, and the votes, times how much more it
-        bends elsewhere, are enough; more are, where it bends much. Neither is enough alone:
-        squeezed cells can get lost between the parts, which makes counts too short; and where cells
-        are long the surface expects more of them. Behind a bar few colours are seen, but a flat
-        board goes on nowhere else.
-        """
-        ballots: dict[Placement, float] = defaultdict(float)
-        for other, beside, weight in self.votes[part]:
-            if place := self.places.get(other):
-                ballots[beside.within(place)] += weight
-        at = max(ballots, key=lambda each: ballots[each])
-        few = ballots[at] < self.k.join_few
-        votes, bends = min(ballots[at], 1.0) if few else ballots[at], self.energy(part, at)
-        least = self.k.join_votes * max(1.0, bends.min() / self.k.join_bend)
-        return at if votes * factor(bends) > least else None
-
-    def energy(self, part: int, at: Placement) -> Float:
-        """Return how much the surface bends at a placement of a part, and at others beside it."""
-        units, some = self.units, self.members[part]
-        moved = Side(units.at[some], units.number[some] * TURNS[at.quarter], units.rim[some])
-        x, wide = moved.at.real, 2 * (self.k.span + 1) * moved.cell  # votes are no longer than half
-        ends = np.searchsorted(self.x, (x.min() - wide, x.max() + wide))
-        near = self.by_x[slice(*ends)]
-        near = near[self.placed[near]]
-        near = near[~np.isin(units.corner[near], units.corner[some])]
-        fixed = Side(units.at[near], self.number[near], units.rim[near])
-        return bending(fixed, moved, at.offset + SHIFTS, self.k)
-
-
-class Side(NamedTuple):
-    """Nodes on one side of a tear: positions, px, numbers, and which are at the rim of a part."""
-
-    at: Numbers
-    number: Numbers
-    rim: Mask
-
-    @property
-    def cell(self) -> float:
-        """Return the length of a step, px, by a linear fit."""
-        number, at = self.number - self.number.mean(), self.at - self.at.mean()
-        return float(np.abs(np.vdot(number, at)) / np.vdot(number, number).real)
-
-    def near(self, other: "Side", reach: float, most: int) -> "Side":
-        """Return those that are by less than `reach` px farther from the other side's rim than the
-        nearest one, at most so many."""
-        z, others = self.at.astype(np.complex64), other.at[other.rim].astype(np.complex64)
-        if not len(z) or not len(others):
-            return Side(self.at[:0], self.number[:0], self.rim[:0])
-        x, y = (
-            np.maximum(np.maximum(there.min() - own, own - there.max()), 0)
-            for own, there in ((z.real, others.real), (z.imag, others.imag))
-        )
-        box = np.hypot(x, y)  # from the upright rectangle around the others, not farther than they
-        some = np.flatnonzero(box <= np.abs(others - z[box.argmin()]).min() + reach)
-        away = np.abs(np.subtract.outer(others, z[some])).min(axis=0)
-        chosen = some[away < away.min() + reach]
-        if len(chosen) > most:
-            chosen = chosen[np.linspace(0, len(chosen) - 1, most).astype(np.int64)]
-        return Side(self.at[chosen], self.number[chosen], self.rim[chosen])
-
-
-def factor(energy: Float) -> float:
-    """Return by what factor the surface bends more at the second best of `SHIFTS`; 0 if no shift is
-    not the best."""
-    first, second = np.sort(energy)[:2]
-    best = SHIFTS[energy.argmin()] == 0 and np.isfinite(first)
-    return float(second / first) if best else 0.0
-
-
-def bending(fixed: Side, moved: Side, offsets: Numbers, k: LatticeConstants) -> Float:
-    """Return the bending energy of the map from numbers to positions, cells, near the tear between
-    two sides, for each offset of the second one's numbers; infinite where it is not defined.
-
-    Cubic radial functions with a quadratic trend: M [w; c] = [x; 0], energy x' w, with
-    M = [K + I, B; B', 0]. The first side and the trend are eliminated once; the energy is theirs,
-    and that of what they leave of the second side.
+    In rounds, each part is asked whether it belongs beside a larger one, the largest first. Those
+    that are sure are one part from then on. Others are asked about another one, and again where
+    votes are new. A corner, and a number, belongs to the larger of two parts.
     """
-    if len(moved.at) < TREND // 2:
-        return np.full(len(offsets), np.inf)
-    middle, cell = moved.at.mean(), moved.cell
-    reach = (k.span + 1) / 2 * cell  # three lines of nodes, which a quadratic needs
-    one, two = fixed.near(moved, reach, k.tear_most), moved.near(fixed, reach, k.tear_most)
-    count = len(one.at)
-    if count < TREND or len(two.at) < TREND // 2:
-        return np.full(len(offsets), np.inf)
-    x, y = (((side.at - middle) / cell).view(np.float64).reshape(-1, 2) for side in (one, two))
-    origin = one.number.mean()
-    first = one.number - origin
-    system = np.zeros((count + TREND, count + TREND))
-    system[:count, :count] = _cubes(first, first) + np.eye(count)
-    system[:count, count:] = _trend(first)
-    system[count:, :count] = system[:count, count:].T
-    position = np.concatenate([x, np.zeros((TREND, 2))])
-    second = ((two.number - origin) + offsets[:, None]).ravel()
-    beside = np.concatenate([_cubes(second, first), _trend(second)], axis=1)
-    beside = beside.reshape(len(offsets), -1, count + TREND)
-    own = _cubes(two.number, two.number) + np.eye(len(two.at))
-    try:
-        inverse = np.linalg.inv(system)
-        across = beside @ inverse  # one small product an offset: BLAS starts no threads
-        left = y - across @ position
-        w = np.linalg.solve(own - across @ beside.transpose(0, 2, 1), left)
-    except np.linalg.LinAlgError:
-        return np.full(len(offsets), np.inf)
-    energy: Float = (position * (inverse @ position)).sum() + (left * w).sum(axis=(1, 2))
-    return np.where(energy > -ROUNDING, np.maximum(energy, ROUNDING), np.inf)
+    refused: dict[tuple[int, int], float] = {}
+    while True:
+        asked = _asked(votes, refused, k)
+        if not len(asked.first):
+            return units
+        sure = _are_sure(units, asked, k)
+        pairs = zip(asked.first.tolist(), asked.second.tolist(), strict=True)
+        refused |= zip(pairs, asked.weight.tolist(), strict=True)
+        if sure.any():
+            at = Placements.of(asked.chosen(sure), len(units.faces))
+            units, votes = at.units(units), at.votes(votes)
 
 
-def _trend(number: Numbers) -> Float:
-    """Return the terms of a quadratic at each number, (..., N, TREND)."""
-    x, y = number.real, number.imag
-    return np.stack([np.ones(x.shape), x, y, x * x, y * y, x * y], axis=-1)
+class Placements(NamedTuple):
+    """Where parts lie: into, (P,) the part whose numbers each one gets, maybe its own; its numbers
+    times so many quarter turns, plus an offset, are numbers of that one."""
+
+    into: Whole
+    quarter: Whole
+    offset: Numbers
+
+    @classmethod
+    def of(cls, sure: Votes, parts: int) -> "Placements":
+        """Return the placements in the largest parts; sure: one for each part, in their order."""
+        at = cls(np.arange(parts), np.zeros(parts, np.int64), np.zeros(parts, np.complex128))
+        for first, second, quarter, offset, _ in zip(*sure, strict=True):
+            at.into[second] = at.into[first]
+            at.quarter[second] = (quarter + at.quarter[first]) % 4
+            at.offset[second] = offset * TURNS[at.quarter[first]] + at.offset[first]
+        return at
+
+    def units(self, units: Units) -> Units:
+        """Return the nodes of the parts after that, each corner and each number of a part once."""
+        part, turn = self.into[units.part], self.quarter[units.part]
+        number = units.number * TURNS[turn] + self.offset[units.part]
+        rotation = (units.rotation + turn) % 4
+        moved = units._replace(part=part, number=number, rotation=rotation)
+        moved = moved.chosen(np.argsort(part, kind="stable"))  # of a larger part first
+        moved = moved.chosen(_is_new(moved.part, moved.corner))
+        return moved.chosen(_is_new(moved.part, _keys(moved.number)))
+
+    def votes(self, votes: Votes) -> Votes:
+        """Return the votes between the parts after that."""
+        first, second = self.into[votes.first], self.into[votes.second]
+        turn, origin = self.quarter[votes.first], self.offset[votes.first]
+        quarter = (votes.quarter - self.quarter[votes.second]) % 4
+        offset = votes.offset - self.offset[votes.second] * TURNS[quarter]
+        quarter, offset = (quarter + turn) % 4, offset * TURNS[turn] + origin
+        back = -quarter % 4
+        swapped = second < first
+        every = Votes(
+            first=np.minimum(first, second),
+            second=np.maximum(first, second),
+            quarter=np.where(swapped, back, quarter),
+            offset=np.where(swapped, -offset * TURNS[back], offset),
+            weight=votes.weight,
+        )
+        return summed(every.chosen(first != second))
 
 
-def _cubes(a: Numbers, b: Numbers) -> Float:
-    """Return the cubed distances of all pairs, (A, B)."""
-    x, y = np.subtract.outer(a.real, b.real), np.subtract.outer(a.imag, b.imag)
-    x *= x
-    y *= y
-    x += y
-    x *= np.sqrt(x)
-    return x
+def _keys(number: Numbers) -> Whole:
+    """Return one whole number, from 0 on, for each number."""
+    column, row = (np.rint(each).astype(np.int64) for each in (number.real, number.imag))
+    column -= column.min()
+    keys: Whole = (row - row.min()) * (column.max() + 1) + column
+    return keys
+
+
+def _is_new(part: Whole, key: Whole) -> Mask:
+    """Return which nodes are the first with their key in their part."""
+    new = np.zeros(len(key), np.bool_)
+    new[np.unique(part * (key.max() + 1) + key, return_index=True)[1]] = True
+    return new
+
+
+def _asked(votes: Votes, refused: dict[tuple[int, int], float], k: LatticeConstants) -> Votes:
+    """Return a placement for each part that has votes beside a larger one, with which it was not
+    refused: beside the largest that has more than few, the one with the most votes."""
+    best = votes.chosen(np.lexsort((-votes.weight, votes.second, votes.first)))
+    best = best.chosen(_is_first(best.first, best.second))
+    pairs = zip(best.first.tolist(), best.second.tolist(), best.weight.tolist(), strict=True)
+    new = [refused.get((one, two)) != weight for one, two, weight in pairs]
+    best = best.chosen(np.array(new, np.bool_))
+    best = best.chosen(np.lexsort((best.first, best.weight < k.join_few, best.second)))
+    return best.chosen(_is_first(best.second))
+
+
+def _is_first(*keys: Whole) -> Mask:
+    """Return which rows are the first of those with equal keys, that stand together."""
+    first = np.ones(len(keys[0]), np.bool_)
+    first[1:] = np.logical_or.reduce([key[1:] != key[:-1] for key in keys])
+    return first
+
+
+def _are_sure(units: Units, asked: Votes, k: LatticeConstants) -> Mask:
+    """Return which placements are sure.
+
+    They have the most votes, the surface bends least there, and the votes, times how much more it
+    bends elsewhere, are enough; more are, where it bends much. Neither is enough alone: squeezed
+    cells can get lost between the parts, which makes counts too short; and where cells are long the
+    surface expects more of them. Behind a bar few colours are seen, but a flat board goes on
+    nowhere else.
+    """
+    energy = bending(units, asked, k)
+    votes = np.where(asked.weight < k.join_few, np.minimum(asked.weight, 1), asked.weight)
+    least = k.join_votes * np.maximum(1, energy.min(axis=1) / k.join_bend)
+    sure: Mask = votes * factor(energy) > least
+    return sure
+
+
+def factor(energy: Float) -> Float:
+    """Return by what factor the surface bends more at the second best of `SHIFTS`, (T, 9) to (T,);
+    0 if no shift is not the best."""
+    first, second = np.sort(energy)[:, :2].T
+    best = (energy.argmin(axis=1) == 0) & np.isfinite(first)
+    times: Float = np.divide(second, first, out=np.zeros(len(first)), where=best)
+    return times

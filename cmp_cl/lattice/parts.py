@@ -51,18 +51,23 @@ def _units_of(
 
 
 def _votes_of(rank: Whole, votes: NDArray[np.int32]) -> Votes:
-    """Return the sums of equal votes."""
-    rows = votes.reshape(-1, VOTE)
-    rows = rows[np.lexsort(rows.T[::-1])]
-    fresh = np.ones(len(rows), np.bool_)
-    fresh[1:] = (rows[1:, :-1] != rows[:-1, :-1]).any(axis=1)
-    weight = np.zeros(np.count_nonzero(fresh))
-    np.add.at(weight, fresh.cumsum() - 1, np.ascontiguousarray(rows[:, -1]).view(np.float32))
-    first, second, quarter, column, row = rows[fresh, :-1].T
-    return Votes(
-        first=rank[first],
-        second=rank[second],
-        quarter=quarter.astype(np.int64),
-        offset=column + 1j * row,
-        weight=weight,
+    first, second, quarter, column, row, weight = votes.reshape(-1, VOTE).T
+    return summed(
+        Votes(
+            first=rank[first],
+            second=rank[second],
+            quarter=quarter.astype(np.int64),
+            offset=column + 1j * row,
+            weight=np.ascontiguousarray(weight).view(np.float32).astype(np.float64),
+        )
     )
+
+
+def summed(votes: Votes) -> Votes:
+    """Return the sums of equal votes, the least ones added first, in the order of their parts."""
+    pair = (votes.first << 32) + votes.second
+    votes = votes.chosen(np.lexsort((votes.weight, votes.offset, votes.quarter, pair)))
+    fresh = np.ones(len(votes.first), np.bool_)
+    fresh[1:] = np.logical_or.reduce([each[1:] != each[:-1] for each in votes[:-1]])
+    weight = np.bincount(fresh.cumsum() - 1, votes.weight)
+    return votes.chosen(fresh)._replace(weight=weight.astype(np.float64))

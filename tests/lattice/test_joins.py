@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from cmp_cl.lattice.arrays import Units, Votes
+from cmp_cl.lattice.bending import TURNS, bending
 from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.lattice.joins import SHIFTS, TURNS, Joining, Placement, Side, bending, factor
+from cmp_cl.lattice.joins import Placements, factor, joined
 
-ROWS, STEP = 6, 10.0
+K, ROWS, STEP = LatticeConstants(), 6, 10.0
 
 
 def parts(*columns: range, bent: float = 0.3):
@@ -38,6 +39,11 @@ def votes_for(*offsets: int) -> Votes:
     return Votes(first, first + 1, 0 * first, np.array(offsets) + 0j, weight)
 
 
+def vote(offset: int, weight: float) -> Votes:
+    """Return the votes for the second of two parts so many columns further."""
+    return votes_for(offset)._replace(weight=np.array([weight]))
+
+
 @pytest.mark.parametrize(
     ("columns", "offsets"),
     [
@@ -47,21 +53,18 @@ def votes_for(*offsets: int) -> Votes:
 )
 def test_parts_are_joined_by_way_of_others_and_by_corners_in_common(columns, offsets):
     units, count = parts(*columns)
-    joining = Joining(units, votes_for(*offsets), count, LatticeConstants())
-    numbers = joining.run(0, range(1, len(columns)))
-    there = np.unique(units.corner)
+    found = joined(units, votes_for(*offsets), K)
+    np.testing.assert_array_equal(np.sort(found.corner), np.unique(units.corner))
+    assert not found.part.any()
     width = count // ROWS
-    np.testing.assert_array_equal(np.flatnonzero(numbers[:, 3]), there)
-    expected = np.stack([there % width, there // width], axis=1)
-    np.testing.assert_array_equal(numbers[there, :2], expected)
+    np.testing.assert_array_equal(found.number, found.corner % width + 1j * (found.corner // width))
 
 
 def test_a_part_whose_votes_and_surface_name_different_places_stays_apart():
-    units, count = parts(range(8), range(9, 17))
+    units, _ = parts(range(8), range(9, 17))
     none = np.zeros(2, np.int64)
     votes = Votes(none, none + 1, none, np.array([7, 9]) + 0j, np.array([30.0, 20.0]))
-    numbers = Joining(units, votes, count, LatticeConstants()).run(0, [1])
-    assert numbers[:, 0].max() == 7
+    np.testing.assert_array_equal(joined(units, votes, K).part, units.part)
 
 
 @pytest.mark.parametrize(
@@ -69,24 +72,34 @@ def test_a_part_whose_votes_and_surface_name_different_places_stays_apart():
     [(0.05, 0.5, True), (0.3, 3.9, False), (0.3, 4.1, True), (2.0, 20.0, False), (2.0, 40.0, True)],
 )
 def test_a_bent_surface_needs_more_votes_and_a_flat_one_hardly_any(bent, votes, sure):
-    units, count = parts(range(8), range(9, 17), bent=bent)
-    none = np.zeros(1, np.int64)
-    vote = Votes(none, none + 1, none, np.array([9 + 0j]), np.array([votes]))
-    numbers = Joining(units, vote, count, LatticeConstants()).run(0, [1])
-    assert (numbers[:, 0].max() == 16) == sure
+    units, _ = parts(range(8), range(9, 17), bent=bent)
+    assert (joined(units, vote(9, votes), K).part.max() == 0) == sure
+
+
+def test_a_part_that_is_not_sure_is_asked_again_once_more_votes_are_for_it():
+    """The third lies beside the first and the second, with too few votes for each."""
+    units, _ = parts(range(8), range(9, 15), range(16, 21))
+    votes = Votes(
+        first=np.array([0, 0, 1]),
+        second=np.array([1, 2, 2]),
+        quarter=np.zeros(3, np.int64),
+        offset=np.array([9, 16, 7]) + 0j,
+        weight=np.array([6.0, 2.5, 2.5]),
+    )
+    assert not joined(units, votes, K).part.any()
+    alone = votes.chosen(np.array([0, 2]))
+    np.testing.assert_array_equal(np.unique(joined(units, alone, K).part), [0, 2])
 
 
 @pytest.mark.parametrize(("offset", "new"), [(4, range(8, 12)), (10, range(12, 18))])
-def test_numbers_and_corners_belong_to_the_part_that_is_placed_first(offset, new):
+def test_numbers_and_corners_belong_to_the_larger_part(offset, new):
     """Two columns of corners are in both parts, at 6."""
-    units, count = parts(range(8), range(6, 14))
-    joining = Joining(units, votes_for(6), count, LatticeConstants())
-    alone = joining.run(0, [])
-    joining.place(1, Placement(0, offset + 0j))
-    numbers, old = joining.numbers(), alone[:, 3] == 1
-    np.testing.assert_array_equal(numbers[old], alone[old])
-    columns = np.unique(numbers[(numbers[:, 3] == 1) & ~old, 0])
-    np.testing.assert_array_equal(columns, new)
+    units, _ = parts(range(8), range(6, 14))
+    none = np.zeros(2, np.int64)
+    moved = Placements(none, none, np.array([0, offset]) + 0j).units(units)
+    old = moved.corner % 14 < 8
+    np.testing.assert_array_equal(moved.number[old], units.number[units.part == 0])
+    np.testing.assert_array_equal(np.unique(moved.number[~old].real), new)
 
 
 @pytest.mark.parametrize(("columns", "sure"), [(3, True), (0, False)])
@@ -94,22 +107,50 @@ def test_numbers_and_corners_belong_to_the_part_that_is_placed_first(offset, new
 @pytest.mark.parametrize("step", [STEP, 12.7 + 2.6j])
 def test_one_corner_across_a_gap_shows_no_surface(columns, sure, rows, step):
     """A flat surface does: its energy is 0, on either side of which rounding may put it."""
-
-    def side(number):
-        number = number.ravel().astype(complex)
-        return Side(step * number, number, np.ones(len(number), np.bool_))
-
     number = np.arange(6) + 1j * np.arange(rows)[:, None]
-    moved = side(9 + number[:, :columns]) if columns else side(9 + number[:1, :1])
-    assert (factor(bending(side(number), moved, SHIFTS, LatticeConstants())) > 100) == sure
+    moved = (9 + number[:, :columns]) if columns else 9 + number[:1, :1]
+    both = np.concatenate([number.ravel(), moved.ravel()])
+    one, rank = np.ones(len(both), np.bool_), np.repeat([0, 1], [number.size, moved.size])
+    units = Units(np.arange(len(both)), rank, both, 0 * rank, one, step * both, np.zeros(2, int))
+    assert (factor(bending(units, vote(0, 1.0), K))[0] > 100) == sure
 
 
-@pytest.mark.parametrize("one", [Placement(1, 2 + 1j), Placement(2, -3j)])
-@pytest.mark.parametrize("other", [Placement(0, 5 + 0j), Placement(3, 1 - 4j)])
+def test_tears_have_the_same_energies_one_by_one():
+    """Tears of different sizes are solved together."""
+    units, _ = parts(range(6), range(7, 11), range(12, 14), range(15, 18))
+    votes = votes_for(7, 5, 3)
+    together = bending(units, votes, K)
+    alone = [bending(units, votes.chosen(np.array([n])), K)[0] for n in range(3)]
+    np.testing.assert_allclose(together, alone, rtol=1e-6)
+    assert (together.argmin(axis=1) == 0).all()
+
+
+@pytest.mark.parametrize("one", [(1, 2 + 1j), (2, -3j)])
+@pytest.mark.parametrize("other", [(0, 5 + 0j), (3, 1 - 4j)])
 def test_a_part_beside_a_turned_one_is_placed_through_it(one, other):
-    def placed(number, at):
-        return number * TURNS[at.quarter] + at.offset
+    """The third part in the second, the second in the first; and so are the votes of a fourth."""
 
-    number = 3 - 2j
-    assert placed(number, one.within(other)) == placed(placed(number, one), other)
-    assert placed(placed(number, one), one.inverse()) == number
+    def placed(number, quarter, offset):
+        return number * TURNS[quarter] + offset
+
+    first, second = np.array([0, 1]), np.array([1, 2])
+    quarters, offsets = (np.array(each) for each in zip(other, one, strict=True))
+    at = Placements.of(Votes(first, second, quarters, offsets + 0j, np.ones(2)), 4)
+    number, in_second = 3 - 2j, placed(3 - 2j, *one)
+    assert at.into.tolist() == [0, 0, 0, 3]
+    assert placed(number, at.quarter[2], at.offset[2]) == placed(in_second, *other)
+    votes = at.votes(Votes(*np.array([[2], [3], [1]]), np.array([2 - 1j]), np.ones(1)))
+    in_third = placed(number, 1, 2 - 1j)
+    expected = placed(placed(in_third, *one), *other)
+    assert placed(number, votes.quarter[0], votes.offset[0]) == expected
+
+
+def test_votes_are_turned_about_where_the_smaller_part_becomes_the_larger():
+    """The second part lies in the first, and the third, which is larger than it, beside it."""
+    at = Placements(np.array([0, 1, 0]), np.array([0, 0, 1]), np.array([0, 0, 3 + 2j]))
+    votes = at.votes(Votes(*np.array([[1], [2], [3]]), np.array([5 - 1j]), np.ones(1)))
+    assert (votes.first[0], votes.second[0]) == (0, 1)
+    number = 4 + 7j
+    in_second = number * TURNS[3] + 5 - 1j
+    in_first = number * TURNS[1] + 3 + 2j
+    assert in_second * TURNS[votes.quarter[0]] + votes.offset[0] == in_first

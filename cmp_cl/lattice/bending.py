@@ -1,0 +1,223 @@
+"""How much the surface bends across tears, of many tears at once; on the host."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from cmp_cl.lattice.arrays import Float, Mask, Numbers, Units, Votes, Whole
+from cmp_cl.lattice.constants import LatticeConstants
+
+TURNS = np.array([1, 1j, -1, -1j])
+# Shifts that keep the colours, of which the one of least bending is looked for.
+SHIFTS = np.array([0, 1 + 1j, 1 - 1j, -1 + 1j, -1 - 1j, 2, -2, 2j, -2j])
+TREND = 6  # terms of a quadratic
+ROUNDING = 1e-9  # cells^2, of the energy of a flat surface, which is 0
+HELD = 1e-7  # of squared terms, in the energy, so that those which nodes leave open are 0
+SEEN, SOLVED = 64, 16  # tears whose nodes are looked for, and whose systems are solved, at once
+PAIRS = 1 << 20  # of nodes whose distances are taken at once
+
+
+def bending(units: Units, asked: Votes, k: LatticeConstants) -> Float:
+    """Return the bending energy of the map from numbers to positions, cells^2, near the tear at
+    each placement, for each shift of it, (T, 9); infinite where it is not defined."""
+    energy = np.full((len(asked.first), len(SHIFTS)), np.inf)
+    nodes = _Nodes(units)
+    size = np.diff(nodes.bounds)[asked.second]
+    for some in _in_turns(np.argsort(size, kind="stable"), SEEN):
+        one, two = nodes.beside(asked.chosen(some), k)
+        known = np.flatnonzero((one.nodes >= TREND) & (two.nodes >= TREND // 2))
+        for each in _in_turns(known[np.lexsort((one.nodes[known], two.nodes[known]))], SOLVED):
+            cell = nodes.cell[asked.second[some[each]]]
+            energy[some[each]] = _energies(one.chosen(each), two.chosen(each), cell)
+    return energy
+
+
+def _in_turns(some: Whole, most: int) -> Iterator[Whole]:
+    """Yield so many of them at a time."""
+    return (some[start : start + most] for start in range(0, len(some), most))
+
+
+class _Sides(NamedTuple):
+    """Nodes on one side of each tear, (T, N): positions, px, numbers at the placement, and which
+    there are, the first ones."""
+
+    at: Numbers
+    number: Numbers
+    there: Mask
+
+    @property
+    def nodes(self) -> Whole:
+        """Return their numbers, (T,)."""
+        nodes: Whole = self.there.sum(axis=1)
+        return nodes
+
+    def chosen(self, some: Whole) -> "_Sides":
+        """Return the sides of some tears."""
+        most = int(self.nodes[some].max())
+        return _Sides._make(each[some, :most] for each in self)
+
+    def mean(self, values: Numbers) -> Numbers:
+        """Return the mean of values of the nodes, (T, 1)."""
+        mean: Numbers = np.sum(values, axis=1, where=self.there) / self.nodes
+        return mean[:, None]
+
+
+class _Nodes:
+    """The nodes of parts, from left to right in each, their rims, and the size of a cell, px."""
+
+    def __init__(self, units: Units) -> None:
+        self.units = units = units.chosen(np.lexsort((units.at.real, units.part)))
+        part, parts = units.part, len(units.faces)
+        self.rim = np.flatnonzero(units.rim)
+        self.bounds, self.rims = (
+            np.searchsorted(each, np.arange(parts + 1)) for each in (part, part[self.rim])
+        )
+        self.low, self.high = np.full(parts, np.inf), np.full(parts, -np.inf)
+        np.minimum.at(self.low, part, units.at.imag)
+        np.maximum.at(self.high, part, units.at.imag)
+        self.left = units.at.real.min(initial=np.inf)
+        self.wide = units.at.real.max(initial=-np.inf) - self.left + 1
+        self.key = part * self.wide + units.at.real - self.left  # they ascend
+        self.cell = _cells(units)
+
+    def beside(self, asked: Votes, k: LatticeConstants) -> tuple[_Sides, _Sides]:
+        """Return the nodes of both parts near the tear at each placement: less than three lines,
+        which a quadratic needs, farther from the other's rim than the nearest one. A corner of both
+        is of the smaller part."""
+        at, tears = self.units.at, np.arange(len(asked.first))
+        reach = (k.span + 1) / 2 * self.cell[asked.second]
+        start, stop, low, high = (
+            each[asked.second] for each in (self.bounds, self.bounds[1:], self.low, self.high)
+        )
+        around = 3 * reach  # nodes with votes are less than two apart
+        ends = np.stack([at.real[start] - around, at.real[stop - 1] + around]) - self.left
+        ends = asked.first * self.wide + np.clip(ends, 0, self.wide - 0.5)
+        tear, one = _spans(*np.searchsorted(self.key, ends))
+        y = at.imag[one]
+        some = (y > (low - around)[tear]) & (y < (high + around)[tear])
+        tear, one = tear[some], one[some]
+        rim = self.rims[asked.second], self.rims[asked.second + 1]
+        near = _are_near(at[one], tear, at[self.rim], rim, reach)
+        tear, one = tear[near], one[near]
+        outer = self.units.rim[one]
+        rim = np.searchsorted(tear[outer], tears), np.searchsorted(tear[outer], tears, "right")
+        own, two = _spans(start, stop)
+        near = _are_near(at[two], own, at[one[outer]], rim, reach)
+        fixed = self._sides(tear, one, len(tears), k.tear_most)
+        moved = self._sides(own[near], two[near], len(tears), k.tear_most)
+        turned = moved.number * TURNS[asked.quarter][:, None] + asked.offset[:, None]
+        return fixed, moved._replace(number=turned)
+
+    def _sides(self, tear: Whole, node: Whole, tears: int, most: int) -> _Sides:
+        """Return nodes tear by tear, at most so many of each."""
+        count = np.bincount(tear, minlength=tears)[:, None]
+        place = np.arange(most)
+        there = place < count
+        place = np.where(count > most, place * (count - 1) // (most - 1), place * there)
+        place += count.cumsum()[:, None] - count
+        some = np.append(node, 0)[np.minimum(place, len(node))]
+        return _Sides(self.units.at[some], self.units.number[some], there)
+
+
+def _cells(units: Units) -> Float:
+    """Return the length of a step in each part, px, by a linear fit; 0 without one, (P,)."""
+
+    def total(values: Numbers) -> Numbers:
+        real, imag = (
+            np.bincount(units.part, each, len(units.faces)) for each in (values.real, values.imag)
+        )
+        total: Numbers = real + 1j * imag
+        return total
+
+    count = np.maximum(total(np.ones(len(units.part), np.complex128)), 1)
+    number, at = (each - (total(each) / count)[units.part] for each in (units.number, units.at))
+    square = total(number * number.conj()).real
+    cell: Float = np.abs(total(number.conj() * at)) / np.where(square > 0, square, 1)
+    return cell
+
+
+def _spans(start: Whole, stop: Whole) -> tuple[Whole, Whole]:
+    """Return all whole numbers from each start to its stop, and of which start each is."""
+    length = stop - start
+    which = np.repeat(np.arange(len(length)), length)
+    return which, np.arange(len(which)) + (start - length.cumsum() + length)[which]
+
+
+def _are_near(
+    at: Numbers, tear: Whole, others: Numbers, rim: tuple[Whole, Whole], reach: Float
+) -> Mask:
+    """Return which nodes, that stand tear by tear, are less than `reach` of their tear farther from
+    its others than the nearest one. The others of a tear are those from one place to another."""
+    at, others = at.astype(np.complex64), others.astype(np.complex64)
+    start, stop = (each[tear] for each in rim)
+    away = np.full(len(at), np.inf, np.float32)
+    some = np.flatnonzero(stop > start)
+    pairs = (stop - start)[some].cumsum()
+    ends = np.searchsorted(pairs, np.arange(PAIRS, pairs[-1:].sum() + 1, PAIRS))
+    for block in np.split(some, ends):
+        if len(block):
+            which, other = _spans(start[block], stop[block])
+            apart = np.abs(at[block][which] - others[other])
+            first = np.append(0, np.flatnonzero(np.diff(which)) + 1)
+            away[block] = np.minimum.reduceat(apart, first)
+    away[away == 0] = np.inf  # a corner of both parts
+    nearest = np.full(len(reach), np.inf, np.float32)
+    np.minimum.at(nearest, tear, away)
+    near: Mask = away < (nearest + reach.astype(np.float32))[tear]
+    return near
+
+
+def _energies(one: _Sides, two: _Sides, cell: Float) -> Float:
+    """Return the energies for each shift of the second sides; cell: px, of each tear.
+
+    Cubic radial functions with a quadratic trend: M [w; c] = [x; 0], energy x' w, with
+    M = [K + I, B; B', 0]. The first side and the trend are eliminated once; the energy is theirs,
+    and that of what they leave of the second side. A row without a node is one of I, and -HELD I
+    stands in place of 0, since the first side may leave the trend open.
+    """
+    tears, most = one.at.shape
+    others = two.at.shape[1]
+    origin, middle = one.mean(one.number), two.mean(two.at)
+    x, y = np.zeros((tears, most + TREND, 2)), np.zeros((tears, 1, others, 2))
+    for side, to in ((one, x[:, :most]), (two, y[:, 0])):
+        to[side.there] = (
+            ((side.at - middle) / cell[:, None])[side.there].view(np.float64).reshape(-1, 2)
+        )
+    first, second = one.number - origin, two.number - origin
+    shifted = (SHIFTS[:, None] + second[:, None]).reshape(tears, -1)
+    there = np.tile(two.there, len(SHIFTS))
+    system = np.zeros((tears, most + TREND, most + TREND))
+    system[:, :most, :most] = _cubes(first, one.there, first, one.there) + np.eye(most)
+    system[:, :most, most:] = _trend(first, one.there)
+    system[:, most:, :most] = system[:, :most, most:].transpose(0, 2, 1)
+    system[:, range(most, most + TREND), range(most, most + TREND)] = -HELD
+    beside = np.concatenate(
+        [_cubes(shifted, there, first, one.there), _trend(shifted, there)], axis=2
+    )
+    beside = beside.reshape(tears, len(SHIFTS), others, -1)
+    inverse = np.linalg.inv(system)
+    across = beside @ inverse[:, None]  # one small product a shift: BLAS starts no threads
+    left = y - across @ x[:, None]
+    own = (_cubes(second, two.there, second, two.there) + np.eye(others))[:, None]
+    w = np.linalg.solve(own - across @ beside.transpose(0, 1, 3, 2), left)
+    energy: Float = (x * (inverse @ x)).sum(axis=(1, 2))[:, None] + (left * w).sum(axis=(2, 3))
+    return np.where(energy > -ROUNDING, np.maximum(energy, ROUNDING), np.inf)
+
+
+def _trend(number: Numbers, there: Mask) -> Float:
+    """Return the terms of a quadratic at each number, (..., N, TREND); 0 where there is no node."""
+    x, y = number.real, number.imag
+    return np.stack([np.ones(x.shape), x, y, x * x, y * y, x * y], axis=-1) * there[..., None]
+
+
+def _cubes(a: Numbers, in_a: Mask, b: Numbers, in_b: Mask) -> Float:
+    """Return the cubed distances of all pairs, (..., A, B); 0 where there is no node."""
+    x, y = (one[..., None] - two[..., None, :] for one, two in ((a.real, b.real), (a.imag, b.imag)))
+    x *= x
+    y *= y
+    x += y
+    x *= np.sqrt(x)
+    x *= in_a[..., None]
+    x *= in_b[..., None, :]
+    return x
