@@ -69,7 +69,8 @@ def read_image(path: str | PathLike[str]) -> GreyImage:
 def read_pages(path: str | PathLike[str]) -> Iterator[GreyImage]:
     """Read the pages of an image file one by one, as `read_image` does; only a TIFF has several.
 
-    Of a TIFF that is cut off, those before the cut are read. The first page says whether any is
+    Of an animation the first image is read, because OpenCV repeats a WebP without end. Of a TIFF
+    that is cut off, the pages before the cut are read. The first page says whether any is
     transparent.
     """
     check_path(path, ImageError)
@@ -83,12 +84,13 @@ def read_pages(path: str | PathLike[str]) -> Iterator[GreyImage]:
         raise ImageError(f"cannot read {str(path)!r}: {error.strerror}") from error
     first, pages = 0, _decoded(data, path, 0, 1)
     count = max(1, _BLOCK // max(pages[0].size, 1))
+    is_tiff = data[:2].tobytes() in (b"II", b"MM")
     alpha = _has_alpha(pages[0], data)
     while pages:
         for number, page in enumerate(pages, first):
             yield _over_white(page, data, number) if alpha else page
         first += len(pages)
-        pages = _decoded(data, path, first, count)
+        pages = _decoded(data, path, first, count) if is_tiff else []
 
 
 def _decoded(
