@@ -1,5 +1,6 @@
 """One, two or more cameras, calibrated on views of a board."""
 
+import dataclasses
 import math
 
 import cv2
@@ -203,6 +204,9 @@ def test_views_that_determine_nothing_are_refused():
     other = [grid_of(grid.xy[:, ::-1]) for grid in views({"b": THREE["b"]})["b"]]
     with pytest.raises(CalibrationError, match=r"none is mirrored|no pose between"):
         calibrated({"a": seen["a"], "b": other})
+    plain = dataclasses.replace(THREE["a"], distortion=np.zeros(5))
+    with pytest.raises(CalibrationError, match="tilted.*; or choose the lens pinhole"):
+        calibrated(views({"a": plain}, noise=0), lens=Lens.RATIONAL)
 
 
 def test_the_sigma_of_the_focal_length_is_that_of_its_error_where_neighbours_share_noise():

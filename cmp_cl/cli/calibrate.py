@@ -85,18 +85,18 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.window is not None:
         rig = through_window(found.rig(), arguments, device)
         window, covariance = rig.window, rig.covariance
+    names = {name: [shown(path.name) for path in paths] for name, paths in files.items()}
+    _report(found, names)
     written = save_cameras(out, found.cameras, covariance=covariance, window=window)
     if arguments.corners is not None:
         corners = [zip(map(str, files[name]), grids[name], strict=True) for name in files]
         save_corners(arguments.corners, dict(itertools.chain(*corners)))
         written.append(Path(arguments.corners))
-    names = {name: [shown(path.name) for path in paths] for name, paths in files.items()}
     try:
         save_figure(picture, calibration_figure(found, names))
         written.append(picture)
     except ConfigError as error:  # matplotlib is not installed
         tell(f"no picture: {one_line(error)}")
-    _report(found, names)
     print(f"wrote {', '.join(map(shown, written))}; corners found on {device}")
     return 0
 

@@ -71,6 +71,7 @@ def boards():
 
 
 BOARD = "--board", "12x12", "--square", "2", "--out", "rig.yaml"
+HALVES = "half0.png", "half1.png", "half2.png"
 AT_REST = "--rest", "1.png", "--grid", "20x20", "--pitch", "0.8"
 
 
@@ -111,9 +112,10 @@ def test_calibrate_finds_the_cameras_again(run, boards):
         (["0.png", "--corners", "c.mat"], ["--corners c.mat must end in .vnl"]),
         (["--stereo", "0.png", "--corners", "c.vnl"], ["0.png shows two views", "by its file"]),
         (
-            ["--left", "0.png", "half.png", "--right", "plain.png", "plain.png"],
+            ["--left", "0.png", "half0.png", "--right", "plain.png", "plain.png"],
             ["no view of right shows", "plain.png: no pattern"],
         ),
+        (["--left", *HALVES, "--right", *HALVES], ["two cameras at one point see no depth"]),
         (["--camera", "a=gone.png"], ["gone.png"]),
         (["--camera", "noname.png"], ["NAME=IMAGE"]),
         (["--camera", "a=0.png", "1.png", "--camera", "b=0.png"], ["2 of a and 1 of b"]),
@@ -135,9 +137,9 @@ def test_a_wrong_argument_of_calibrate_is_one_line_and_no_file(
 ):
     cv2.imwrite("plain.png", np.full(VIEW, 90, np.uint8))
     Path("plain.mp4").touch()
-    for number in range(2):
-        cv2.imwrite(f"{number}.png", boards[number])
-    cv2.imwrite("half.png", boards[0][:, : VIEW[1]])
+    for number, both in enumerate(boards[:3]):
+        cv2.imwrite(f"{number}.png", both)
+        cv2.imwrite(f"half{number}.png", both[:, : VIEW[1]])
     fails_in_one_line(run("calibrate", *BOARD, *arguments), *words)
     assert not list(tmp_path.glob("rig.*"))
 

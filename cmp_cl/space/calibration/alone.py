@@ -43,6 +43,9 @@ def calibrate_alone(name: str, lens: Lens, looks: Sequence[Look], size: tuple[in
     """
     nodes = [np.ascontiguousarray(look.nodes[:, None], np.float32) for look in looks]
     points = [np.ascontiguousarray(look.xy[:, None], np.float32) for look in looks]
+    cure = "show the board tilted, in different directions"
+    if lens is Lens.RATIONAL:
+        cure += "; or choose the lens pinhole, which suits a lens of little distortion"
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # with several, the last bits of OpenCV's sums differ from run to run
     try:
@@ -55,10 +58,7 @@ def calibrate_alone(name: str, lens: Lens, looks: Sequence[Look], size: tuple[in
                 criteria=_STOP,
             )  # fmt: skip
     except cv2.error as failure:
-        raise CalibrationError(
-            f"{name}: the views do not determine the camera: show the board tilted, in different "
-            "directions"
-        ) from failure
+        raise CalibrationError(f"{name}: the views do not determine the camera: {cure}") from failure
     finally:
         cv2.setNumThreads(threads)
     coefficients = distortion.ravel()[: lens.coefficients]
@@ -68,11 +68,12 @@ def calibrate_alone(name: str, lens: Lens, looks: Sequence[Look], size: tuple[in
         dataclasses.replace(look, camera=0, moment=moment) for moment, look in enumerate(looks)
     ]
     spread = covariance(numbered, State(camera[None], np.array(poses)))
-    sigma = math.inf if spread is None else math.sqrt(float(np.diag(spread)[:2].max()))
-    if not sigma < _MAX_FOCAL_SIGMA * camera[0]:
+    if spread is None:
+        raise CalibrationError(f"{name}: the views do not determine the camera: {cure}")
+    share = math.sqrt(float(np.diag(spread)[:2].max())) / camera[0]
+    if not share < _MAX_FOCAL_SIGMA:
         raise CalibrationError(
-            f"{name}: the views leave the focal length uncertain by {sigma / camera[0]:.0%}: "
-            "show the board tilted, in different directions"
+            f"{name}: the views leave the focal length uncertain by {share:.0%}: {cure}"
         )
     moments = [look.moment for look in looks]
     return Alone(camera, dict(zip(moments, poses, strict=True)), float(error))
