@@ -93,7 +93,9 @@ def _parser() -> argparse.ArgumentParser:
     for command in (demo, pattern, calibrate, run, plot, detect, render, devices):
         name = command.__name__.rpartition(".")[2]
         what = (command.__doc__ or "").partition(": ")[2].rstrip(".")
-        inner = commands.add_parser(name, help=what, description=command.DESCRIPTION)
+        inner = commands.add_parser(  # --rig is no short form of --right
+            name, help=what, description=command.DESCRIPTION, allow_abbrev=False
+        )
         command.add_arguments(inner)
         inner.set_defaults(run=command.run)
     return parser

@@ -93,7 +93,7 @@ PATTERN = "pattern", "--grid", "4x4"
     [
         ((), ["COMMAND"]),
         (("bogus",), ["bogus", "detect"]),
-        (("detect", BOARD, "--outt", "c.csv"), ["--outt c.csv; cmp-cl detect --help"]),
+        (("run", BOARD, "--rig", "r.yaml", "--out", "a.npz"), ["unrecognized", "--rig r.yaml; "]),
         (("detect", BOARD, "--config", "text.png"), ["text.png: it is not TOML"]),
         (("detect", "missing.png"), ["there is no file 'missing.png'"]),
         (("detect", "empty"), ["no image and no video in the folder 'empty'"]),
