@@ -79,6 +79,8 @@ def _not_an_image(image: Any) -> Exception:
             "numpy.nan_to_num(image * (255 / white)).clip(0, 255).astype(numpy.uint8) converts, "
             "white being its largest level"
         )
+        if image.dtype.newbyteorder("=") in _PIXELS:
+            hint = "image.astype(numpy.uint16) converts"
     elif not image.size:
         hint = "there must be at least one pixel"
     else:

@@ -281,7 +281,7 @@ def test_a_shape_beyond_the_memory_of_the_device_is_refused(device):
 
 WRONG = {
     "float": (BOARD.astype(np.float32), r"uint8.*float32.*astype"),
-    "big endian": (BOARD.astype(">u2"), r">u2.*astype"),
+    "big endian": (BOARD.astype(">u2"), r">u2; image.astype\(numpy.uint16\)"),
     "colour": (np.dstack([BOARD] * 3), r"cvtColor\(image, cv2.COLOR_BGR2GRAY\)"),
     "stack": (np.stack([BOARD] * 7), r"one frame of it"),
     "row": (BOARD[0], r"reshape"),
