@@ -172,6 +172,7 @@ def test_the_sigma_of_a_strain_counts_the_errors_that_neighbours_share():
 def test_a_strain_is_that_at_its_node_also_at_a_border_and_beside_a_hole(space):
     """Its gradient is constant: over nodes that lie to one side, their mean would be another."""
     rest = gel(18, 19, depth=0)
+    rest[..., 0] += 0.2 * rest[..., 1]  # cells are no squares
     x, y, flat = rest[..., 0], rest[..., 1], np.zeros((18, 19))
     now = rest + np.stack([0.01 * x * x + 0.02 * x * y, 0.01 * y * y, 0.01 * x * x], axis=-1)
     by_x = np.stack([1 + 0.02 * x + 0.02 * y, flat, 0.02 * x], axis=-1)
@@ -181,6 +182,8 @@ def test_a_strain_is_that_at_its_node_also_at_a_border_and_beside_a_hole(space):
     products = [(one * two).sum(axis=2) for one, two in ((by_x, by_x), (by_y, by_y), (by_x, by_y))]
     truth = (np.stack(products, axis=-1) - [1, 1, 0]) / 2
     now[6:11, 8:10] = now[3, 4] = np.nan
+    if space:  # as a whole the gel turns, which strains nothing
+        rest, now = rotated(rest), rotated(rotated(now))
     missing, beside = np.isnan(now[..., 0]), np.zeros((18, 19), bool)
     beside[[0, -1]] = beside[:, [0, -1]] = beside[5:12, 7:11] = beside[2:5, 3:6] = True
     exact = green_lagrange(rest, now)
@@ -208,15 +211,6 @@ def test_a_strain_follows_a_cubic_displacement_where_all_nodes_around_stand():
     whole[2, 2] = False
     assert off[whole].max() < 1e-9
     assert np.nanmax(off[~whole]) > 1e-4
-
-
-def test_a_homogeneous_deformation_has_its_strain_everywhere():
-    flat = gel(9, 11, depth=0)
-    gradient = np.array([[1.10, 0.06], [-0.02, 0.93]])
-    now = flat.copy()
-    now[..., :2] = flat[..., :2] @ gradient.T
-    for moments in ((rotated(flat), rotated(rotated(now))), (flat[..., :2], now[..., :2])):
-        np.testing.assert_allclose(green_lagrange(*moments) - green(gradient), 0, atol=1e-10)
 
 
 def test_cells_of_known_side_give_millimetres_through_a_homography():
