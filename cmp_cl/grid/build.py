@@ -1,12 +1,13 @@
 """Corners are arranged by row and column here."""
 
-from collections.abc import Iterable
+import contextlib
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError, ImageError, check_kind, check_shape
-from cmp_cl.grid.choice import Asked, chosen_of, found_in
+from cmp_cl.grid.choice import Asked, by_size, chosen_of, found_in
 from cmp_cl.grid.grid import Grid, check_size, empty_grid
 from cmp_cl.grid.placing import placed
 from cmp_cl.image import GreyImage, check_image
@@ -66,7 +67,8 @@ def build_grid(
     corners' own; DeviceError.
     """
     asked = asked_of(shape, like, previous)
-    return grid_of(_boards_of(corners, image, device), corners, asked, strict=strict)
+    with _boards_of(corners, image, device) as found:
+        return grid_of(found, corners, asked, strict=strict)
 
 
 def grid_of(
@@ -102,24 +104,29 @@ def build_grids(
     Raises the errors of `build_grid` for its arguments.
     """
     asked = asked_of(shape, None, None)
-    found = found_in(_boards_of(corners, image, device), asked, corners)
+    with _boards_of(corners, image, device) as boards_of_view:
+        found = by_size(found_in(boards_of_view, asked, corners))
     if shape is not None:
         found = [each for each in found if 2 * each.size >= shape[0] * shape[1]]
     return [placed(each, corners, asked) for each in found]
 
 
-def _boards_of(corners: Corners, image: GreyImage, device: Device | str | None) -> list[Board]:
-    """Return the boards that corners form, the largest part's first."""
+@contextlib.contextmanager
+def _boards_of(
+    corners: Corners, image: GreyImage, device: Device | str | None
+) -> Iterator[Iterable[Board]]:
+    """Give the boards that corners form, the largest part's first, one after the other."""
     frame = check_image(image)
     _check_corners(corners, frame)
     count = len(corners)
     if count < 4:
-        return []
+        yield ()
+        return
     plan = lattice_plan(select_device(device), frame.shape, frame.dtype, _full_scale(frame), count)
     with plan.lock:
         plan.take(frame, corners.xy, corners.edges, corners.refusal)
         plan.start()
-        return list(boards(plan, corners.xy))
+        yield boards(plan, corners.xy)
 
 
 def _full_scale(image: GreyImage) -> int:

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import cv2
@@ -154,13 +154,12 @@ class Found:
         return self.decision.best.nats > -K.end_nats
 
 
-def found_in(boards: Iterable[Board], asked: Asked, corners: Corners) -> list[Found]:
-    """Return the boards of a view with their numbers, those of more corners first.
+def found_in(boards: Iterable[Board], asked: Asked, corners: Corners) -> Iterator[Found]:
+    """Yield the boards of a view with their numbers.
 
     Where corners go on a board's lattice, lines may follow that are not seen, and it does not end
     on their side; without a known size that is told.
     """
-    found = []
     for board in boards:
         if not (board.owner >= 0).any():
             continue
@@ -170,7 +169,11 @@ def found_in(boards: Iterable[Board], asked: Asked, corners: Corners) -> list[Fo
             reach = np.where(none, board.border.reach, np.nan)
             follows = board.border.follows & none
             board.border = Border(reach, follows, np.zeros(4, np.bool_), lines)
-        found.append(Found(board, _decided(board, asked, corners), count))
+        yield Found(board, _decided(board, asked, corners), count)
+
+
+def by_size(found: Iterable[Found]) -> list[Found]:
+    """Return boards, those of more corners first."""
     return sorted(found, key=lambda each: -each.size)
 
 
@@ -299,13 +302,14 @@ def reference_of(grid: Grid) -> Reference:
     return Reference(board, prints, grid.origin, not grid.ambiguous)
 
 
-def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | None, Told]:
+def chosen_of(boards: Iterable[Found], asked: Asked, count: int) -> tuple[Found | None, Told]:
     """Return the board that is meant, None without any, and what speaks for other numbers.
 
     count: corners in the view.
 
     Raises GridError if two are comparable, or the board holds few of the corners.
     """
+    found = by_size(_until_two(boards, asked))
     if not found:
         return None, NOTHING
     others = 0
@@ -336,6 +340,22 @@ def chosen_of(found: list[Found], asked: Asked, count: int) -> tuple[Found | Non
     return chosen, next((each for each in told if each.number), NOTHING)
 
 
+def _until_two(found: Iterable[Found], asked: Asked) -> Iterator[Found]:
+    """Yield the boards, unless two are seen that leave no choice.
+
+    Raises GridError once two have the known size; without one, once two comparable ones are whole.
+    """
+    sure: list[Found] = []
+    for each in found:
+        if asked.like is None and (each.fills(asked.shape) if asked.shape else each.is_whole):
+            for other in sure:
+                larger, smaller = by_size([other, each])
+                if asked.shape or smaller.is_comparable(larger):
+                    raise _two(larger, smaller)
+            sure.append(each)
+        yield each
+
+
 def _alike(found: list[Found]) -> tuple[Found, int]:
     """Return the board that fits the print and the borders of the pattern at rest; and the corners
     of the largest other that fits about as well, 0 without one."""
@@ -346,13 +366,9 @@ def _alike(found: list[Found]) -> tuple[Found, int]:
 
 def _fitting(found: list[Found], shape: tuple[int, int]) -> Found:
     """Return the board that fits the known size."""
-    fitting = [each for each in found if each.fills(shape)]
-    if len(fitting) > 1:
-        raise _two(*fitting[:2])
-    if fitting:
-        return fitting[0]
-    first = found[0]
-    return next((each for each in found if each.fits and 2 * each.size >= first.size), first)
+    filling = [each for each in found if each.fills(shape)]
+    large = [each for each in found if each.fits and 2 * each.size >= found[0].size]
+    return [*filling, *large, found[0]][0]
 
 
 def _alone(found: list[Found]) -> tuple[Found, int]:
