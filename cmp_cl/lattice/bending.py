@@ -14,6 +14,7 @@ SHIFTS = np.array([0, 1 + 1j, 1 - 1j, -1 + 1j, -1 - 1j, 2, -2, 2j, -2j])
 TREND = 6  # terms of a quadratic
 ROUNDING = 1e-9  # cells^2, of the energy of a flat surface, which is 0
 HELD = 1e-7  # of squared terms, in the energy, so that those which nodes leave open are 0
+NOWHERE = 1e30  # cells^2, the variance of a node that is not there
 SEEN, SOLVED = 64, 16  # tears whose nodes are looked for, and whose systems are solved, at once
 PAIRS = 1 << 20  # of nodes whose distances are taken at once
 
@@ -51,6 +52,11 @@ class _Sides(NamedTuple):
         """Return their numbers, (T,)."""
         nodes: Whole = self.there.sum(axis=1)
         return nodes
+
+    @property
+    def variance(self) -> Float:
+        """Return the matrices of the nodes' variances, cells^2, (T, N, N)."""
+        return np.eye(self.there.shape[1]) * np.where(self.there, 1, NOWHERE)[:, None]
 
     def chosen(self, some: Whole) -> "_Sides":
         """Return the sides of some tears."""
@@ -149,7 +155,6 @@ def _are_near(
 ) -> Mask:
     """Return which nodes, that stand tear by tear, are less than `reach` of their tear farther from
     its others than the nearest one. The others of a tear are those from one place to another."""
-    at, others = at.astype(np.complex64), others.astype(np.complex64)
     start, stop = (each[tear] for each in rim)
     away = np.full(len(at), np.inf, np.float32)
     some = np.flatnonzero(stop > start)
@@ -157,10 +162,11 @@ def _are_near(
     ends = np.searchsorted(pairs, np.arange(PAIRS, pairs[-1:].sum() + 1, PAIRS))
     for block in np.split(some, ends):
         if len(block):
-            which, other = _spans(start[block], stop[block])
-            apart = np.abs(at[block][which] - others[other])
-            first = np.append(0, np.flatnonzero(np.diff(which)) + 1)
-            away[block] = np.minimum.reduceat(apart, first)
+            length = stop[block] - start[block]
+            _, other = _spans(start[block], stop[block])
+            apart = np.repeat(at[block], length) - others[other]
+            square = apart.real**2 + apart.imag**2
+            away[block] = np.sqrt(np.minimum.reduceat(square, length.cumsum() - length))
     away[away == 0] = np.inf  # a corner of both parts
     nearest = np.full(len(reach), np.inf, np.float32)
     np.minimum.at(nearest, tear, away)
@@ -172,52 +178,48 @@ def _energies(one: _Sides, two: _Sides, cell: Float) -> Float:
     """Return the energies for each shift of the second sides; cell: px, of each tear.
 
     Cubic radial functions with a quadratic trend: M [w; c] = [x; 0], energy x' w, with
-    M = [K + I, B; B', 0]. The first side and the trend are eliminated once; the energy is theirs,
-    and that of what they leave of the second side. A row without a node is one of I, and -HELD I
-    stands in place of 0, since the first side may leave the trend open.
+    M = [K + V, B; B', 0]. The first side and the trend are eliminated once; the energy is theirs,
+    and that of what they leave of the second side. V is 1 for a node, and without end for one that
+    is not there. In place of 0 stands -HELD I, since the first side may leave the trend open.
     """
     tears, most = one.at.shape
-    others = two.at.shape[1]
     origin, middle = one.mean(one.number), two.mean(two.at)
-    x, y = np.zeros((tears, most + TREND, 2)), np.zeros((tears, 1, others, 2))
-    for side, to in ((one, x[:, :most]), (two, y[:, 0])):
-        to[side.there] = (
-            ((side.at - middle) / cell[:, None])[side.there].view(np.float64).reshape(-1, 2)
-        )
     first, second = one.number - origin, two.number - origin
-    shifted = (SHIFTS[:, None] + second[:, None]).reshape(tears, -1)
-    there = np.tile(two.there, len(SHIFTS))
+    x, y = (_as_pairs((side.at - middle) / cell[:, None]) for side in (one, two))
+    x = np.pad(x, ((0, 0), (0, TREND), (0, 0)))
     system = np.zeros((tears, most + TREND, most + TREND))
-    system[:, :most, :most] = _cubes(first, one.there, first, one.there) + np.eye(most)
-    system[:, :most, most:] = _trend(first, one.there)
+    system[:, :most, :most] = _cubes(first, first) + one.variance
+    system[:, :most, most:] = _trend(first)
     system[:, most:, :most] = system[:, :most, most:].transpose(0, 2, 1)
-    system[:, range(most, most + TREND), range(most, most + TREND)] = -HELD
-    beside = np.concatenate(
-        [_cubes(shifted, there, first, one.there), _trend(shifted, there)], axis=2
-    )
-    beside = beside.reshape(tears, len(SHIFTS), others, -1)
+    system[:, most:, most:] = -HELD * np.eye(TREND)
+    shifted = (SHIFTS[:, None] + second[:, None]).reshape(tears, -1)
+    beside = np.concatenate([_cubes(shifted, first), _trend(shifted)], axis=2)
+    beside = beside.reshape(tears, len(SHIFTS), -1, most + TREND)
     inverse = np.linalg.inv(system)
     across = beside @ inverse[:, None]  # one small product a shift: BLAS starts no threads
-    left = y - across @ x[:, None]
-    own = (_cubes(second, two.there, second, two.there) + np.eye(others))[:, None]
+    left = y[:, None] - across @ x[:, None]
+    own = (_cubes(second, second) + two.variance)[:, None]
     w = np.linalg.solve(own - across @ beside.transpose(0, 1, 3, 2), left)
     energy: Float = (x * (inverse @ x)).sum(axis=(1, 2))[:, None] + (left * w).sum(axis=(2, 3))
     return np.where(energy > -ROUNDING, np.maximum(energy, ROUNDING), np.inf)
 
 
-def _trend(number: Numbers, there: Mask) -> Float:
-    """Return the terms of a quadratic at each number, (..., N, TREND); 0 where there is no node."""
+def _as_pairs(values: Numbers) -> Float:
+    """Return complex numbers as real ones, (T, N, 2)."""
+    return np.stack([values.real, values.imag], axis=-1)
+
+
+def _trend(number: Numbers) -> Float:
+    """Return the terms of a quadratic at each number, (..., N, TREND)."""
     x, y = number.real, number.imag
-    return np.stack([np.ones(x.shape), x, y, x * x, y * y, x * y], axis=-1) * there[..., None]
+    return np.stack([np.ones(x.shape), x, y, x * x, y * y, x * y], axis=-1)
 
 
-def _cubes(a: Numbers, in_a: Mask, b: Numbers, in_b: Mask) -> Float:
-    """Return the cubed distances of all pairs, (..., A, B); 0 where there is no node."""
+def _cubes(a: Numbers, b: Numbers) -> Float:
+    """Return the cubed distances of all pairs, (..., A, B)."""
     x, y = (one[..., None] - two[..., None, :] for one, two in ((a.real, b.real), (a.imag, b.imag)))
     x *= x
     y *= y
     x += y
     x *= np.sqrt(x)
-    x *= in_a[..., None]
-    x *= in_b[..., None, :]
     return x
