@@ -11,7 +11,7 @@ from scenes import board, corners_of
 from cmp_cl import Grid, GridError, build_grid, detect
 from cmp_cl.grid import Others, Rival, Sides, align
 from cmp_cl.grid.choice import Asked, Found, chosen_of
-from cmp_cl.lattice.arrays import Board
+from cmp_cl.lattice.arrays import Board, Border
 from cmp_cl.lattice.numbers import Decision, Numbering
 
 
@@ -150,3 +150,22 @@ def test_regions_are_of_cells_with_firm_nodes_that_share_sides(first, second, co
             found,
             (counted, Others.HANGING if counted else Others.NONE),
         )
+
+
+@pytest.mark.parametrize("asked", [Asked(), Asked(shape=(6, 9))])
+def test_no_more_boards_are_looked_for_once_two_leave_no_choice(asked):
+    none, one = np.zeros((6, 9), np.bool_), np.ones(4)
+    x, y = np.meshgrid(np.arange(9.0), np.arange(6.0))
+    border = Border(reach=one, follows=one < 0, room=one > 0)
+
+    def boards():
+        for left in (0, 20):
+            owner = np.arange(54).reshape(6, 9)
+            board = Board(
+                x=x + left, y=y, owner=owner, torn=none, firm=~none, sign=1, border=border
+            )
+            yield Found(board, Decision(Numbering(0, 0, 0, 0, 0), None, np.inf), 0)
+        raise AssertionError("a third one was looked for")
+
+    with pytest.raises(GridError, match="two patterns are seen, of 54 and 54 corners"):
+        chosen_of(boards(), asked, 1000)
