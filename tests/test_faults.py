@@ -114,6 +114,7 @@ def test_pocl_runs_no_kernels_of_a_folder_that_everybody_may_write_to(device, tm
     status, said = detected(device, POCL_CACHE_DIR=str(shared))
     assert status == 1
     assert f"the compiled kernels in {str(shared)!r} may be someone else's" in said
+    assert "name another one in POCL_CACHE_DIR" in said
     assert not list(shared.rglob("*.so"))
 
 

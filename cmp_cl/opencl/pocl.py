@@ -123,7 +123,7 @@ def _check_owner(folder: Path) -> None:
     if status.st_uid not in (os.getuid(), 0) or status.st_mode & stat.S_IWOTH:
         raise DeviceError(
             f"the compiled kernels in {str(folder)!r} may be someone else's: the folder is another "
-            "user's or everybody may write to it; name another one in XDG_CACHE_HOME, or chmod o-w"
+            "user's or everybody may write to it; name another one in POCL_CACHE_DIR, or chmod o-w"
         )
 
 
@@ -182,13 +182,13 @@ def reason_stuck() -> str:
             pass
     except OSError as error:
         return (
-            f"PoCL cannot write to its cache {str(folder)!r}: {error.strerror}; XDG_CACHE_HOME "
+            f"PoCL cannot write to its cache {str(folder)!r}: {error.strerror}; POCL_CACHE_DIR "
             "names another folder"
         )
     free = shutil.disk_usage(there).free
     if free < _LEAST_FREE:
         return (
             f"PoCL's cache {str(folder)!r} is on a disk with {free} bytes left, and PoCL ends the "
-            "process if it is full; free some space, or name another folder in XDG_CACHE_HOME"
+            "process if it is full; free some space, or name another folder in POCL_CACHE_DIR"
         )
     return ""
