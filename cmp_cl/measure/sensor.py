@@ -148,7 +148,7 @@ class Sensor(Frames):
 
     @staticmethod
     def replay(path: str | PathLike[str], *, serial: str = "", **settings: Any) -> Frames:
-        """Return the frames of a series, .npz or .h5, at their times.
+        """Return the frames of a series, .npz or .h5, at their times after the first one.
 
         settings: recvCallback, maxQSize and callbackParam. Raises FieldError if the file is no
         series in space.
@@ -216,11 +216,14 @@ class _Replay(Frames):
     def _frames(
         self, series: Mapping[str, NDArray[Any]], serial: str
     ) -> Generator[Frame, None, None]:
-        start = time.monotonic()
+        start = math.nan  # of the clock of the series
         for index, time_ms, moved in zip(
             series["index"], series["time_ms"], series["displacement"], strict=True
         ):
-            pause = start + float(time_ms) / 1e3 - time.monotonic()
+            time_s = float(time_ms) / 1e3
+            if math.isnan(start):
+                start = time.monotonic() - time_s  # the first frame comes at once
+            pause = start + time_s - time.monotonic()
             if pause > 0 and self._closing.wait(min(pause, threading.TIMEOUT_MAX)):
                 return
             yield frame_of_pytac3d(
@@ -229,7 +232,7 @@ class _Replay(Frames):
                 str(series["unit"]),
                 serial=serial,
                 index=int(index),
-                time_s=float(time_ms) / 1e3,
+                time_s=time_s,
             )
 
     def close(self) -> None:
