@@ -68,7 +68,7 @@ class Found:
         """Return the number of its corners."""
         return int(np.count_nonzero(self.board.owner >= 0))
 
-    @property
+    @functools.cached_property
     def box(self) -> tuple[float, float, float, float]:
         """Return the least x and y, and the greatest, of its nodes, px."""
         mine = self.board.owner >= 0

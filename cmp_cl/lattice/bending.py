@@ -16,6 +16,7 @@ ROUNDING = 1e-9  # cells^2, of the energy of a flat surface, which is 0
 HELD = 1e-7  # of squared terms, in the energy, so that those which nodes leave open are 0
 NOWHERE = 1e30  # cells^2, the variance of a node that is not there
 SEEN, SOLVED = 64, 16  # tears whose nodes are looked for, and whose systems are solved, at once
+RIM = 128  # nodes, of a rim, to which distances are taken
 PAIRS = 1 << 20  # of nodes whose distances are taken at once
 
 
@@ -75,7 +76,8 @@ class _Nodes:
     def __init__(self, units: Units) -> None:
         self.units = units = units.chosen(np.lexsort((units.at.real, units.part)))
         part, parts = units.part, len(units.faces)
-        self.rim = np.flatnonzero(units.rim)
+        rim = np.flatnonzero(units.rim)
+        self.rim = rim[_are_left(part[rim], RIM)]
         self.bounds, self.rims = (
             np.searchsorted(each, np.arange(parts + 1)) for each in (part, part[self.rim])
         )
@@ -106,7 +108,8 @@ class _Nodes:
         rim = self.rims[asked.second], self.rims[asked.second + 1]
         near = _are_near(at[one], tear, at[self.rim], rim, reach)
         tear, one = tear[near], one[near]
-        outer = self.units.rim[one]
+        outer = np.flatnonzero(self.units.rim[one])
+        outer = outer[_are_left(tear[outer], RIM)]
         rim = np.searchsorted(tear[outer], tears), np.searchsorted(tear[outer], tears, "right")
         own, two = _spans(start, stop)
         near = _are_near(at[two], own, at[one[outer]], rim, reach)
@@ -117,13 +120,22 @@ class _Nodes:
 
     def _sides(self, tear: Whole, node: Whole, tears: int, most: int) -> _Sides:
         """Return nodes tear by tear, at most so many of each."""
+        left = _are_left(tear, most)
+        tear, node = tear[left], np.append(node[left], 0)
         count = np.bincount(tear, minlength=tears)[:, None]
         place = np.arange(most)
         there = place < count
-        place = np.where(count > most, place * (count - 1) // (most - 1), place * there)
-        place += count.cumsum()[:, None] - count
-        some = np.append(node, 0)[np.minimum(place, len(node))]
+        some = node[np.where(there, place + count.cumsum()[:, None] - count, -1)]
         return _Sides(self.units.at[some], self.units.number[some], there)
+
+
+def _are_left(group: Whole, most: int) -> Mask:
+    """Return which nodes, that stand group by group, are left if no group has more than so many."""
+    count = np.bincount(group)
+    place = (np.arange(len(group)) - (count.cumsum() - count)[group]) * most
+    count = np.maximum(count, most)[group]
+    left: Mask = place // count != (place - most) // count
+    return left
 
 
 def _cells(units: Units) -> Float:

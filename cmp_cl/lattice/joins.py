@@ -22,7 +22,8 @@ def joined(units: Units, votes: Votes, k: LatticeConstants) -> Units:
 
     In rounds, each part is asked whether it belongs beside a larger one, the largest first. Those
     that are sure are one part from then on. Others are asked about another one, and again where
-    votes are new. A corner, and a number, belongs to the larger of two parts.
+    votes are new; only when no more are sure, about those with few votes. A corner, and a number,
+    belongs to the larger of two parts.
     """
     refused: dict[tuple[int, int], float] = {}
     while True:
@@ -100,14 +101,17 @@ def _is_new(part: Whole, key: Whole) -> Mask:
 
 
 def _asked(votes: Votes, refused: dict[tuple[int, int], float], k: LatticeConstants) -> Votes:
-    """Return a placement for each part that has votes beside a larger one, with which it was not
-    refused: beside the largest that has more than few, the one with the most votes."""
+    """Return placements that were not refused with as many votes: for each part the one with the
+    most beside the largest other part. They have more than few votes as long as there are such."""
     best = votes.chosen(np.lexsort((-votes.weight, votes.second, votes.first)))
     best = best.chosen(_is_first(best.first, best.second))
     pairs = zip(best.first.tolist(), best.second.tolist(), best.weight.tolist(), strict=True)
     new = [refused.get((one, two)) != weight for one, two, weight in pairs]
     best = best.chosen(np.array(new, np.bool_))
-    best = best.chosen(np.lexsort((best.first, best.weight < k.join_few, best.second)))
+    few = best.weight < k.join_few
+    if not few.all():
+        best = best.chosen(~few)
+    best = best.chosen(np.lexsort((best.first, best.second)))
     return best.chosen(_is_first(best.second))
 
 
