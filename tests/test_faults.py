@@ -168,6 +168,29 @@ def test_pocl_is_told_a_processor_where_it_knows_none(names, renamed):
 # --- threads and processes -----------------------------------------------------------------
 
 
+ENDS = """
+import numpy as np
+import cmp_cl
+from cmp_cl.media.ahead import Ahead
+
+def endless():
+    image = np.zeros((480, 640), np.uint8)
+    with cmp_cl.Detector(shape=image.shape, device={device!r}) as detector:
+        while True:
+            yield detector(image)
+
+ahead = Ahead(endless(), 1, lossy=True)
+ahead.take()
+"""
+
+
+def test_a_process_may_end_while_a_thread_measures(device):
+    """Without a call of close, as scripts for PyTac3D do. Python ends a daemon thread where it
+    stands, which the C++ of a kernel's call does not take."""
+    done = python("-c", ENDS.format(device=device.index))
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_a_spawned_process_finds_the_same_corners(device):
     here = corners_of_board(device.index)
     with multiprocessing.get_context("spawn").Pool(1) as pool:

@@ -1,5 +1,6 @@
 """Items that a thread makes ahead of those who take them."""
 
+import atexit
 import contextlib
 import threading
 from collections import deque
@@ -26,6 +27,7 @@ class Ahead(Closing, Generic[T]):
         self._closed = False
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._make, args=(items, most, lossy), daemon=True)
+        atexit.register(self.close)  # Python would end the thread within a call of C++, and abort
         self._thread.start()
 
     def _make(self, items: Generator[T, None, None], most: int, lossy: bool) -> None:
@@ -45,6 +47,7 @@ class Ahead(Closing, Generic[T]):
         except BaseException as error:
             self._error = error
         finally:
+            atexit.unregister(self.close)
             with self._changed:
                 self._closed = True
                 self._changed.notify_all()
