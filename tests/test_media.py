@@ -294,6 +294,15 @@ def test_what_is_transparent_is_white(tmp_path, suffix, ground):
         np.testing.assert_allclose((grey[0, 0], grey[6, 6], grey[13, 0]), (255, 50, half), atol=1)
 
 
+def test_a_colour_of_a_png_may_be_transparent(tmp_path):
+    data = cv2.imencode(".png", np.dstack([NOISE] * 3))[1].tobytes()
+    which = b"tRNS" + struct.pack(">3H", 7, 7, 7)
+    chunk = struct.pack(">I", 6) + which + struct.pack(">I", zlib.crc32(which))
+    (tmp_path / "key.png").write_bytes(data[:33] + chunk + data[33:])
+    found = media.read_image(tmp_path / "key.png")
+    np.testing.assert_array_equal(found, np.where(NOISE == 7, 255, NOISE))
+
+
 def test_black_is_not_transparent(tmp_path):
     cv2.imwrite(str(tmp_path / "black.png"), np.zeros((5, 5), np.uint8))
     assert not media.read_image(tmp_path / "black.png").any()

@@ -25,8 +25,9 @@ VIDEO_SUFFIXES = frozenset(  # a GIF is read as a video: it may have several fra
     | {".webm", ".wmv", ".y4m"}
 )
 _OF_16_BITS = frozenset({".jp2", ".pgm", ".png", ".pnm", ".tif", ".tiff"})
-# A JPEG, a BMP, a PBM to PPM, and a PNG of grey levels or of colours alone
-_WITHOUT_ALPHA = re.compile(rb"\xff\xd8|BM|P|\x89PNG.{21}[\x00\x02]", re.DOTALL)
+# A JPEG, a BMP, a PBM to PPM, and a PNG of grey levels, or of colours of which none is transparent
+_WITHOUT_ALPHA = re.compile(rb"\xff\xd8|BM|P|\x89PNG.{21}(\x00|\x02(?!.*tRNS))", re.DOTALL)
+_HEAD = 1 << 20  # bytes; what a PNG says before its pixels
 _MOST_BYTES = 1 << 30  # of an image file
 _BLOCK = 1 << 26  # px of the pages that are decoded at once: OpenCV repeats all earlier ones
 _MOST_OVER_WHITE = 10**9 // 9  # bytes of a grey image: OpenCV has all four channels twice beside it
@@ -141,7 +142,8 @@ def _has_chunks(data: NDArray[np.uint8]) -> bool:
 
 def _has_alpha(grey: GreyImage, data: NDArray[np.uint8]) -> bool:
     """Return whether the first page of a file may be transparent; grey: this page."""
-    if grey.nbytes > _MOST_OVER_WHITE or _WITHOUT_ALPHA.match(data[:26].tobytes()):
+    head = data[:_HEAD].tobytes().partition(b"IDAT")[0]
+    if grey.nbytes > _MOST_OVER_WHITE or _WITHOUT_ALPHA.match(head):
         return False
     full = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     return full is not None and full.shape == (*grey.shape, 4)
