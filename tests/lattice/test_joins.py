@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from cmp_cl.lattice import bending as module
 from cmp_cl.lattice.arrays import Units, Votes
 from cmp_cl.lattice.bending import TURNS, bending
 from cmp_cl.lattice.constants import LatticeConstants
@@ -123,6 +124,17 @@ def test_tears_have_the_same_energies_one_by_one():
     alone = [bending(units, votes.chosen(np.array([n])), K)[0] for n in range(3)]
     np.testing.assert_allclose(together, alone, rtol=1e-6)
     assert (together.argmin(axis=1) == 0).all()
+
+
+@pytest.mark.parametrize(("pairs", "rim"), [(7, 128), (1 << 20, 40)])
+def test_long_tears_are_seen_bit_by_bit_and_by_some_of_their_nodes(pairs, rim, monkeypatch):
+    units, _ = parts(range(60), range(61, 100), range(101, 130))
+    votes = votes_for(61, 40)
+    whole = bending(units, votes, K)
+    monkeypatch.setattr(module, "PAIRS", pairs)
+    monkeypatch.setattr(module, "RIM", rim)
+    np.testing.assert_allclose(bending(units, votes, K), whole, rtol=1 if rim < 128 else 1e-9)
+    assert (whole.argmin(axis=1) == 0).all()
 
 
 @pytest.mark.parametrize("one", [(1, 2 + 1j), (2, -3j)])
