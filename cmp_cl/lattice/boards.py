@@ -16,7 +16,8 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
     first.
 
     xy: (N, 2), the corners of the plan, px. A corner is a node of one board at most. A part of
-    fewer than `least_board` faces begins no board, but for the largest one.
+    fewer than `least_board` faces begins no board, but for the largest one; nor does one of fewer
+    corners that no board has.
     """
     k = plan.constants
     alone = plan.alone()
@@ -35,7 +36,7 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
             continue
         number, turn = units.number[nodes], units.rotation[nodes]
         numbers = np.zeros((len(xy), 4), np.int32)
-        columns = number.real, number.imag, turn, np.where(taken[corner], TAKEN, 1)
+        columns = number.real, number.imag, turn, np.ones(len(corner))
         numbers[corner] = np.rint(np.stack(columns, axis=1))
         numbers[taken, 3] = TAKEN
         board = plan.settle(numbers)
