@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from cmp_cl import media
-from cmp_cl.cli.arguments import add, check_files
+from cmp_cl.cli.arguments import add, check_files, check_suffix
 from cmp_cl.cli.messages import shown
 from cmp_cl.files import write_csv
 from cmp_cl.synthetic import Indenter, Mode, Scene, render
@@ -46,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    check_suffix("--truth", arguments.truth, ".csv")
     check_files([], [arguments.out, arguments.truth])
     options = {name: getattr(arguments, name) for name in _OPTIONS}
     options |= {"indenter": Indenter(arguments.indenter), "mode": Mode(arguments.mode)}

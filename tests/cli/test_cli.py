@@ -112,6 +112,7 @@ PATTERN = "pattern", "--grid", "4x4"
         (("detect", BOARD, "--config", "long.toml"), ["max_corners", "111 ... 111"]),
         (("render", "--out", "g.png", "--markers", "2"), ["markers must", "[3, 100]", "2"]),
         (("render", "--out", "g.jpg", "--bits", "12"), ["uint16", "g.jpg", ".png"]),
+        (("render", "--out", "g.png", "--truth", "t.npz"), ["--truth t.npz must end in .csv"]),
         (("demo", "--out", "text.png"), ["--out text.png is a file", "a folder"]),
         ((*PATTERN, "--cell", "3", "--out", "a.jpg"), ["suffix"]),
         ((*PATTERN, "--cell", "1e6", "--out", "a.png"), ["cmp-cl: cell must be a number in"]),
@@ -137,7 +138,7 @@ def test_a_wrong_argument_is_one_line_and_status_2(run, arguments, words):
         ["detect", BOARD, "--out", "link.csv", "--config", "e.toml"],
         ["run", "a.png", "--config", "e.toml", "--stereo", "rig.npz", "--out", "rig.npz"],
         ["calibrate", "board.yaml", "--board", "3x3", "--square", "1", "--out", "board.yaml"],
-        ["render", "--out", "a.png", "--truth", "./a.png"],
+        ["render", "--out", "a.csv", "--truth", "./a.csv"],
     ],
     ids=lambda arguments: " ".join(map(str, arguments)).replace(str(BOARD), "board.png"),
 )
