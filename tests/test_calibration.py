@@ -205,7 +205,7 @@ def test_views_that_determine_nothing_are_refused():
     with pytest.raises(CalibrationError, match=r"none is mirrored|no pose between"):
         calibrated({"a": seen["a"], "b": other})
     plain = dataclasses.replace(THREE["a"], distortion=np.zeros(5))
-    with pytest.raises(CalibrationError, match="tilted.*; or choose the lens pinhole"):
+    with pytest.raises(CalibrationError, match=r"tilted.*; or choose the lens pinhole"):
         calibrated(views({"a": plain}, noise=0), lens=Lens.RATIONAL)
 
 

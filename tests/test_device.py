@@ -43,7 +43,7 @@ def test_a_cache_that_pocl_cannot_write_is_named_where_no_device_is_found(monkey
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file" / "under"))
     monkeypatch.delenv("POCL_CACHE_DIR", raising=False)
     (tmp_path / "file").write_text("")
-    with pytest.raises(DeviceError, match="write to its cache .*under.*; POCL_CACHE_DIR"):
+    with pytest.raises(DeviceError, match=r"write to its cache .*under.*; POCL_CACHE_DIR"):
         select_device()
 
 

@@ -58,7 +58,9 @@ def calibrate_alone(name: str, lens: Lens, looks: Sequence[Look], size: tuple[in
                 criteria=_STOP,
             )  # fmt: skip
     except cv2.error as failure:
-        raise CalibrationError(f"{name}: the views do not determine the camera: {cure}") from failure
+        raise CalibrationError(
+            f"{name}: the views do not determine the camera: {cure}"
+        ) from failure
     finally:
         cv2.setNumThreads(threads)
     coefficients = distortion.ravel()[: lens.coefficients]
