@@ -17,7 +17,7 @@
 typedef struct {
   float depth, deep;
   float rough_weight;
-  float side_nats, cells_nats, prior, penalty, torn_penalty;
+  float side_nats, cells_nats, prior, torn_prior, penalty, torn_penalty;
   float reach, near, edge;
 } Nats;
 
@@ -291,7 +291,7 @@ float usual_share(__global const int2 *cells, const int place, const int width) 
 float clipped(const float v) { return v < -1.0f ? -1.0f : v > 1.0f ? 1.0f : v; }
 
 /* The score of a node in nats, below 0 if it is less likely than not: its sides, its cells, and its
- * distance from the prediction, which counts more if it is torn. */
+ * distance from the prediction, which counts more if it is torn; a torn one is less likely. */
 float score_of(const float sides, const int quality, const float share, const float2 seen,
                const bool is_torn, const Prediction prediction, const float cell,
                __constant Nats *nats) {
@@ -299,7 +299,8 @@ float score_of(const float sides, const int quality, const float share, const fl
   const float2 d = seen - prediction.at;
   const float root = inverse_root(LARGER(cell * cell, 1e-6f));
   const float misfit = prediction.weight > 0 ? (d.x * d.x + d.y * d.y) * (root * root) : 0.0f;
-  return ((nats->side_nats * sides + nats->cells_nats * cells) + nats->prior) -
+  const float prior = is_torn ? nats->torn_prior : nats->prior;
+  return ((nats->side_nats * sides + nats->cells_nats * cells) + prior) -
          misfit * (is_torn ? nats->torn_penalty : nats->penalty);
 }
 

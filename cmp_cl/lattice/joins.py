@@ -22,12 +22,11 @@ def joined(units: Units, votes: Votes, k: LatticeConstants) -> Units:
 
     In rounds, each part is asked whether it belongs beside a larger one, the largest first. Those
     that are sure are one part from then on. Others are asked about another one, and again where
-    votes are new; only when no more are sure, about those with few votes. A corner, and a number,
-    belongs to the larger of two parts.
+    votes are new. A corner, and a number, belongs to the larger of two parts.
     """
     refused: dict[tuple[int, int], float] = {}
     while True:
-        asked = _asked(votes, refused, k)
+        asked = _asked(votes, refused)
         if not len(asked.first):
             return units
         sure = _are_sure(units, asked, k)
@@ -100,17 +99,17 @@ def _is_new(part: Whole, key: Whole) -> Mask:
     return new
 
 
-def _asked(votes: Votes, refused: dict[tuple[int, int], float], k: LatticeConstants) -> Votes:
+def _asked(votes: Votes, refused: dict[tuple[int, int], float]) -> Votes:
     """Return placements that were not refused with as many votes: for each part the one with the
-    most beside the largest other part. They have more than few votes as long as there are such."""
+    most beside the largest other part. Their weight is by how many votes they lead there."""
     best = votes.chosen(np.lexsort((-votes.weight, votes.second, votes.first)))
-    best = best.chosen(_is_first(best.first, best.second))
+    is_best = _is_first(best.first, best.second)
+    second = np.zeros_like(best.weight)
+    second[:-1] = np.where(is_best[1:], 0, best.weight[1:])
+    best = best._replace(weight=best.weight - second).chosen(is_best)
     pairs = zip(best.first.tolist(), best.second.tolist(), best.weight.tolist(), strict=True)
     new = [refused.get((one, two)) != weight for one, two, weight in pairs]
     best = best.chosen(np.array(new, np.bool_))
-    few = best.weight < k.join_few
-    if not few.all():
-        best = best.chosen(~few)
     best = best.chosen(np.lexsort((best.first, best.second)))
     return best.chosen(_is_first(best.second))
 
@@ -125,16 +124,12 @@ def _is_first(*keys: Whole) -> Mask:
 def _are_sure(units: Units, asked: Votes, k: LatticeConstants) -> Mask:
     """Return which placements are sure.
 
-    They have the most votes, the surface bends least there, and the votes, times how much more it
-    bends elsewhere, are enough; more are, where it bends much. Neither is enough alone: squeezed
-    cells can get lost between the parts, which makes counts too short; and where cells are long the
-    surface expects more of them. Behind a bar few colours are seen, but a flat board goes on
-    nowhere else.
+    They lead by some votes, the surface bends least there, and the lead, times how much more it
+    bends elsewhere, is enough. Neither is enough alone: squeezed cells can get lost between the
+    parts, which makes counts too short; and where cells are long the surface expects more of them.
+    Behind a bar few colours are seen, but a flat board goes on nowhere else.
     """
-    energy = bending(units, asked, k)
-    votes = np.where(asked.weight < k.join_few, np.minimum(asked.weight, 1), asked.weight)
-    least = k.join_votes * np.maximum(1, energy.min(axis=1) / k.join_bend)
-    sure: Mask = votes * factor(energy) > least
+    sure: Mask = asked.weight * factor(bending(units, asked, k)) > k.join_votes
     return sure
 
 

@@ -133,7 +133,7 @@ def nats(k: LatticeConstants) -> NDArray[np.float32]:
     return np.array(
         [
             *(k.cell_depth, k.deep_cells, k.rough_weight_per_px2),
-            *(k.side_nats, k.cells_nats, k.prior_nats),
+            *(k.side_nats, k.cells_nats, k.prior_nats, k.prior_nats - k.torn_nats),
             *(0.5 / k.sd_cells**2, 2 / k.sd_cells**2),  # that of a torn corner is half as large
             *(k.reach_cells, k.near_cells, k.contrast_radius_px),
         ],

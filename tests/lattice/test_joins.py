@@ -70,11 +70,19 @@ def test_a_part_whose_votes_and_surface_name_different_places_stays_apart():
 
 @pytest.mark.parametrize(
     ("bent", "votes", "sure"),
-    [(0.05, 0.5, True), (0.3, 3.9, False), (0.3, 4.1, True), (2.0, 20.0, False), (2.0, 40.0, True)],
+    [(0.05, 0.3, True), (0.3, 2.0, False), (0.3, 8.0, True), (2.0, 8.0, False), (2.0, 30.0, True)],
 )
 def test_a_bent_surface_needs_more_votes_and_a_flat_one_hardly_any(bent, votes, sure):
     units, _ = parts(range(8), range(9, 17), bent=bent)
     assert (joined(units, vote(9, votes), K).part.max() == 0) == sure
+
+
+@pytest.mark.parametrize(("second", "sure"), [(0.0, True), (15.0, True), (28.0, False)])
+def test_a_placement_must_lead_the_second_where_the_surface_is_bent(second, sure):
+    units, _ = parts(range(8), range(9, 17), bent=0.6)
+    none = np.zeros(2, np.int64)
+    votes = Votes(none, none + 1, none, np.array([9, 7]) + 0j, np.array([30.0, second]))
+    assert (joined(units, votes, K).part.max() == 0) == sure
 
 
 def test_a_part_that_is_not_sure_is_asked_again_once_more_votes_are_for_it():

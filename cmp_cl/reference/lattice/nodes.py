@@ -227,7 +227,8 @@ def evidence(
         misfit = (dx * dx + dy * dy) * inverse(np.maximum(steps.cell * steps.cell, F(1e-6)))
     misfit = np.where(weight > 0, misfit, F(0))
     penalty = misfit * np.where(torn, F(2 / k.sd_cells**2), F(0.5 / k.sd_cells**2))
-    score = ((F(k.side_nats) * sides + F(k.cells_nats) * cells) + F(k.prior_nats)) - penalty
+    prior = np.where(torn, F(k.prior_nats - k.torn_nats), F(k.prior_nats))
+    score = ((F(k.side_nats) * sides + F(k.cells_nats) * cells) + prior) - penalty
     return Evidence(
         score=np.where(np.isnan(x), F(np.nan), score),
         x=x,
