@@ -100,8 +100,8 @@ def _is_new(part: Whole, key: Whole) -> Mask:
 
 
 def _asked(votes: Votes, refused: dict[tuple[int, int], float]) -> Votes:
-    """Return placements that were not refused with as many votes: for each part the one with the
-    most beside the largest other part. Their weight is by how many votes they lead there."""
+    """Return placements that were not refused with the same lead: for each part the one with the
+    most votes beside the largest other part. Their weight is by how many they lead there."""
     best = votes.chosen(np.lexsort((-votes.weight, votes.second, votes.first)))
     is_best = _is_first(best.first, best.second)
     second = np.zeros_like(best.weight)
