@@ -343,16 +343,16 @@ def chosen_of(boards: Iterable[Found], asked: Asked, count: int) -> tuple[Found 
 def _until_two(found: Iterable[Found], asked: Asked) -> Iterator[Found]:
     """Yield the boards, unless two are seen that leave no choice.
 
-    Raises GridError once two have the known size; without one, once two comparable ones are whole.
+    Raises GridError once two have the known size; without one, once one is whole that is comparable
+    to the largest whole one.
     """
-    sure: list[Found] = []
+    largest: Found | None = None
     for each in found:
         if asked.like is None and (each.fills(asked.shape) if asked.shape else each.is_whole):
-            for other in sure:
-                larger, smaller = by_size([other, each])
-                if asked.shape or smaller.is_comparable(larger):
-                    raise _two(larger, smaller)
-            sure.append(each)
+            larger, *smaller = by_size([largest, each] if largest else [each])
+            if smaller and (asked.shape or smaller[0].is_comparable(larger)):
+                raise _two(larger, smaller[0])
+            largest = larger
         yield each
 
 

@@ -152,20 +152,29 @@ def test_regions_are_of_cells_with_firm_nodes_that_share_sides(first, second, co
         )
 
 
+def whole(cell: float, left: float) -> Found:
+    """Return a whole board of 6 x 9 nodes; cell, left: px."""
+    none, one = np.zeros((6, 9), np.bool_), np.ones(4)
+    x, y = cell * np.stack(np.meshgrid(np.arange(9.0), np.arange(6.0)))
+    border = Border(reach=one, follows=one < 0, room=one > 0)
+    owner = np.arange(54).reshape(6, 9)
+    board = Board(x=x + left, y=y, owner=owner, torn=none, firm=~none, sign=1, border=border)
+    return Found(board, Decision(Numbering(0, 0, 0, 0, 0), None, np.inf), 0)
+
+
 @pytest.mark.parametrize("asked", [Asked(), Asked(shape=(6, 9))])
 def test_no_more_boards_are_looked_for_once_two_leave_no_choice(asked):
-    none, one = np.zeros((6, 9), np.bool_), np.ones(4)
-    x, y = np.meshgrid(np.arange(9.0), np.arange(6.0))
-    border = Border(reach=one, follows=one < 0, room=one > 0)
-
     def boards():
-        for left in (0, 20):
-            owner = np.arange(54).reshape(6, 9)
-            board = Board(
-                x=x + left, y=y, owner=owner, torn=none, firm=~none, sign=1, border=border
-            )
-            yield Found(board, Decision(Numbering(0, 0, 0, 0, 0), None, np.inf), 0)
+        yield from (whole(10, 0), whole(10, 200))
         raise AssertionError("a third one was looked for")
 
     with pytest.raises(GridError, match="two patterns are seen, of 54 and 54 corners"):
         chosen_of(boards(), asked, 1000)
+
+
+def test_small_boards_in_the_background_of_a_large_one_are_told_though_they_are_alike():
+    """One board of a box of prints is as large as the next."""
+    large = whole(70, 0)
+    chosen, told = chosen_of([large, whole(9, 800), whole(9, 900)], Asked(), 1000)
+    assert chosen is large
+    assert told == (54, Others.PATTERN)
