@@ -141,8 +141,9 @@ def test_long_tears_are_seen_bit_by_bit_and_by_some_of_their_nodes(pairs, rim, m
     whole = bending(units, votes, K)
     monkeypatch.setattr(module, "PAIRS", pairs)
     monkeypatch.setattr(module, "RIM", rim)
-    np.testing.assert_allclose(bending(units, votes, K), whole, rtol=1 if rim < 128 else 1e-9)
-    assert (whole.argmin(axis=1) == 0).all()
+    seen = bending(units, votes, K)
+    np.testing.assert_allclose(seen, whole, rtol=0.2 if rim < 128 else 1e-9)
+    assert (seen.argmin(axis=1) == 0).all()
 
 
 @pytest.mark.parametrize("one", [(1, 2 + 1j), (2, -3j)])
