@@ -92,7 +92,7 @@ class Found:
     def across(self) -> int:
         """Return the nodes on the smaller side of lines without a node, as behind a bar, if the
         surface through both sides does not bend far more at any other place; 0 if it does."""
-        board, unsure = self.board, 0
+        board, unsure, least = self.board, 0, math.exp(K.sure_nats)
         for axis, lines in enumerate(self.lines):
             if lines.all():
                 continue
@@ -100,7 +100,7 @@ class Found:
             for last in held[:-1][np.diff(held) > 1]:
                 after = np.indices(board.owner.shape)[axis][board.owner >= 0] > last
                 nodes = _in_two(board, after)
-                if factor(bending(nodes, BESIDE, K))[0] < math.exp(K.sure_nats):
+                if factor(bending(nodes, BESIDE, np.full(1, least), K))[0] < least:
                     unsure = max(unsure, int(np.count_nonzero(nodes.part)))
         return unsure
 

@@ -11,18 +11,23 @@ from cmp_cl.lattice.constants import LatticeConstants
 TURNS = np.array([1, 1j, -1, -1j])
 # Shifts that keep the colours, of which the one of least bending is looked for.
 SHIFTS = np.array([0, 1 + 1j, 1 - 1j, -1 + 1j, -1 - 1j, 2, -2, 2j, -2j])
+IN_TURN = np.s_[:2], np.s_[2:]  # of them; at most tears the first ones decide
 TREND = 6  # terms of a quadratic
 ROUNDING = 1e-9  # cells^2, of the energy of a flat surface, which is 0
 HELD = 1e-7  # of squared terms, in the energy, so that those which nodes leave open are 0
 NOWHERE = 1e30  # cells^2, the variance of a node that is not there
-SEEN, SOLVED = 64, 16  # tears whose nodes are looked for, and whose systems are solved, at once
+SEEN, SOLVED = 64, 32  # tears whose nodes are looked for, and whose systems are solved, at once
 RIM = 128  # nodes, of a rim, to which distances are taken
 PAIRS = 1 << 20  # of nodes whose distances are taken at once
 
 
-def bending(units: Units, asked: Votes, k: LatticeConstants) -> Float:
+def bending(units: Units, asked: Votes, least: Float, k: LatticeConstants) -> Float:
     """Return the bending energy of the map from numbers to positions, cells^2, near the tear at
-    each placement, for each shift of it, (T, 9); infinite where it is not defined."""
+    each placement, for each shift of it, (T, 9); infinite where it is not defined.
+
+    least: (T,), times that the energy of a shift must exceed that of the placement. If the first
+    shift's does not, the others are infinite.
+    """
     energy = np.full((len(asked.first), len(SHIFTS)), np.inf)
     nodes = _Nodes(units)
     size = np.diff(nodes.bounds)[asked.second]
@@ -30,8 +35,8 @@ def bending(units: Units, asked: Votes, k: LatticeConstants) -> Float:
         one, two = nodes.beside(asked.chosen(some), k)
         known = np.flatnonzero((one.nodes >= TREND) & (two.nodes >= TREND // 2))
         for each in _in_turns(known[np.lexsort((one.nodes[known], two.nodes[known]))], SOLVED):
-            cell = nodes.cell[asked.second[some[each]]]
-            energy[some[each]] = _energies(one.chosen(each), two.chosen(each), cell)
+            tears, sides = some[each], (one.chosen(each), two.chosen(each))
+            energy[tears] = _energies(*sides, nodes.cell[asked.second[tears]], least[tears])
     return energy
 
 
@@ -186,7 +191,7 @@ def _are_near(
     return near
 
 
-def _energies(one: _Sides, two: _Sides, cell: Float) -> Float:
+def _energies(one: _Sides, two: _Sides, cell: Float, least: Float) -> Float:
     """Return the energies for each shift of the second sides; cell: px, of each tear.
 
     Cubic radial functions with a quadratic trend: M [w; c] = [x; 0], energy x' w, with
@@ -198,22 +203,26 @@ def _energies(one: _Sides, two: _Sides, cell: Float) -> Float:
     origin, middle = one.mean(one.number), two.mean(two.at)
     first, second = one.number - origin, two.number - origin
     x, y = (_as_pairs((side.at - middle) / cell[:, None]) for side in (one, two))
-    x = np.pad(x, ((0, 0), (0, TREND), (0, 0)))
     system = np.zeros((tears, most + TREND, most + TREND))
     system[:, :most, :most] = _cubes(first, first) + one.variance
     system[:, :most, most:] = _trend(first)
     system[:, most:, :most] = system[:, :most, most:].transpose(0, 2, 1)
     system[:, most:, most:] = -HELD * np.eye(TREND)
-    shifted = (SHIFTS[:, None] + second[:, None]).reshape(tears, -1)
-    beside = np.concatenate([_cubes(shifted, first), _trend(shifted)], axis=2)
-    beside = beside.reshape(tears, len(SHIFTS), -1, most + TREND)
     inverse = np.linalg.inv(system)
-    across = beside @ inverse[:, None]  # one small product a shift: BLAS starts no threads
-    left = y[:, None] - across @ x[:, None]
+    flat = inverse[:, :, :most] @ x
+    known = (x * flat[:, :most]).sum(axis=(1, 2))[:, None]
     own = (_cubes(second, second) + two.variance)[:, None]
-    w = np.linalg.solve(own - across @ beside.transpose(0, 1, 3, 2), left)
-    energy: Float = (x * (inverse @ x)).sum(axis=(1, 2))[:, None] + (left * w).sum(axis=(2, 3))
-    return np.where(energy > -ROUNDING, np.maximum(energy, ROUNDING), np.inf)
+    energy, left = np.full((tears, len(SHIFTS)), np.inf), np.arange(tears)
+    for turn in IN_TURN:
+        shifted, beside = SHIFTS[turn, None] + second[left, None], first[left, None]
+        terms = np.concatenate([_cubes(shifted, beside), _trend(shifted)], axis=3)
+        across = terms @ inverse[left, None]  # one small product a shift: BLAS starts no threads
+        rest = y[left, None] - terms @ flat[left, None]
+        w = np.linalg.solve(own[left] - across @ terms.transpose(0, 1, 3, 2), rest)
+        both = known[left] + (rest * w).sum(axis=(2, 3))
+        energy[left, turn] = np.where(both > -ROUNDING, np.maximum(both, ROUNDING), np.inf)
+        left = left[energy[left, 1] > least[left] * energy[left, 0]]
+    return energy
 
 
 def _as_pairs(values: Numbers) -> Float:

@@ -129,7 +129,8 @@ def _are_sure(units: Units, asked: Votes, k: LatticeConstants) -> Mask:
     parts, which makes counts too short; and where cells are long the surface expects more of them.
     Behind a bar few colours are seen, but a flat board goes on nowhere else.
     """
-    sure: Mask = asked.weight * factor(bending(units, asked, k)) > k.join_votes
+    least = k.join_votes / np.maximum(asked.weight, np.finfo(np.float64).eps)
+    sure: Mask = asked.weight * factor(bending(units, asked, least, k)) > k.join_votes
     return sure
 
 
