@@ -39,6 +39,10 @@ def several(views=None, **changed):
     return calibrate(views, **{"spacing": 1, "sizes": {"a": SIZE}, **changed})
 
 
+def rig_of(matrix):
+    return StereoRig(matrix, [], np.eye(3), [], np.eye(3), [1, 0, 0])
+
+
 @pytest.mark.parametrize(
     ("call", "said"),
     [
@@ -76,51 +80,37 @@ def test_a_wrong_argument_is_named_in_one_line(call, said, tmp_path, monkeypatch
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("path", [None, b"a.png", "", "a\0b"])
+PATHS = (None, b"a.png", "", "a\0b")
+NO_NUMBERS = ("a", {}, [[1], [2, 3]], np.eye(3) * 1j)
+LENGTHS = ("a", None, 0, -1, np.nan, np.inf, [1, 2])
+OF_A_FILE = "path must be the name of a file, not .*$"
+OF_AN_ARRAY = "must be an array of numbers: .*$"
+OF_A_LENGTH = "must be a positive number, not "
+
+
 @pytest.mark.parametrize(
-    ("call", "error"),
+    ("call", "error", "said", "values"),
     [
-        (media.read_image, ImageError),
-        (lambda path: next(media.read_frames(path)), ImageError),
-        (lambda path: media.find_inputs([path]), FileNotFoundError),
-        (StereoRig.load, CalibrationError),
-        (toed_in_rig().save, FileNotFoundError),
-        (DetectorConfig.load, ConfigError),
-        (series.read_series, ConfigError),
-        (series.SeriesWriter, ConfigError),
+        (media.read_image, ImageError, OF_A_FILE, PATHS),
+        (lambda path: next(media.read_frames(path)), ImageError, OF_A_FILE, PATHS),
+        (lambda path: media.find_inputs([path]), FileNotFoundError, OF_A_FILE, PATHS),
+        (StereoRig.load, CalibrationError, OF_A_FILE, PATHS),
+        (toed_in_rig().save, FileNotFoundError, OF_A_FILE, PATHS),
+        (DetectorConfig.load, ConfigError, OF_A_FILE, PATHS),
+        (series.read_series, ConfigError, OF_A_FILE, PATHS),
+        (series.SeriesWriter, ConfigError, OF_A_FILE, PATHS),
+        (rig_of, CalibrationError, f"K1 {OF_AN_ARRAY}", NO_NUMBERS),
+        (lambda values: PlaneScale(values, "mm"), FieldError, f"matrix {OF_AN_ARRAY}", NO_NUMBERS),
+        (surface_normals, FieldError, f"positions {OF_AN_ARRAY}", NO_NUMBERS),
+        (lambda side: PlaneScale.of_cells(GRID, side), FieldError, f"side {OF_A_LENGTH}", LENGTHS),
+        (GRID.to_opencv, ConfigError, f"spacing {OF_A_LENGTH}", LENGTHS),
+        (lambda each: several(spacing=each), CalibrationError, f"spacing {OF_A_LENGTH}", LENGTHS),
     ],
 )
-def test_what_names_no_file_is_refused(call, error, path):
-    with pytest.raises(error, match=r"^path must be the name of a file, not .*$"):
-        call(path)
-
-
-@pytest.mark.parametrize("values", ["a", {}, [[1], [2, 3]], np.eye(3) * 1j])
-@pytest.mark.parametrize(
-    ("call", "name", "error"),
-    [
-        (lambda values: StereoRig(values, [], np.eye(3), [], np.eye(3), [1, 0, 0]), "K1", None),
-        (lambda values: PlaneScale(values, "mm"), "matrix", FieldError),
-        (surface_normals, "positions", FieldError),
-    ],
-)
-def test_what_is_no_array_of_numbers_is_refused_in_one_line(call, name, error, values):
-    with pytest.raises(error, match=f"^{name} must be an array of numbers: .*$"):
-        call(values)
-
-
-@pytest.mark.parametrize("length", ["a", None, 0, -1, np.nan, np.inf, [1, 2]])
-@pytest.mark.parametrize(
-    ("call", "name", "error"),
-    [
-        (lambda side: PlaneScale.of_cells(GRID, side), "side", FieldError),
-        (GRID.to_opencv, "spacing", ConfigError),
-        (lambda side: several(spacing=side), "spacing", CalibrationError),
-    ],
-)
-def test_a_length_that_is_not_positive_is_refused(call, name, error, length):
-    with pytest.raises(error, match=f"^{name} must be a positive number, not "):
-        call(length)
+def test_what_is_no_file_no_array_and_no_length_is_refused(call, error, said, values):
+    for value in values:
+        with pytest.raises(error, match=f"^{said}"):
+            call(value)
 
 
 def test_a_masked_image_is_refused_unless_nothing_is_masked():

@@ -1,7 +1,6 @@
 """Faults around a detector: memory, caches, kills, threads, processes."""
 
 import ctypes
-import multiprocessing
 import os
 import platform
 from types import SimpleNamespace
@@ -13,7 +12,6 @@ import pytest
 from cases import some
 from children import ENVIRONMENT, python
 from comparison import assert_same_bytes
-from workers import corners_of_board
 
 from cmp_cl import BinaryRings, Detector, DetectorConfig
 from cmp_cl.errors import CapacityError
@@ -26,14 +24,6 @@ BOARD = images.eight_bits()["board"]
 
 def refuse(*_, **__):
     raise cl.MemoryError("MEM_OBJECT_ALLOCATION_FAILURE")
-
-
-def test_memory_that_is_refused_is_a_capacity_error(device, monkeypatch):
-    monkeypatch.setattr(cl, "Buffer", refuse)
-    with pytest.raises(
-        CapacityError, match=r"not enough memory for a plan of \d+ bytes, though it has \d+"
-    ):
-        Detector(shape=images.SHAPE, device=device)
 
 
 @pytest.mark.parametrize(
@@ -191,47 +181,29 @@ def test_a_process_may_end_while_a_thread_measures(device):
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_a_spawned_process_finds_the_same_corners(device):
-    here = corners_of_board(device.index)
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        assert pool.map(corners_of_board, [device.index]) == [here]
-
-
 FORKED = """
-import multiprocessing, os, threading
+import multiprocessing, threading
 import numpy as np
 import cmp_cl
-import cmp_cl.opencl.program
 
 image = np.zeros((40, 40), np.uint8)
-rest = cmp_cl.Grid(
-    xy=np.indices((3, 3)).T.astype(np.float32) * 10 + 5,
-    status=np.ones((3, 3), np.uint8),
-    image_sigma=np.zeros((3, 3), np.float32),
-    index=np.empty((0, 2), np.int32),
-)
-device = cmp_cl.select_device({device!r})
-detector = cmp_cl.Detector(shape=image.shape, device=device)
-uses = {{
-    "list_devices": cmp_cl.list_devices,
-    "select_device": cmp_cl.select_device,
-    "Detector": lambda: cmp_cl.Detector(shape=image.shape, device=device),
-    "detect": lambda: cmp_cl.detect(image),
-    "displacement": lambda: cmp_cl.displacement(rest, rest, device=device),
-    "a detector of the parent": lambda: detector(image),
-    "its stream": lambda: list(detector.stream([image])),
-    "its batch": lambda: detector.batch([image]),
-    "its maps": lambda: detector.maps(image),
-}}
+detector = cmp_cl.Detector(shape=image.shape, device={device!r})
+uses = [
+    cmp_cl.list_devices,
+    lambda: cmp_cl.detect(image),
+    lambda: detector(image),
+    lambda: list(detector.stream([image])),
+    lambda: detector.batch([image]),
+    lambda: detector.maps(image),
+]
 
 
 def work(lines):
-    for name, use in uses.items():
+    for use in uses:
         try:
             use()
-            lines.send(f"{{name}} worked")
         except cmp_cl.DeviceError as error:
-            assert "spawn" in str(error) and "forkserver" in str(error)
+            lines.send("spawn" in str(error) and "forkserver" in str(error))
     detector.close()
     lines.send("done")
 
@@ -250,20 +222,16 @@ mine, other = multiprocessing.Pipe()
 child = multiprocessing.get_context("fork").Process(target=work, args=(other,))
 child.start()
 said = []
-while not said or said[-1] != "done":
-    if not mine.poll(20):
-        child.kill()
-        said.append("hangs")
-        break
+while said[-1:] != ["done"] and mine.poll(20):
     said.append(mine.recv())
+child.kill()
 release.set()
-child.join()
 assert len(detector(image)) == 0  # the parent goes on
-print(said)
+print(said == [True] * len(uses) + ["done"], said)
 """
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
 def test_a_forked_child_of_a_process_that_used_opencl_gets_an_error_and_does_not_hang(device):
     done = python("-c", FORKED.format(device=device.index), check=True)
-    assert done.stdout == "['done']\n", done.stderr
+    assert done.stdout.startswith("True"), done.stdout + done.stderr

@@ -61,28 +61,23 @@ def modules():
 
 def imported(path):
     """Return the modules of cmp_cl that a file imports, in functions too."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    waiting, names = list(tree.body), set()
+    waiting, names = [ast.parse(path.read_text(encoding="utf-8"))], set()
     while waiting:
         node = waiting.pop()
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
+            continue
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "cmp_cl":
             inner = node.module.split(".")[1:]
             names |= {".".join([*inner, alias.name]) for alias in node.names}
-        typing = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
-        if not typing:
-            waiting += ast.iter_child_nodes(node)
-    known = modules()
-
-    def module_of(name):
-        parts = name.split(".")
-        for count in (len(parts), len(parts) - 1):
-            for end in ([], ["__init__"]):
-                found = ".".join([*parts[:count], *end])
-                if found in known:
-                    return found
-        return None
-
+        waiting += ast.iter_child_nodes(node)
     return {module for module in map(module_of, names) if module}
+
+
+def module_of(name):
+    """Return the module that a name is, or that it is in."""
+    within = name.rpartition(".")[0]
+    places = name, f"{name}.__init__", within, f"{within}.__init__".lstrip(".")
+    return next((place for place in places if place in modules()), None)
 
 
 def layer_of(module):

@@ -138,15 +138,6 @@ def test_every_corner_of_a_board_is_found(config):
     assert (np.diff(order) > 0).all()
 
 
-@pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
-@pytest.mark.parametrize("level", [0, 130, 255])
-def test_flat_images_have_no_corner(config, level):
-    for shape in [(1, 1), (2, 2), (1, 40), (40, 1), (30, 33)]:
-        for dtype in (np.uint8, np.uint16):
-            image = np.full(shape, level, dtype)
-            assert len(reference.detect(image, config)) == 0
-
-
 @pytest.mark.parametrize("seed", [20, 30])
 def test_the_gate_rejects_salt_and_pepper(seed):
     image = IMAGE.copy()
