@@ -16,7 +16,7 @@ TREND = 6  # terms of a quadratic
 ROUNDING = 1e-9  # cells^2, of the energy of a flat surface, which is 0
 HELD = 1e-7  # of squared terms, in the energy, so that those which nodes leave open are 0
 NOWHERE = 1e30  # cells^2, the variance of a node that is not there
-SEEN, SOLVED = 64, 32  # tears whose nodes are looked for, and whose systems are solved, at once
+SEEN, SOLVED = 128, 48  # tears whose nodes are looked for, and whose systems are solved, at once
 RIM = 128  # nodes, of a rim, to which distances are taken
 PAIRS = 1 << 20  # of nodes whose distances are taken at once
 
@@ -34,7 +34,9 @@ def bending(units: Units, asked: Votes, least: Float, k: LatticeConstants) -> Fl
     for some in _in_turns(np.argsort(size, kind="stable"), SEEN):
         one, two = nodes.beside(asked.chosen(some), k)
         known = np.flatnonzero((one.nodes >= TREND) & (two.nodes >= TREND // 2))
-        for each in _in_turns(known[np.lexsort((one.nodes[known], two.nodes[known]))], SOLVED):
+        for each in _in_turns(
+            known[np.argsort((one.nodes + two.nodes)[known], kind="stable")], SOLVED
+        ):
             tears, sides = some[each], (one.chosen(each), two.chosen(each))
             energy[tears] = _energies(*sides, nodes.cell[asked.second[tears]], least[tears])
     return energy

@@ -24,14 +24,13 @@ def joined(units: Units, votes: Votes, k: LatticeConstants) -> Units:
     that are sure are one part from then on. Others are asked about another one, and again where
     votes are new. A corner, and a number, belongs to the larger of two parts.
     """
-    refused: dict[tuple[int, int], float] = {}
+    refused = np.zeros(0, np.complex128)
     while True:
         asked = _asked(votes, refused)
         if not len(asked.first):
             return units
         sure = _are_sure(units, asked, k)
-        pairs = zip(asked.first.tolist(), asked.second.tolist(), strict=True)
-        refused |= zip(pairs, asked.weight.tolist(), strict=True)
+        refused = np.append(refused, _leads(asked))
         if sure.any():
             at = Placements.of(asked.chosen(sure), len(units.faces))
             units, votes = at.units(units), at.votes(votes)
@@ -99,7 +98,7 @@ def _is_new(part: Whole, key: Whole) -> Mask:
     return new
 
 
-def _asked(votes: Votes, refused: dict[tuple[int, int], float]) -> Votes:
+def _asked(votes: Votes, refused: Numbers) -> Votes:
     """Return placements that were not refused with the same lead: for each part the one with the
     most votes beside the largest other part. Their weight is by how many they lead there."""
     best = votes.chosen(np.lexsort((-votes.weight, votes.second, votes.first)))
@@ -107,11 +106,15 @@ def _asked(votes: Votes, refused: dict[tuple[int, int], float]) -> Votes:
     second = np.zeros_like(best.weight)
     second[:-1] = np.where(is_best[1:], 0, best.weight[1:])
     best = best._replace(weight=best.weight - second).chosen(is_best)
-    pairs = zip(best.first.tolist(), best.second.tolist(), best.weight.tolist(), strict=True)
-    new = [refused.get((one, two)) != weight for one, two, weight in pairs]
-    best = best.chosen(np.array(new, np.bool_))
+    best = best.chosen(~np.isin(_leads(best), refused))
     best = best.chosen(np.lexsort((best.first, best.second)))
     return best.chosen(_is_first(best.second))
+
+
+def _leads(asked: Votes) -> Numbers:
+    """Return both parts and the weight of each as one number."""
+    leads: Numbers = (asked.first << 32) + asked.second + 1j * asked.weight
+    return leads
 
 
 def _is_first(*keys: Whole) -> Mask:
