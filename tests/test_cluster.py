@@ -5,14 +5,13 @@ import os
 import threading
 import time
 
+import distributed
 import pytest
 from comparison import assert_same_bytes
 from workers import broken_frame, colour_frame, frame, slow_frame
 
 from cmp_cl import Detector, DetectorConfig, EdgeLines, cluster
 from cmp_cl.errors import ConfigError, ImageError
-
-distributed = pytest.importorskip("distributed")
 
 COUNT, PART = 46, 5
 pytestmark = [

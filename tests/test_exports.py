@@ -1,11 +1,11 @@
 """Cameras of several kinds, and corners and cameras as other tools read them."""
 
 import dataclasses
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import yaml
 from stereo_data import DISTORTIONS, MATRIX, SIZE, camera, grid_of, opencv_pairs
 
 from cmp_cl.errors import CalibrationError, ConfigError
@@ -71,11 +71,6 @@ def test_a_file_of_one_camera_or_of_fisheyes_is_no_rig(tmp_path):
         StereoRig.load(tmp_path / "fish.yaml")
 
 
-def loaded(path):
-    yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
-    return yaml.safe_load(Path(path).read_text())
-
-
 def test_a_camera_has_the_coefficients_of_its_lens():
     """Else four of a pinhole would be taken for those of a fisheye."""
     with pytest.raises(CalibrationError, match=r"pinhole lens has 5 coefficients .* not 4"):
@@ -103,7 +98,7 @@ def test_a_file_for_ros_holds_each_camera(tmp_path, lens, model):
         "rig-right.camera_info.yaml",
     ]
     for file, (name, each) in zip(files, pair.items(), strict=True):
-        info = loaded(file)
+        info = yaml.safe_load(file.read_text())
         assert info["camera_name"] == name
         assert (info["image_width"], info["image_height"]) == each.size
         assert info["camera_matrix"]["data"] == each.matrix.ravel().tolist()
@@ -121,7 +116,7 @@ def test_a_file_for_kalibr_holds_a_chain_in_metres(tmp_path):
         "c": camera(Lens.PINHOLE, (0, 0.1, 0), (-90, 0, 0)),
     }
     save_cameras(tmp_path / "rig.camchain.yaml", chain)
-    found = loaded(tmp_path / "rig.camchain.yaml")
+    found = yaml.safe_load((tmp_path / "rig.camchain.yaml").read_text())
     assert found["cam0"]["intrinsics"] == [420, 418, 325, 236]
     assert found["cam1"]["distortion_model"] == "equidistant"
     step = np.array(found["cam2"]["T_cn_cnm1"])

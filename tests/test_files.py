@@ -13,23 +13,6 @@ from cmp_cl.files import csv_bytes, read_toml, whole_file, write_bytes
 posix = pytest.mark.skipif(os.name == "nt", reason="modes, links and devices are others on Windows")
 
 
-def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
-    target = tmp_path / "corners.csv"
-    write_bytes(target, b"old")
-
-    def write_half():
-        with whole_file(target) as file:
-            file.write(b"half")
-            file.flush()
-            assert target.read_text() == "old"
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        write_half()
-    assert target.read_text() == "old"
-    assert os.listdir(tmp_path) == ["corners.csv"]
-
-
 @posix
 def test_a_file_keeps_its_mode_from_the_first_byte_on_and_a_link_stays_a_link(tmp_path):
     secret = tmp_path / "secret"

@@ -1,7 +1,6 @@
 """Pictures: each shows every corner, node and value where it is, with its unit."""
 
 import dataclasses
-import importlib.util
 import os
 import urllib.error
 import urllib.request
@@ -32,11 +31,6 @@ from cmp_cl.viz.live import LiveView
 from cmp_cl.viz.moments import Summary, moments_of
 from cmp_cl.viz.overlays import moved_overlay
 from cmp_cl.viz.video import VideoFile
-
-needs_matplotlib = pytest.mark.skipif(
-    importlib.util.find_spec("matplotlib") is None, reason="matplotlib is not installed"
-)
-
 
 # images with marks
 
@@ -123,7 +117,6 @@ def shown(figure):
     return found
 
 
-@needs_matplotlib
 def test_maps_have_the_recorded_values_with_their_units(recorded):
     last = recorded[-1]
     figure = map_figure(last, Quantity.DISPLACEMENT)
@@ -157,7 +150,6 @@ def test_maps_have_the_recorded_values_with_their_units(recorded):
             map_figure(last, Quantity.HEIGHT)
 
 
-@needs_matplotlib
 @pytest.mark.parametrize("size", [0.0, 1e-320])
 @pytest.mark.parametrize("recorded", [1], indirect=True)
 def test_pixels_that_a_damaged_file_has_at_one_place_are_drawn(recorded, size, tmp_path):
@@ -165,7 +157,6 @@ def test_pixels_that_a_damaged_file_has_at_one_place_are_drawn(recorded, size, t
     save_figure(tmp_path / "map.png", map_figure(last, Quantity.DISPLACEMENT))
 
 
-@needs_matplotlib
 def test_the_frame_that_moves_most_is_on_the_sheet_with_the_curves_of_all(recorded, tmp_path):
     summary = Summary(recorded)
     assert summary.moment.index == 7
@@ -191,7 +182,6 @@ def test_the_frame_that_moves_most_is_on_the_sheet_with_the_curves_of_all(record
     assert cv2.imread(str(tmp_path / "a picture.png")).std() > 20
 
 
-@needs_matplotlib
 def test_a_frame_without_the_pattern_has_no_map(recorded):
     first = recorded[0]
     none = dataclasses.replace(first, rest=np.full_like(first.rest, np.nan))
@@ -202,7 +192,6 @@ def test_a_frame_without_the_pattern_has_no_map(recorded):
 # the command
 
 
-@needs_matplotlib
 def test_the_command_writes_a_picture_or_says_why_not(tmp_path, capsys):
     series, out = str(record(tmp_path / "press.npz", views=1)), str(tmp_path / "press.png")
     for options in ([], ["--what", "strain", "--frame", "5"]):
@@ -230,7 +219,6 @@ def test_the_command_writes_a_picture_or_says_why_not(tmp_path, capsys):
         assert main(["plot", str(tmp_path / "live.npz.part"), "--out", out]) == 0
 
 
-@needs_matplotlib
 def test_an_animation_has_every_frame_on_one_scale(tmp_path):
     series, out = record(tmp_path / "press.npz", views=2), tmp_path / "press.mp4"
     assert main(["plot", str(series), "--out", str(out), "--what", "height"]) == 0

@@ -158,7 +158,6 @@ CHESSBOARD = "--board", "9x6", "--square", 25
 
 
 def test_images_are_those_of_one_camera(run, opencv_views, tmp_path):
-    pytest.importorskip("matplotlib", reason="matplotlib is not installed")
     left = opencv_views[0]
     shutil.copy(left[0], tmp_path / "again.jpg")
     status, out, _ = run("calibrate", *left, "again.jpg", *CHESSBOARD, "--corners", "corners.vnl")

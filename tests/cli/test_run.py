@@ -399,7 +399,6 @@ def test_a_pipe_gets_json_lines_alone_and_the_report_goes_to_stderr(press, tmp_p
 
 
 def test_a_sheet_and_one_annotated_video_are_written(run, recording, press):
-    pytest.importorskip("matplotlib", reason="matplotlib is not installed")
     status, out, _ = run("run", recording, *STEREO, "--plot", "shown.png")
     assert (status, out.splitlines()[-2:]) == (0, ["wrote shown.png", "wrote shown.mp4"])
     capture = cv2.VideoCapture("shown.mp4")
@@ -412,7 +411,6 @@ def test_a_sheet_and_one_annotated_video_are_written(run, recording, press):
 
 
 def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
-    pytest.importorskip("h5py", reason="h5py is not installed")
     os.mkdir("frames")
     for number, stretch in enumerate((1.0, 1.01)):
         camera = boards.homography(np.array([[12 * stretch, 0, 36], [0, 12, 36], [0, 0, 1]]))

@@ -1,12 +1,12 @@
 """Files of every kind that is read, how each is read, and what may be wrong with one."""
 
-import importlib
 import itertools
 import re
 from pathlib import Path
 from typing import Any
 
 import cv2
+import h5py
 import numpy as np
 from stereo_data import grid_of, toed_in_rig
 from videos import write_deep_video, write_video
@@ -77,8 +77,6 @@ KINDS: dict[str, tuple[Any, ...]] = {  # how a file is written, read, and given 
     "press.npz": (write_series, read_series, PLOT),
     "press.h5": (write_series, read_series, PLOT),
 }
-if importlib.util.find_spec("h5py") is None:
-    KINDS.pop("press.h5")
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
@@ -122,6 +120,6 @@ def with_another_array(path: Path, rng: np.random.Generator) -> None:
     if path.suffix == ".npz":
         np.savez(path, **arrays)
         return
-    with importlib.import_module("h5py").File(path, "w") as file:
+    with h5py.File(path, "w") as file:
         for key, array in arrays.items():
             file[key] = np.char.encode(array) if array.dtype.kind == "U" else array
