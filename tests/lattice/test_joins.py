@@ -45,44 +45,52 @@ def vote(offset: int, weight: float) -> Votes:
     return votes_for(offset)._replace(weight=np.array([weight]))
 
 
-@pytest.mark.parametrize(
-    ("columns", "offsets"),
-    [
-        ((range(6), range(7, 13), range(14, 20)), (7, 7)),  # the third has votes beside the second
-        ((range(8), range(6, 14)), (6,)),  # two columns of corners are in both
-    ],
-)
-def test_parts_are_joined_by_way_of_others_and_by_corners_in_common(columns, offsets):
+@pytest.mark.parametrize("seed", range(12))
+def test_parts_are_joined_as_they_lie_however_they_are_turned_and_numbered(seed):
+    """Side by side or with columns of corners in common, in any order of their sizes; votes are
+    between neighbours."""
+    draw, start, columns = np.random.default_rng(seed), 0, []
+    for width in draw.integers(5, 11, 4).tolist():
+        columns.append(range(start, start + width))
+        start += width + draw.choice([-2, 1])
+    columns.sort(key=len, reverse=True)
     units, count = parts(*columns)
-    found = joined(units, votes_for(*offsets), K)
+    column = np.array([each.start for each in columns])
+    turn, origin = draw.integers(0, 4, 4), draw.integers(-9, 10, (4, 2)) @ [1, 1j]
+    number = units.number * TURNS[turn[units.part]] + origin[units.part]
+    units = units._replace(number=number, rotation=turn[units.part])
+    order = np.argsort(column)
+    one, two = np.sort([order[:-1], order[1:]], axis=0)
+    quarter = (turn[one] - turn[two]) % 4
+    offset = (column[two] - column[one]) * TURNS[turn[one]] - origin[two] * TURNS[quarter]
+    votes = Votes(one, two, quarter, offset + origin[one], np.full(3, float(ROWS)))
+    found = joined(units, votes, K)
     np.testing.assert_array_equal(np.sort(found.corner), np.unique(units.corner))
     assert not found.part.any()
-    width = count // ROWS
-    np.testing.assert_array_equal(found.number, found.corner % width + 1j * (found.corner // width))
-
-
-def test_a_part_whose_votes_and_surface_name_different_places_stays_apart():
-    units, _ = parts(range(8), range(9, 17))
-    none = np.zeros(2, np.int64)
-    votes = Votes(none, none + 1, none, np.array([7, 9]) + 0j, np.array([30.0, 20.0]))
-    np.testing.assert_array_equal(joined(units, votes, K).part, units.part)
+    row, true = np.divmod(found.corner, count // ROWS)
+    expected = (true - column[0] + 1j * row) * TURNS[turn[0]] + origin[0]
+    np.testing.assert_array_equal(found.number, expected)
+    np.testing.assert_array_equal(found.rotation, turn[0])
 
 
 @pytest.mark.parametrize(
     ("bent", "votes", "sure"),
-    [(0.05, 0.3, True), (0.3, 2.0, False), (0.3, 8.0, True), (2.0, 8.0, False), (2.0, 30.0, True)],
+    [
+        (0.05, {9: 0.3}, True),
+        (0.3, {9: 2.0}, False),
+        (0.3, {9: 8.0}, True),
+        (2.0, {9: 8.0}, False),
+        (2.0, {9: 30.0}, True),
+        (0.6, {9: 30.0, 7: 15.0}, True),
+        (0.6, {9: 30.0, 7: 28.0}, False),
+        (0.3, {7: 30.0, 9: 20.0}, False),  # votes and the surface name different places
+    ],
 )
-def test_a_bent_surface_needs_more_votes_and_a_flat_one_hardly_any(bent, votes, sure):
+def test_a_bent_surface_needs_more_votes_in_the_lead_and_a_flat_one_hardly_any(bent, votes, sure):
     units, _ = parts(range(8), range(9, 17), bent=bent)
-    assert (joined(units, vote(9, votes), K).part.max() == 0) == sure
-
-
-@pytest.mark.parametrize(("second", "sure"), [(0.0, True), (15.0, True), (28.0, False)])
-def test_a_placement_must_lead_the_second_where_the_surface_is_bent(second, sure):
-    units, _ = parts(range(8), range(9, 17), bent=0.6)
-    none = np.zeros(2, np.int64)
-    votes = Votes(none, none + 1, none, np.array([9, 7]) + 0j, np.array([30.0, second]))
-    assert (joined(units, votes, K).part.max() == 0) == sure
+    none = np.zeros(len(votes), np.int64)
+    given = Votes(none, none + 1, none, np.array([*votes]) + 0j, np.array([*votes.values()]))
+    assert (joined(units, given, K).part.max() == 0) == sure
 
 
 def test_a_part_that_is_not_sure_is_asked_again_once_more_votes_are_for_it():
@@ -159,34 +167,3 @@ def test_long_tears_are_seen_bit_by_bit_and_by_some_of_their_nodes(pairs, rim, m
     seen = bending(units, votes, np.zeros(2), K)
     np.testing.assert_allclose(seen, whole, rtol=0.2 if rim < 128 else 1e-9)
     assert (seen.argmin(axis=1) == 0).all()
-
-
-@pytest.mark.parametrize("one", [(1, 2 + 1j), (2, -3j)])
-@pytest.mark.parametrize("other", [(0, 5 + 0j), (3, 1 - 4j)])
-def test_a_part_beside_a_turned_one_is_placed_through_it(one, other):
-    """The third part in the second, the second in the first; and so are the votes of a fourth."""
-
-    def placed(number, quarter, offset):
-        return number * TURNS[quarter] + offset
-
-    first, second = np.array([0, 1]), np.array([1, 2])
-    quarters, offsets = (np.array(each) for each in zip(other, one, strict=True))
-    at = Placements.of(Votes(first, second, quarters, offsets + 0j, np.ones(2)), 4)
-    number, in_second = 3 - 2j, placed(3 - 2j, *one)
-    assert at.into.tolist() == [0, 0, 0, 3]
-    assert placed(number, at.quarter[2], at.offset[2]) == placed(in_second, *other)
-    votes = at.votes(Votes(*np.array([[2], [3], [1]]), np.array([2 - 1j]), np.ones(1)))
-    in_third = placed(number, 1, 2 - 1j)
-    expected = placed(placed(in_third, *one), *other)
-    assert placed(number, votes.quarter[0], votes.offset[0]) == expected
-
-
-def test_votes_are_turned_about_where_the_smaller_part_becomes_the_larger():
-    """The second part lies in the first, and the third, which is larger than it, beside it."""
-    at = Placements(np.array([0, 1, 0]), np.array([0, 0, 1]), np.array([0, 0, 3 + 2j]))
-    votes = at.votes(Votes(*np.array([[1], [2], [3]]), np.array([5 - 1j]), np.ones(1)))
-    assert (votes.first[0], votes.second[0]) == (0, 1)
-    number = 4 + 7j
-    in_second = number * TURNS[3] + 5 - 1j
-    in_first = number * TURNS[1] + 3 + 2j
-    assert in_second * TURNS[votes.quarter[0]] + votes.offset[0] == in_first
