@@ -15,6 +15,7 @@ from scenes import (
     BOARD,
     SCENES,
     SIZE,
+    Camera,
     View,
     barred,
     board,
@@ -393,6 +394,30 @@ def test_a_part_that_slides_by_cells_is_told_where_the_border_was_seen_at_rest(
     assert np.count_nonzero(grid.valid) > 0.9 * 20 * columns
     assert bool(grid.doubts) == told
     assert grid.ambiguous == told
+
+
+def pose(frame: int) -> Camera:
+    """Return a fisheye before a board that a hand holds anywhere and any way round."""
+    draw = np.random.default_rng(frame)
+    lean = draw.uniform(-0.7, 0.7, 2)
+    turn = draw.uniform(-np.pi, np.pi)
+    far = draw.uniform(10, 14)
+    place = np.array([*draw.uniform(-0.25, 0.25, 2) * far, far])
+    still = np.zeros(3)
+    rotation, *_ = cv2.composeRT(np.array([0, 0, turn]), still, np.array([*lean, 0]), still)
+    return fisheye(336.0, rotation.ravel(), place, (4, 2.5), (480, 640))
+
+
+@pytest.mark.parametrize("frame", [44, 45, 46, 47])
+def test_a_whole_board_before_a_fisheye_has_the_same_nodes_like_the_rest_as_by_its_size(frame):
+    straight = fisheye(336.0, (0, 0, 0), np.array([2.0, -1.0, 13.0]), (4, 2.5), (480, 640))
+    rest, view = (drawn(camera, (480, 640), BOARD) for camera in (straight, pose(frame)))
+    at_rest = grid_of(rest, shape=BOARD)
+    sized, liked = grid_of(view, shape=BOARD), grid_of(view, like=at_rest)
+    assert scored(sized, view, known="board").right == 54
+    assert scored(liked, view, known="board").right == 54
+    assert liked.shape == BOARD
+    assert not liked.ambiguous
 
 
 @pytest.mark.parametrize(("severity", "share"), [(0.5, 0.99), (1.5, 0.99), (2.0, 0.96)])
