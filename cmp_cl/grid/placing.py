@@ -55,8 +55,10 @@ def placed(found: Found, corners: Corners, asked: Asked, told: Told = NOTHING) -
 
 def _between(there: Mask) -> Mask:
     """Return which places have a corner on both sides, in their row or in their column, (R, C)."""
-    wide, inner = np.pad(there, 1), np.s_[1:-1]
-    return (wide[inner, 2:] & wide[inner, :-2]) | (wide[2:, inner] & wide[:-2, inner])
+    between = np.zeros_like(there)
+    between[:, 1:-1] = there[:, 2:] & there[:, :-2]
+    between[1:-1] |= there[2:] & there[:-2]
+    return between
 
 
 def _extent(board: Board, best: Numbering, asked: Asked) -> tuple[tuple[int, int], tuple[int, int]]:
