@@ -415,17 +415,23 @@ void empty_list(LISTS_OF_PLACES, const int kind) {
   ALL_TOGETHER;
   if (get_local_id(0) == 0) counts[kind] = 0;
 }
-/* List the nodes within some places of listed ones, these too, and of missing places those to look
- * at, if that is asked for. */
+/* List listed places as another kind, and the nodes within so many steps of them, and of missing
+ * places those to look at, if that is asked for. A node without a step of its own along an axis takes
+ * those of the nodes near it. */
 #define SQUARE(reach)                                                               \
   for (int r = -(reach); r <= (reach); ++r)                                         \
     for (int c = -(reach); c <= (reach); ++c)
-void list_around(LISTS_OF_PLACES, const int from, const int reach, const int kind, const bool looks,
-                 const int width, __global const float2 *seen) {
+bool has_steps(__global const float2 *seen, const int place, const int width) {
+  return (IS_HERE(seen[place + 1]) || IS_HERE(seen[place - 1])) &&
+         (IS_HERE(seen[place + width]) || IS_HERE(seen[place - width]));
+}
+void list_around(LISTS_OF_PLACES, const int from, const int reach, const int steps, const int kind,
+                 const bool looks, const int width, __global const float2 *seen) {
   FOR_LISTED(from) SQUARE(reach) {
     const int other = place + r * width + c;
-    const bool is_node = IS_HERE(seen[other]);
-    if (is_node || other == place) list_place(OF_PLACES, kind, other);
+    const bool is_node = IS_HERE(seen[other]), is_near = r * r + c * c <= steps * steps;
+    if (other == place || (is_node && (is_near || !has_steps(seen, other, width))))
+      list_place(OF_PLACES, kind, other);
     if (looks && !is_node) list_place(OF_PLACES, LOOKED, other);
   }
   ALL_TOGETHER;
@@ -522,23 +528,23 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
       if (own >= 0) claim[own] = INT_MAX;
     }
     if (!counts[CHANGED]) return;
-    list_around(OF_PLACES, CHANGED, NEAR, BLENDED, true, width, seen);
+    list_around(OF_PLACES, CHANGED, NEAR, 2, BLENDED, true, width, seen);
     FOR_LISTED(BLENDED)
       if (blend(nats, width, place, seen, torn, at, result, rough, predictions))
         list_place(OF_PLACES, MOVED, place);
     ALL_TOGETHER;
-    list_around(OF_PLACES, MOVED, NEAR, MEASURED, true, width, seen);
+    list_around(OF_PLACES, MOVED, NEAR, 1, MEASURED, true, width, seen);
     FOR_LISTED(MEASURED)
       measure(LEVELS, nats, width, place, PARITY_OF(place / width, place % width), at, cell, sides,
               cells);
     if (looks && round++ == rounds) return;
     FOR_LISTED(BLENDED) list_place(OF_PLACES, SCORED, place);
     ALL_TOGETHER;
-    list_around(OF_PLACES, MEASURED, NEAR, SCORED, true, width, seen);
+    list_around(OF_PLACES, MEASURED, NEAR, 3, SCORED, true, width, seen);
     FOR_LISTED(SCORED)
       score_node(nats, width, place, seen, at, torn, predictions, cell, sides, cells, score);
     ALL_TOGETHER;
-    list_around(OF_PLACES, SCORED, 1, JUDGED, false, width, seen);
+    list_around(OF_PLACES, SCORED, 1, 2, JUDGED, false, width, seen);
     for (int kind = CHANGED; kind <= SCORED; ++kind) empty_list(OF_PLACES, kind);
     ALL_TOGETHER;
   }
