@@ -57,9 +57,9 @@ def build_grid(
 
     If several boards are seen, the grid is of the one that fits the known size, or the print and
     the borders of `like`; without either of the largest that is seen whole, a full rectangle with
-    its borders, and of the largest if none is. A second that is comparable is an error, a smaller
-    one is told by `Grid.others`; the ground behind a whole one, a lattice that ends nowhere, is
-    neither.
+    its borders; else of the largest full rectangle with a border; else of the largest. A second
+    that is comparable is an error, a smaller one is told by `Grid.others`. A lattice that ends
+    nowhere is the ground behind a full rectangle with a border, and is told if that is not whole.
 
     Raises GridError if corners have no finite position or no edge angles, if two comparable
     boards are seen, if the board holds few of the corners, if a shape has millions of nodes, if

@@ -134,15 +134,20 @@ class Found:
         return count if count >= K.least_board else 0
 
     @functools.cached_property
-    def is_whole(self) -> bool:
-        """Return whether it is a full rectangle, but for a few corners, whose border is seen, but
-        for one side; or one that has every corner, and a further line on any side would be in
+    def ended(self) -> int:
+        """Return on how many sides its border is seen, if it is a full rectangle but for a few
+        corners, else 0; 4 if it has every corner, and a further line on any side would be in
         view."""
         board, border = self.board, self.board.border
         smooth = np.count_nonzero((board.owner >= 0) & ~board.torn) / board.owner.size
-        ended = np.count_nonzero(border.ends) >= 3
-        alone = smooth == 1 and bool((border.room & ~border.follows).all())
-        return bool(smooth >= K.least_line and (ended or alone))
+        if smooth == 1 and (border.room & ~border.follows).all():
+            return 4
+        return int(np.count_nonzero(border.ends)) if smooth >= K.least_line else 0
+
+    @property
+    def is_whole(self) -> bool:
+        """Return whether it is a full rectangle whose border is seen, but for one side."""
+        return self.ended >= 3
 
     def fills(self, shape: tuple[int, int]) -> bool:
         """Return whether it has nearly all nodes of a known size."""
@@ -321,7 +326,7 @@ def chosen_of(boards: Iterable[Found], asked: Asked, count: int) -> tuple[Found 
         sure = chosen.fills(asked.shape)
     else:
         chosen, others = _alone(found)
-        sure = chosen.is_whole
+        sure = chosen.ended > 0
     least = K.few * count
     if not sure and chosen.size < least:
         raise GridError(
@@ -332,7 +337,9 @@ def chosen_of(boards: Iterable[Found], asked: Asked, count: int) -> tuple[Found 
     fits = asked.shape is not None and chosen.fits
     told = (
         Told(others, Others.PATTERN),
-        Told(0 if sure or chosen.is_whole else chosen.hanging, Others.HANGING),
+        Told(
+            0 if chosen.is_whole or (filled and not asked.like) else chosen.hanging, Others.HANGING
+        ),
         Told(0 if filled else chosen.across, Others.ACROSS),
         Told(chosen.gap, Others.GAP),
         Told(0 if fits else chosen.beyond, Others.BESIDE),
@@ -372,21 +379,20 @@ def _fitting(found: list[Found], shape: tuple[int, int]) -> Found:
 
 
 def _alone(found: list[Found]) -> tuple[Found, int]:
-    """Return the largest board that is seen whole, else the largest; and the corners of the largest
-    other that may be meant instead, 0 without one.
+    """Return the largest board that is seen whole, else the largest full rectangle with a border,
+    else the largest; and the corners of the largest other that may be meant instead, 0 without one.
 
-    Beside a whole board, a large one that ends nowhere is the ground behind it, and a small one
-    counts if it is whole too.
+    Beside a full rectangle with a border, a lattice that ends nowhere is the ground behind it;
+    beside a whole board it is not told, nor is one that is not whole.
 
     Raises GridError if another is comparable, and is not the ground.
     """
-    chosen = next((each for each in found if each.is_whole), found[0])
+    chosen = next((each for least in (3, 1) for each in found if each.ended >= least), found[0])
     others = [each for each in found if each is not chosen]
-    if chosen.is_whole:
-        others = [each for each in others if each.is_whole or each.board.border.ends.any()]
-    rivals = [each for each in others if each.is_comparable(chosen)]
-    if rivals:
-        raise _two(chosen, rivals[0])
+    for each in others:
+        ends = each.ended or each.board.border.ends.any() or not chosen.ended
+        if ends and each.is_comparable(chosen):
+            raise _two(chosen, each)
     told = [each.size for each in others if each.is_whole or not chosen.is_whole]
     return chosen, told[0] if told else 0
 
