@@ -70,7 +70,10 @@ def test_a_node_that_one_side_lacks_is_missing():
     rig = toed_in_rig()
     left, right = project(rig, gel())
     left[3, 4] = right[5, 6] = np.nan
-    points = rig.triangulate(grid_of(left), grid_of(right))
+    one, two = grid_of(left), grid_of(right)
+    two.status[0, 0] = one.status[1, 1] = NodeStatus.ATTACHED
+    points = rig.triangulate(one, two)
+    assert points.source[[0, 1, 2], [0, 1, 2]].tolist() == [*[NodeStatus.ATTACHED] * 2, 1]
     assert set(zip(*np.nonzero(~points.valid), strict=True)) == {(3, 4), (5, 6)}
     for node in ((3, 4), (5, 6)):
         assert points.status[node] == PointStatus.MISSING
@@ -109,10 +112,11 @@ def test_a_point_behind_the_right_camera_alone_is_flagged():
 
 
 def test_a_pixel_beyond_the_lens_model_is_flagged():
-    rig = parallel_rig(distortion=[-0.36, 0, 0, 0])
-    points = one_node(rig, (320 + 600, 240), (320 + 560, 240))
-    assert points.status[0, 0] == PointStatus.INCONSISTENT
-    assert np.isnan(points.xyz).all()
+    both = parallel_rig(distortion=[-0.36, 0, 0, 0])
+    for rig in (both, dataclasses.replace(both, D1=[]), dataclasses.replace(both, D2=[])):
+        points = one_node(rig, (320 + 600, 240), (320 + 560, 240))
+        assert points.status[0, 0] == PointStatus.INCONSISTENT
+        assert np.isnan(points.xyz).all()
 
 
 def test_grids_of_different_rows_or_columns_are_refused():
