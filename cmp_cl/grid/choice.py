@@ -312,7 +312,7 @@ def chosen_of(boards: Iterable[Found], asked: Asked, count: int) -> tuple[Found 
 
     count: corners in the view.
 
-    Raises GridError if two are comparable, or the board holds few of the corners.
+    Raises GridError if two are comparable, or the board holds few of the corners that no other has.
     """
     found = by_size(_until_two(boards, asked))
     if not found:
@@ -326,12 +326,12 @@ def chosen_of(boards: Iterable[Found], asked: Asked, count: int) -> tuple[Found 
         sure = chosen.fills(asked.shape)
     else:
         chosen, others = _alone(found)
-        sure = chosen.ended > 0
-    least = K.few * count
-    if not sure and chosen.size < least:
+        sure = chosen.is_whole
+    free = count - sum(each.size for each in found if each is not chosen)
+    if not sure and chosen.size < K.few * free:
         raise GridError(
-            f"the largest board has {chosen.size} of {count} corners, expected at least "
-            f"{math.ceil(least)}; give the shape, or a cut-out of the image"
+            f"the board has {chosen.size} of {free} corners that no other has, expected at least "
+            f"{math.ceil(K.few * free)}; give the shape, or a cut-out of the image"
         )
     filled = asked.shape is not None and chosen.fills(asked.shape)
     fits = asked.shape is not None and chosen.fits

@@ -120,9 +120,9 @@ class LatticeConstants:
         sure.
     sure_nats: nats, least confidence of numbers that are not ambiguous.
     beside: corners, beside a board on its lattice, that are told.
-    few: share, of the corners that a board must hold, unless it has all nodes of a known size. With
-        0, 13 of 565 boards in clutter are right that are refused, but of 60 grounds of noise
-        without a board one is numbered in silence and five are told.
+    few: share, of the corners that no other board has, that a board must hold, unless it has all
+        nodes of a known size. With 0, 13 of 565 boards in clutter are right that are refused, but
+        of 60 grounds of noise without a board one is numbered in silence and five are told.
     gap: share, of the places inside a board; so many without a node are told. It is told of 30 of
         128 torn gels; without it two with wrong numbers are silent.
     """

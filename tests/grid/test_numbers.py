@@ -193,10 +193,11 @@ def test_a_floor_of_squares_is_not_taken_for_the_board_in_silence(seed):
     assert not sized.doubts
 
 
-@pytest.mark.parametrize("seed", some(range(8), range(2)))
-def test_a_board_at_the_edge_of_the_image_is_meant_and_not_the_floor_that_ends_nowhere(seed):
-    camera = plane(cell=34, middle=(150, 207), about=(4, 2.5), turn=2)
-    view = drawn(camera, SIZE, BOARD, ground=squares(SIZE, seed), margin=0.3)
+@pytest.mark.parametrize("size", [SIZE, (600, 800)])
+@pytest.mark.parametrize("seed", some(range(6), range(2)))
+def test_a_board_at_the_edge_of_the_image_is_meant_and_not_the_floor_that_ends_nowhere(seed, size):
+    camera = plane(cell=34, middle=(150, size[0] - 93), about=(4, 2.5), turn=2)
+    view = drawn(camera, size, BOARD, ground=squares(size, seed), margin=0.3)
     grid = grid_of(view)
     assert sum(grid.border) in (1, 2)
     assert scored(grid, view).right == grid.valid.sum() == 54
