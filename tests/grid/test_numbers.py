@@ -227,6 +227,16 @@ def test_a_board_of_known_size_before_gravel_is_found(cell):
     assert not grid.doubts
 
 
+@pytest.mark.parametrize("seed", some(range(60, 100), [72]))
+def test_tiles_of_random_colours_are_not_numbered_in_silence(seed):
+    """In some frames they look like a small board with a border."""
+    tiles = (np.random.default_rng(seed).random((36, 47)) > 0.5) * 150.0 + 50
+    image = np.kron(tiles, np.ones((12, 12)))[:420, :560]
+    frame = cv2.GaussianBlur(image, (0, 0), 1).astype(np.uint8)
+    with contextlib.suppress(GridError):
+        assert build_grid(detect(frame), frame).doubts
+
+
 # a known size
 
 
