@@ -337,9 +337,7 @@ def chosen_of(boards: Iterable[Found], asked: Asked, count: int) -> tuple[Found 
     fits = asked.shape is not None and chosen.fits
     told = (
         Told(others, Others.PATTERN),
-        Told(
-            0 if chosen.is_whole or (filled and not asked.like) else chosen.hanging, Others.HANGING
-        ),
+        Told(0 if sure or chosen.is_whole else chosen.hanging, Others.HANGING),
         Told(0 if filled else chosen.across, Others.ACROSS),
         Told(chosen.gap, Others.GAP),
         Told(0 if fits else chosen.beyond, Others.BESIDE),
