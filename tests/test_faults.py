@@ -1,6 +1,7 @@
 """Faults around a detector: memory, caches, kills, threads, processes."""
 
 import ctypes
+import multiprocessing
 import os
 import platform
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ import pytest
 from cases import some
 from children import ENVIRONMENT, python
 from comparison import assert_same_bytes
+from workers import corners_of_board
 
 from cmp_cl import BinaryRings, Detector, DetectorConfig
 from cmp_cl.errors import CapacityError
@@ -24,6 +26,14 @@ BOARD = images.eight_bits()["board"]
 
 def refuse(*_, **__):
     raise cl.MemoryError("MEM_OBJECT_ALLOCATION_FAILURE")
+
+
+def test_memory_that_is_refused_is_a_capacity_error(device, monkeypatch):
+    monkeypatch.setattr(cl, "Buffer", refuse)
+    with pytest.raises(
+        CapacityError, match=r"not enough memory for a plan of \d+ bytes, though it has \d+"
+    ):
+        Detector(shape=images.SHAPE, device=device)
 
 
 @pytest.mark.parametrize(
@@ -179,6 +189,12 @@ def test_a_process_may_end_while_a_thread_measures(device):
     stands, which the C++ of a kernel's call does not take."""
     done = python("-c", ENDS.format(device=device.index))
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_spawned_process_finds_the_same_corners(device):
+    here = corners_of_board(device.index)
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        assert pool.map(corners_of_board, [device.index]) == [here]
 
 
 FORKED = """

@@ -38,6 +38,7 @@ from stereo_data import photographs
 from cmp_cl import Corners, Detector, Grid, GridError, ImageError, NodeStatus, build_grid, detect
 from cmp_cl.grid import Others, build_grids
 from cmp_cl.synthetic import Indenter, random_scene
+from cmp_cl.synthetic.scoring import agreeing
 
 
 @functools.cache
@@ -67,6 +68,14 @@ def test_every_number_is_right_or_the_grid_says_so(name):
     assert score.share >= SCENES[name].share, score
     assert score.wrong == 0, score
     assert score.false <= SCENES[name].false, score
+
+
+@pytest.mark.parametrize("name", ["board with dots", "board with codes of 0.75"])
+def test_marks_in_cells_take_no_corner_away(name):
+    """Most of their own maxima are lone, as those of noise are."""
+    view, corners = seen(name)
+    apart = np.linalg.norm(corners.xy[:, None] - view.corners[:, :2], axis=2)
+    assert (apart.min(axis=0) < 1).all()
 
 
 @pytest.mark.parametrize("name", ["gel, severity 1.5", "board", "gel, cut at left", "16 bits"])
@@ -357,6 +366,19 @@ def test_corners_that_lie_anywhere_beside_a_board_are_not_told_as_its():
     assert not grid.doubts
 
 
+@pytest.mark.parametrize("number", some(range(6), range(3)))
+def test_a_board_behind_an_arm_is_whole_or_told_without_a_size(number):
+    draw, front = np.random.default_rng(number), np.full(SIZE, np.nan)
+    slope, width = draw.uniform(-0.6, 0.6), draw.uniform(30, 60)
+    y, x = np.indices(SIZE)
+    front[abs(x - 150 - slope * (y - 150)) < width / 2] = draw.uniform(60, 180)
+    view = drawn(plane(cell=26, middle=(200, 150), about=(4, 2.5)), SIZE, BOARD, front=front)
+    grid = grid_of(view)
+    assert grid.doubts or (grid.shape == BOARD and scored(grid, view, known="board").clean)
+    sized = grid_of(view, shape=BOARD)
+    assert_right_or_told(sized, view, "board")
+
+
 LOST = pytest.mark.xfail(strict=True, reason="nodes at the rim are lost, or another board is seen")
 RIM = [
     (2.0, (0, 0), (0, 0)),
@@ -383,6 +405,23 @@ def test_a_board_close_to_a_fisheye_keeps_all_corners_that_are_found(far, tilt, 
     assert score.right >= np.count_nonzero(away < 1.5), score
     assert score.clean
     assert not grid.doubts
+
+
+HARD = [  # focal length, px; distance, tilt and offset of the board
+    (163, 1.40, (-0.56, 0.37), (-0.23, 0.25)),
+    (181, 1.44, (0.43, -0.13), (0.25, 0.20)),
+    (170, 1.36, (-0.28, -0.38), (-0.09, -0.16)),
+    (155, 1.73, (0.43, 0.56), (-0.32, 0.26)),
+]
+
+
+@pytest.mark.parametrize("number", some(range(40), range(len(HARD))))
+def test_a_strong_fisheye_numbers_no_node_wrongly_in_silence(number):
+    draw = np.random.default_rng(number)
+    focal, far = draw.uniform(150, 200), draw.uniform(1.3, 2.4)
+    tilt, aside = draw.uniform(-0.6, 0.6, 2), draw.uniform(-0.4, 0.4, 2)
+    view = close(*(HARD[number] if number < len(HARD) else (focal, far, tilt, aside)))
+    assert_right_or_told(grid_of(view, shape=(6, 8)), view, "board")
 
 
 # like a grid at rest
@@ -415,6 +454,25 @@ def test_a_part_that_slides_by_cells_is_told_where_the_border_was_seen_at_rest(
     assert np.count_nonzero(grid.valid) > 0.9 * 20 * columns
     assert bool(grid.doubts) == told
     assert grid.ambiguous == told
+
+
+@pytest.mark.parametrize(("turn", "height"), [(0, 1.2), (15, 1.4), (30, 1.4), (45, 1.4)])
+def test_a_wave_that_stretches_cells_makes_no_wrong_number(turn, height):
+    """Where cells are long the surface through two parts expects more of them than there are."""
+    side, cell = 400, 17.0
+    y, x = np.mgrid[: 3 * side, : 3 * side] / 3 - 1 / 3
+    wave = height * cell * np.sin(2 * np.pi * (x / 210 + y / 330 + 0.13))
+    at = ((x - wave) + 1j * (y - 0.4 * wave)) * np.exp(1j * np.deg2rad(turn)) / cell
+    white = (np.floor(at.real) + np.floor(at.imag)) % 2
+    image = cv2.resize(np.float32(45 + 160 * white), (side, side), interpolation=cv2.INTER_AREA)
+    grids = build_grids(detect(image.astype(np.uint8)), image.astype(np.uint8))
+    assert np.count_nonzero(grids[0].valid) > 150
+    for grid in grids:
+        row, column = np.nonzero(grid.valid & (grid.status != NodeStatus.INTERPOLATED))
+        places = np.rint(3 * grid.xy[row, column] + 1).astype(int)
+        truth = at[places[:, 1], places[:, 0]]
+        true = np.rint(np.stack([truth.imag, truth.real], axis=1))
+        assert agreeing(np.stack([row, column], axis=1), true).mean() >= 0.98
 
 
 def pose(frame: int) -> Camera:
@@ -479,6 +537,39 @@ def test_an_open_pattern_is_never_numbered_wrongly_in_silence(shift, wear):
     if wear:
         assert not grid.ambiguous
         assert score.share > 0.99
+
+
+@pytest.mark.parametrize("moved", [{"turn": 12.0}, {"cell": 11.2}, {"cell": 12.9, "turn": -3.0}])
+def test_an_open_pattern_that_turned_or_came_nearer_keeps_its_numbers(moved):
+    rest, view = endless(0), endless(1, **moved)
+    at_rest = grid_of(rest)
+    view = numbered_as(at_rest, rest, view)
+    grid = grid_of(view, like=at_rest)
+    assert grid.ambiguous or scored(grid, view, known="truth").clean
+    assert scored(grid, view, known="truth").share > 0.97
+
+
+def test_a_film_of_an_open_pattern_is_followed_over_any_distance():
+    at_rest = before = None
+    for step in range(14):
+        shift = 0.35 * step
+        view = endless(
+            step,
+            wear=0.0,
+            middle=(200 + 12 * shift, 150 - 5 * shift),
+            cell=12 + 0.1 * (step % 5),
+            turn=4 + 1.5 * step,
+        )
+        if before is None:
+            rest, at_rest = view, grid_of(view)
+            before = at_rest
+            continue
+        grid = grid_of(view, like=at_rest, previous=before)
+        score = scored(grid, numbered_as(at_rest, rest, view), known="truth")
+        assert not grid.ambiguous
+        assert score.clean
+        assert score.share > 0.97
+        before = grid
 
 
 @pytest.mark.parametrize("jump", [0.7, 0.95, 1.1])
@@ -587,6 +678,14 @@ def test_photographs_get_one_consistent_lattice(name, share):
     score = scored(grid_of(view), view)
     assert score.wrong == 0
     assert score.share >= share
+
+
+def test_tabs_on_the_sides_of_a_puzzle_part_no_lattice():
+    """Enlarged, the tabs are wider than the smoothing of levels."""
+    view = photograph("puzzleboard/example1")
+    large = cv2.resize(view.image, None, fx=1.5, fy=1.5, interpolation=cv2.INTER_CUBIC)
+    grid = build_grid(detect(large), large)
+    assert np.count_nonzero(grid.index[:, 0] >= 0) >= 266
 
 
 @pytest.mark.parametrize("name", ["left01", "left02", "left03", "right02", "right04"])

@@ -6,9 +6,11 @@ import cv2
 import numpy as np
 import pytest
 from lattice_plans import K, gel, started
+from scenes import board
 
 from cmp_cl import Detector, DetectorConfig, detect
 from cmp_cl.lattice.boards import boards
+from cmp_cl.synthetic import Indenter, random_scene, render
 from cmp_cl.synthetic.boards import drawn, plane
 from cmp_cl.synthetic.scoring import agreeing
 
@@ -19,6 +21,27 @@ def found(device, image, **changed):
     corners = detect(image, device=device)
     plan = started(device, image, corners, constants=dataclasses.replace(K, **changed))
     return corners, list(boards(plan, corners.xy))
+
+
+def right(corners, board, truth):
+    """Return how many corners are nodes, and how many of these have the numbers of the truth, up to
+    one turn and one shift."""
+    row, column = np.nonzero(board.owner >= 0)
+    xy = corners.xy[board.owner[row, column]]
+    away = np.linalg.norm(xy[:, None] - truth.reshape(1, -1, 2), axis=2)
+    true_row, true_column = np.divmod(away.argmin(axis=1), truth.shape[1])
+    numbers, true = np.stack([row, column], 1), np.stack([true_row, true_column], 1)
+    return len(row), np.count_nonzero(agreeing(numbers, true))
+
+
+@pytest.mark.parametrize("seed", [3, 8])
+def test_a_gel_torn_all_around_a_ring_is_one_board_with_right_numbers(device, seed):
+    scene = random_scene(720_000 + seed, markers=40 + seed, indenter=Indenter.TORUS, severity=2.0)
+    shot = render(scene)
+    corners, (largest, *_) = found(device, shot.image)
+    nodes, agreed = right(corners, largest, shot.truth)
+    assert agreed == nodes
+    assert nodes > 0.88 * shot.truth[..., 0].size
 
 
 @pytest.mark.parametrize("seed", [5, 6])
@@ -32,6 +55,15 @@ def test_a_corner_is_a_node_of_one_board_at_most(device, seed):
     assert len(np.unique(owner)) == len(owner)
 
 
+@pytest.mark.parametrize("number", range(1, 5))
+def test_the_edge_of_a_shadow_parts_no_board(device, number):
+    """An eighth of the light is left behind it."""
+    image = board(number).image
+    light = 0.125 + 0.875 / (1 + np.exp((200.0 - np.arange(image.shape[1])) / 12))
+    _, (seen, *_) = found(device, (light * image).astype(np.uint8))
+    assert np.count_nonzero(seen.owner >= 0) == 54
+
+
 def test_a_fine_board_in_noise_is_one_board(device):
     """Noise leaves parts of a few faces."""
     camera = plane(cell=6, middle=(0, 0), turn=17)
@@ -40,6 +72,18 @@ def test_a_fine_board_in_noise_is_one_board(device):
     row, column = np.nonzero(largest.owner >= 0)
     number = np.rint(at[largest.owner[row, column]])[:, ::-1].astype(int)
     assert agreeing(np.stack([row, column], 1), number).sum() > 0.95 * len(corners)
+
+
+def test_a_patch_of_fewer_than_nine_cells_is_no_board(device):
+    ground = drawn(plane(cell=20, middle=(60, 60)), (300, 400), (6, 9)).image.astype(np.float32)
+    camera = plane(cell=20, middle=(300, 200))
+    for shape, count in (((3, 4), 1), ((4, 4), 2)):
+        assert len(found(device, drawn(camera, (300, 400), shape, ground=ground).image)[1]) == count
+
+
+def test_an_image_without_a_lattice_has_no_board(device):
+    noise = np.random.default_rng(1).integers(0, 255, (120, 160)).astype(np.uint8)
+    assert found(device, noise)[1] == []
 
 
 def test_a_frame_with_more_corners_than_expected_is_numbered(device):

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from lattice_plans import K, gel, started
 from lattices import corners_at, keep
+from scenes import SCENES
 
 from cmp_cl import detect
 from cmp_cl.lattice.arrays import LOOKED, NONE, Board
@@ -101,6 +102,12 @@ def test_gels(device, severity, seed):
     assert np.count_nonzero(board.owner >= 0) > 250
 
 
+def test_wide_cells_with_codes(device):
+    image = SCENES["board with codes of 0.85"].view().image
+    _, board = assert_equal_to_the_oracle(device, image, detect(image))
+    assert np.count_nonzero(board.owner >= 0) == 35
+
+
 @pytest.mark.parametrize(("bits", "full_scale"), [(8, 255), (16, 4085)])
 def test_a_crop(device, bits, full_scale):
     image = np.ascontiguousarray(gel(1.0, bits=bits)[31:170, 47:250])
@@ -173,6 +180,22 @@ def test_noise(device):
     xy = draw.random((700, 2)) * [140, 110] - 4
     corners = corners_at(xy, edges=draw.uniform(-np.pi, np.pi, (700, 4)))
     assert_equal_to_the_oracle(device, image, corners)
+
+
+def test_nodes_are_dropped_and_found(device):
+    """Some corners get a wrong number, and some none."""
+    image, draw = gel(1.0), np.random.default_rng(2)
+
+    def change(numbers):
+        numbers = numbers.copy()
+        wrong, none = draw.random((2, len(numbers))) < [[0.03], [0.2]]
+        numbers[wrong, :2] += draw.integers(-3, 4, (np.count_nonzero(wrong), 2))
+        numbers[none, 3] = 0
+        return numbers
+
+    corners = detect(image)
+    _, board = assert_equal_to_the_oracle(device, image, corners, change=change)
+    assert np.count_nonzero(board.owner >= 0) > 0.95 * len(corners)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -5,6 +5,8 @@ import time
 import images
 import numpy as np
 
+from cmp_cl import Detector
+
 
 def frame(number):
     """Return a frame of a recording: the scene moves by a pixel a frame."""
@@ -27,3 +29,10 @@ def broken_frame(number):
 def colour_frame(number):
     """Return `frame(number)` with three channels."""
     return np.dstack([frame(number)] * 3)
+
+
+def corners_of_board(device):
+    """Return how many corners a detector in this process finds on a board."""
+    board = images.eight_bits()["board"]
+    with Detector(shape=board.shape, device=device) as detector:
+        return len(detector(board))
