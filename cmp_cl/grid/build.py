@@ -57,9 +57,9 @@ def build_grid(
 
     If several boards are seen, the grid is of the one that fits the known size, or the print and
     the borders of `like`; without either of the largest that is seen whole, a full rectangle with
-    its borders; else of the largest full rectangle with a border; else of the largest. A second
-    that is comparable is an error, a smaller one is told by `Grid.others`. A lattice that ends
-    nowhere is the ground behind a full rectangle with a border, and is told if that is not whole.
+    its borders, else of the largest. If that ends nowhere, it is the ground behind the largest full
+    rectangle with a border, if there is one. A second board that is comparable is an error, a
+    smaller one, or the ground behind one that is not whole, is told by `Grid.others`.
 
     Raises GridError if corners have no finite position or no edge angles, if two comparable
     boards are seen, if the board holds few of the corners, if a shape has millions of nodes, if

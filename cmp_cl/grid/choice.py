@@ -149,6 +149,11 @@ class Found:
         """Return whether it is a full rectangle whose border is seen, but for one side."""
         return self.ended >= 3
 
+    @property
+    def ends_nowhere(self) -> bool:
+        """Return whether no border of it is seen, as of the ground behind a board."""
+        return not (self.ended or self.board.border.ends.any())
+
     def fills(self, shape: tuple[int, int]) -> bool:
         """Return whether it has nearly all nodes of a known size."""
         return self.fits and self.size >= K.least_line * shape[0] * shape[1]
@@ -377,19 +382,20 @@ def _fitting(found: list[Found], shape: tuple[int, int]) -> Found:
 
 
 def _alone(found: list[Found]) -> tuple[Found, int]:
-    """Return the largest board that is seen whole, else the largest full rectangle with a border,
-    else the largest; and the corners of the largest other that may be meant instead, 0 without one.
+    """Return the largest board that is seen whole, else the largest. If that ends nowhere, it is
+    the ground behind the largest full rectangle with a border. Return also the corners of the
+    largest other that may be meant instead, 0 without one.
 
-    Beside a full rectangle with a border, a lattice that ends nowhere is the ground behind it;
-    beside a whole board it is not told, nor is one that is not whole.
+    The ground is told, but behind a whole board; beside that, only other whole ones are told.
 
     Raises GridError if another is comparable, and is not the ground.
     """
-    chosen = next((each for least in (3, 1) for each in found if each.ended >= least), found[0])
+    chosen = next((each for each in found if each.is_whole), found[0])
+    if chosen.ends_nowhere:
+        chosen = next((each for each in found if each.ended), chosen)
     others = [each for each in found if each is not chosen]
     for each in others:
-        ends = each.ended or each.board.border.ends.any() or not chosen.ended
-        if ends and each.is_comparable(chosen):
+        if each.is_comparable(chosen) and not (each.ends_nowhere and chosen.ended):
             raise _two(chosen, each)
     told = [each.size for each in others if each.is_whole or not chosen.is_whole]
     return chosen, told[0] if told else 0

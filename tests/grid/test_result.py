@@ -152,14 +152,32 @@ def test_regions_are_of_cells_with_firm_nodes_that_share_sides(first, second, co
         )
 
 
-def whole(cell: float, left: float) -> Found:
-    """Return a whole board of 6 x 9 nodes; cell, left: px."""
-    none, one = np.zeros((6, 9), np.bool_), np.ones(4)
+def whole(cell: float, left: float, ends: int = 4) -> Found:
+    """Return a board of 6 x 9 nodes whose border is seen on some sides; cell, left: px."""
+    none, side = np.zeros((6, 9), np.bool_), np.arange(4)
     x, y = cell * np.stack(np.meshgrid(np.arange(9.0), np.arange(6.0)))
-    border = Border(reach=one, follows=one < 0, room=one > 0)
+    reach = np.where(side < ends, 1, np.nan)
+    border = Border(reach=reach, follows=side < 0, room=side < ends)
     owner = np.arange(54).reshape(6, 9)
     board = Board(x=x + left, y=y, owner=owner, torn=none, firm=~none, sign=1, border=border)
     return Found(board, Decision(Numbering(0, 0, 0, 0, 0), None, np.inf), 0)
+
+
+@pytest.mark.parametrize(("ends", "first"), [(0, False), (1, True)])
+def test_only_a_lattice_that_ends_nowhere_is_the_ground_behind_a_smaller_board(ends, first):
+    """A board that an object hides in part is no full rectangle either."""
+    side, none = np.arange(4), np.zeros((20, 20), np.bool_)
+    border = Border(np.where(side < ends, 1, np.nan), side < 0, side < 0)
+    owner = np.where(
+        np.add.outer(np.arange(20), np.arange(20)) < 15, -1, np.arange(400).reshape(20, 20)
+    )
+    x, y = 10 * np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0)))
+    seen = Board(x=x, y=y, owner=owner, torn=none, firm=~none, sign=1, border=border)
+    large = Found(seen, Decision(Numbering(0, 0, 0, 0, 0), None, np.inf), 0)
+    small = whole(10, 0, 2)
+    chosen, told = chosen_of([large, small], Asked(), 400)
+    assert chosen is (large if first else small)
+    assert told == ((small if first else large).size, Others.PATTERN)
 
 
 @pytest.mark.parametrize("asked", [Asked(), Asked(shape=(6, 9))])
