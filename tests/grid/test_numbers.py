@@ -379,6 +379,12 @@ def test_a_board_behind_an_arm_is_whole_or_told_without_a_size(number):
     assert_right_or_told(sized, view, "board")
 
 
+def test_the_last_squares_of_a_tilted_board_reach_as_far_as_the_next_line_would():
+    camera = plane(cell=26, middle=(200, 150), about=(4, 2.5), turn=9, tilt=(1.5e-3, 1e-3))
+    grid = grid_of(drawn(camera, SIZE, BOARD, margin=0.5))
+    np.testing.assert_allclose(grid.reach, 1, atol=0.06)
+
+
 LOST = pytest.mark.xfail(strict=True, reason="nodes at the rim are lost, or another board is seen")
 RIM = [
     (2.0, (0, 0), (0, 0)),
