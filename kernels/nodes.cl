@@ -416,8 +416,8 @@ void empty_list(LISTS_OF_PLACES, const int kind) {
   if (get_local_id(0) == 0) counts[kind] = 0;
 }
 /* List listed places as another kind, and the nodes within so many steps of them, and of missing
- * places those to look at, if that is asked for. A node without a step of its own along an axis takes
- * those of the nodes near it. */
+ * places those to look at, if that is asked for. A node without a step of its own along an axis
+ * takes those of the nodes near it. */
 #define SQUARE(reach)                                                               \
   for (int r = -(reach); r <= (reach); ++r)                                         \
     for (int c = -(reach); c <= (reach); ++c)
