@@ -1,6 +1,5 @@
 """How much the surface bends across tears, of many tears at once; on the host."""
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +15,7 @@ TREND = 6  # terms of a quadratic
 ROUNDING = 1e-9  # cells^2, of the energy of a flat surface, which is 0
 HELD = 1e-7  # of squared terms, in the energy, so that those which nodes leave open are 0
 NOWHERE = 1e30  # cells^2, the variance of a node that is not there
-SEEN, SOLVED = 128, 48  # tears whose nodes are looked for, and whose systems are solved, at once
+SOLVED = 48  # tears whose systems are solved at once
 RIM = 128  # nodes, of a rim, to which distances are taken
 PAIRS = 1 << 20  # of nodes whose distances are taken at once
 
@@ -28,23 +27,7 @@ def bending(units: Units, asked: Votes, least: Float, k: LatticeConstants) -> Fl
     least: (T,), times that the energy of a shift must exceed that of the placement. If the first
     shift's does not, the others are infinite.
     """
-    energy = np.full((len(asked.first), len(SHIFTS)), np.inf)
-    nodes = _Nodes(units)
-    size = np.diff(nodes.bounds)[asked.second]
-    for some in _in_turns(np.argsort(size, kind="stable"), SEEN):
-        one, two = nodes.beside(asked.chosen(some), k)
-        known = np.flatnonzero((one.nodes >= TREND) & (two.nodes >= TREND // 2))
-        for each in _in_turns(
-            known[np.argsort((one.nodes + two.nodes)[known], kind="stable")], SOLVED
-        ):
-            tears, sides = some[each], (one.chosen(each), two.chosen(each))
-            energy[tears] = _energies(*sides, nodes.cell[asked.second[tears]], least[tears])
-    return energy
-
-
-def _in_turns(some: Whole, most: int) -> Iterator[Whole]:
-    """Yield so many of them at a time."""
-    return (some[start : start + most] for start in range(0, len(some), most))
+    return Surface(units).bending(asked, least, k)
 
 
 class _Sides(NamedTuple):
@@ -77,7 +60,7 @@ class _Sides(NamedTuple):
         return mean[:, None]
 
 
-class _Nodes:
+class Surface:
     """The nodes of parts, from left to right in each, their rims, and the size of a cell, px."""
 
     def __init__(self, units: Units) -> None:
@@ -96,7 +79,19 @@ class _Nodes:
         self.key = part * self.wide + units.at.real - self.left  # they ascend
         self.cell = _cells(units)
 
-    def beside(self, asked: Votes, k: LatticeConstants) -> tuple[_Sides, _Sides]:
+    def bending(self, asked: Votes, least: Float, k: LatticeConstants) -> Float:
+        """Return the energies of the surface, as the function of this name."""
+        energy = np.full((len(asked.first), len(SHIFTS)), np.inf)
+        one, two = self._beside(asked, k)
+        known = np.flatnonzero((one.nodes >= TREND) & (two.nodes >= TREND // 2))
+        known = known[np.argsort((one.nodes + two.nodes)[known], kind="stable")]
+        for start in range(0, len(known), SOLVED):
+            some = known[start : start + SOLVED]
+            cell = self.cell[asked.second[some]]
+            energy[some] = _energies(one.chosen(some), two.chosen(some), cell, least[some])
+        return energy
+
+    def _beside(self, asked: Votes, k: LatticeConstants) -> tuple[_Sides, _Sides]:
         """Return the nodes of both parts near the tear at each placement: less than three lines,
         which a quadratic needs, farther from the other's rim than the nearest one. A corner of both
         is of the smaller part."""

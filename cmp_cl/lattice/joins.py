@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from cmp_cl.lattice.arrays import Float, Mask, Numbers, Units, Votes, Whole
-from cmp_cl.lattice.bending import TURNS, bending
+from cmp_cl.lattice.bending import TURNS, Surface
 from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.lattice.parts import summed
+from cmp_cl.lattice.parts import keys, summed
 
 
 def joined(units: Units, votes: Votes, k: LatticeConstants) -> Units:
@@ -24,16 +24,17 @@ def joined(units: Units, votes: Votes, k: LatticeConstants) -> Units:
     that are sure are one part from then on. Others are asked about another one, and again where
     votes are new. A corner, and a number, belongs to the larger of two parts.
     """
-    refused = np.zeros(0, np.complex128)
+    refused, surface = np.zeros(0, np.complex128), Surface(units)
     while True:
         asked = _asked(votes, refused)
         if not len(asked.first):
             return units
-        sure = _are_sure(units, asked, k)
+        sure = _are_sure(surface, asked, k)
         refused = np.append(refused, _leads(asked))
         if sure.any():
             at = Placements.of(asked.chosen(sure), len(units.faces))
             units, votes = at.units(units), at.votes(votes)
+            surface = Surface(units)
 
 
 class Placements(NamedTuple):
@@ -62,7 +63,7 @@ class Placements(NamedTuple):
         moved = units._replace(part=part, number=number, rotation=rotation)
         moved = moved.chosen(np.argsort(part, kind="stable"))  # of a larger part first
         moved = moved.chosen(_is_new(moved.part, moved.corner))
-        return moved.chosen(_is_new(moved.part, _keys(moved.number)))
+        return moved.chosen(_is_new(moved.part, keys(moved.number)))
 
     def votes(self, votes: Votes) -> Votes:
         """Return the votes between the parts after that."""
@@ -83,14 +84,6 @@ class Placements(NamedTuple):
         return summed(every.chosen(first != second))
 
 
-def _keys(number: Numbers) -> Whole:
-    """Return one whole number, from 0 on, for each number."""
-    column, row = (np.rint(each).astype(np.int64) for each in (number.real, number.imag))
-    column -= column.min()
-    keys: Whole = (row - row.min()) * (column.max() + 1) + column
-    return keys
-
-
 def _is_new(part: Whole, key: Whole) -> Mask:
     """Return which nodes are the first with their key in their part."""
     new = np.zeros(len(key), np.bool_)
@@ -101,14 +94,18 @@ def _is_new(part: Whole, key: Whole) -> Mask:
 def _asked(votes: Votes, refused: Numbers) -> Votes:
     """Return placements that were not refused with the same lead: for each part the one with the
     most votes beside the largest other part. Their weight is by how many they lead there."""
-    best = votes.chosen(np.lexsort((-votes.weight, votes.second, votes.first)))
-    is_best = _is_first(best.first, best.second)
-    second = np.zeros_like(best.weight)
-    second[:-1] = np.where(is_best[1:], 0, best.weight[1:])
-    best = best._replace(weight=best.weight - second).chosen(is_best)
-    best = best.chosen(~np.isin(_leads(best), refused))
-    best = best.chosen(np.lexsort((best.first, best.second)))
-    return best.chosen(_is_first(best.second))
+    is_first = _is_first(votes.first, votes.second)
+    starts, pair = np.flatnonzero(is_first), is_first.cumsum() - 1
+    most = np.maximum.reduceat(votes.weight, starts)
+    best = np.flatnonzero(votes.weight == most[pair])
+    best = best[_is_first(pair[best])]
+    others = votes.weight.copy()
+    others[best] = 0
+    lead = most - np.maximum.reduceat(others, starts)
+    asked = votes.chosen(best)._replace(weight=lead)
+    asked = asked.chosen(~np.isin(_leads(asked), refused))
+    asked = asked.chosen(np.lexsort((asked.first, asked.second)))
+    return asked.chosen(_is_first(asked.second))
 
 
 def _leads(asked: Votes) -> Numbers:
@@ -124,7 +121,7 @@ def _is_first(*keys: Whole) -> Mask:
     return first
 
 
-def _are_sure(units: Units, asked: Votes, k: LatticeConstants) -> Mask:
+def _are_sure(surface: Surface, asked: Votes, k: LatticeConstants) -> Mask:
     """Return which placements are sure.
 
     They lead by some votes, the surface bends least there, and the lead, times how much more it
@@ -133,7 +130,7 @@ def _are_sure(units: Units, asked: Votes, k: LatticeConstants) -> Mask:
     Behind a bar few colours are seen, but a flat board goes on nowhere else.
     """
     least = k.join_votes / np.maximum(asked.weight, np.finfo(np.float64).eps)
-    sure: Mask = asked.weight * factor(bending(units, asked, least, k)) > k.join_votes
+    sure: Mask = asked.weight * factor(surface.bending(asked, least, k)) > k.join_votes
     return sure
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.lattice.arrays import Units, Votes, Whole
+from cmp_cl.lattice.arrays import Numbers, Units, Votes, Whole
 from cmp_cl.lattice.kernels import VOTE
 
 FULL = 4  # faces around a corner inside its part
@@ -65,9 +65,19 @@ def _votes_of(rank: Whole, votes: NDArray[np.int32]) -> Votes:
 
 def summed(votes: Votes) -> Votes:
     """Return the sums of equal votes, the least ones added first, in the order of their parts."""
-    pair = (votes.first << 32) + votes.second
-    votes = votes.chosen(np.lexsort((votes.weight, votes.offset, votes.quarter, pair)))
-    fresh = np.ones(len(votes.first), np.bool_)
-    fresh[1:] = np.logical_or.reduce([each[1:] != each[:-1] for each in votes[:-1]])
+    pair, place = (votes.first << 32) + votes.second, keys(votes.offset)
+    place += votes.quarter * (place.max(initial=0) + 1)
+    order = np.lexsort((votes.weight, place, pair))
+    pair, place, votes = pair[order], place[order], votes.chosen(order)
+    fresh = np.ones(len(order), np.bool_)
+    fresh[1:] = (pair[1:] != pair[:-1]) | (place[1:] != place[:-1])
     weight = np.bincount(fresh.cumsum() - 1, votes.weight)
     return votes.chosen(fresh)._replace(weight=weight.astype(np.float64))
+
+
+def keys(number: Numbers) -> Whole:
+    """Return one whole number, from 0 on, for each number, column by column."""
+    column, row = (np.rint(each).astype(np.int64) for each in (number.real, number.imag))
+    row -= row.min(initial=0)
+    each: Whole = (column - column.min(initial=0)) * (row.max(initial=0) + 1) + row
+    return each
