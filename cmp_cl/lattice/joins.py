@@ -24,17 +24,18 @@ def joined(units: Units, votes: Votes, k: LatticeConstants) -> Units:
     that are sure are one part from then on. Others are asked about another one, and again where
     votes are new. A corner, and a number, belongs to the larger of two parts.
     """
-    refused, surface = np.zeros(0, np.complex128), Surface(units)
+    refused, surface = np.zeros(0, np.complex128), None
     while True:
         asked = _asked(votes, refused)
         if not len(asked.first):
             return units
+        surface = surface or Surface(units)
         sure = _are_sure(surface, asked, k)
         refused = np.append(refused, _leads(asked))
         if sure.any():
             at = Placements.of(asked.chosen(sure), len(units.faces))
             units, votes = at.units(units), at.votes(votes)
-            surface = Surface(units)
+            surface = None
 
 
 class Placements(NamedTuple):
