@@ -1,5 +1,6 @@
 """How much the surface bends across tears, of many tears at once; on the host."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ TREND = 6  # terms of a quadratic
 ROUNDING = 1e-9  # cells^2, of the energy of a flat surface, which is 0
 HELD = 1e-7  # of squared terms, in the energy, so that those which nodes leave open are 0
 NOWHERE = 1e30  # cells^2, the variance of a node that is not there
-SOLVED = 48  # tears whose systems are solved at once
+SEEN, SOLVED = 512, 48  # tears whose nodes are looked for, and whose systems are solved, at once
 RIM = 128  # nodes, of a rim, to which distances are taken
 PAIRS = 1 << 20  # of nodes whose distances are taken at once
 
@@ -28,6 +29,11 @@ def bending(units: Units, asked: Votes, least: Float, k: LatticeConstants) -> Fl
     shift's does not, the others are infinite.
     """
     return Surface(units).bending(asked, least, k)
+
+
+def _in_turns(some: Whole, most: int) -> Iterator[Whole]:
+    """Yield so many of them at a time."""
+    return (some[start : start + most] for start in range(0, len(some), most))
 
 
 class _Sides(NamedTuple):
@@ -82,13 +88,14 @@ class Surface:
     def bending(self, asked: Votes, least: Float, k: LatticeConstants) -> Float:
         """Return the energies of the surface, as the function of this name."""
         energy = np.full((len(asked.first), len(SHIFTS)), np.inf)
-        one, two = self._beside(asked, k)
-        known = np.flatnonzero((one.nodes >= TREND) & (two.nodes >= TREND // 2))
-        known = known[np.argsort((one.nodes + two.nodes)[known], kind="stable")]
-        for start in range(0, len(known), SOLVED):
-            some = known[start : start + SOLVED]
-            cell = self.cell[asked.second[some]]
-            energy[some] = _energies(one.chosen(some), two.chosen(some), cell, least[some])
+        size = np.diff(self.bounds)[asked.second]
+        for some in _in_turns(np.argsort(size, kind="stable"), SEEN):
+            one, two = self._beside(asked.chosen(some), k)
+            known = np.flatnonzero((one.nodes >= TREND) & (two.nodes >= TREND // 2))
+            known = known[np.argsort((one.nodes + two.nodes)[known], kind="stable")]
+            for each in _in_turns(known, SOLVED):
+                tears, sides = some[each], (one.chosen(each), two.chosen(each))
+                energy[tears] = _energies(*sides, self.cell[asked.second[tears]], least[tears])
         return energy
 
     def _beside(self, asked: Votes, k: LatticeConstants) -> tuple[_Sides, _Sides]:
