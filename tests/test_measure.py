@@ -439,10 +439,10 @@ def test_a_pattern_is_found_without_its_cell():
 
 
 def test_a_board_has_the_nodes_that_a_calibration_may_use_at_their_filtered_positions():
-    image, _ = drawn(6, 9)
+    image, _ = drawn(9, 6)
     image[:, :90] = grainy(image, 30)[:, :90]
-    _, seen = measure.find_pattern(image, shape=(6, 9))
-    board = measure.find_board(image, (6, 9))
+    _, seen = measure.find_pattern(image, shape=(9, 6))
+    board = measure.find_board(image, (9, 6))
     assert seen.valid.all()
     np.testing.assert_array_equal(board.valid, seen.image_sigma <= 0.2)
     assert board.valid[:, 2:].all()

@@ -65,7 +65,7 @@ def test_the_example_node_warns_of_numbers_that_may_be_wrong(node):
     deformation = node.Deformation()
     for number, shift in enumerate((0.0, 7.5)):
         camera = boards.plane(cell=14, middle=(-40 + shift, -40))
-        image = boards.drawn(camera, (200, 200), (30, 30)).image
+        image = boards.drawn(camera, (168, 168), (30, 30)).image
         deformation.take(image_message(number, image, "mono8"))
     deformation.close()
     warning = "a frame is doubtful: its numbers may be wrong by whole cells"

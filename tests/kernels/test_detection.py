@@ -147,7 +147,7 @@ def test_any_number_of_bands_gives_the_same_corners(device, monkeypatch, bands):
 def test_a_threshold_beyond_32_bits_does_not_overflow(detector_for):
     """The sums of 255 x 255 pixels at full scale, and of as many offsets, are near 2^32 each."""
     white = np.full((33, 41), 65535, np.uint16)  # of the shape of tests/test_portability.py
-    config = rings(threshold=AdaptiveMean(window=255, offset=65535))
+    config = rings(PLAIN, threshold=AdaptiveMean(window=255, offset=65535))
     assert not assert_maps_equal(detector_for(white, config), white).binary.any()
 
 

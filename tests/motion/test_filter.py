@@ -235,8 +235,7 @@ def test_sigma_holds_for_positions_on_a_perfect_print(pressed):
 
 def test_points_in_space_contain_the_shift_and_displacements_are_free_of_it():
     rig = toed_in_rig()
-    flat = gel(depth=0.0)
-    bulged = gel(depth=3.0)
+    flat, bulged = (gel(18, 19, depth) for depth in (0.0, 3.0))
     rest, now = (
         [dataclasses.replace(grid_of(each), edge_radius=RADIUS) for each in project(rig, xyz)]
         for xyz in (flat, bulged)
