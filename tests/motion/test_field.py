@@ -2,6 +2,7 @@
 the positions are those of `StereoRig.triangulate` and of a `PlaneScale`, in NumPy."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pyopencl as cl
@@ -23,6 +24,7 @@ from cmp_cl.reference.field import strain as strains
 from cmp_cl.space import PointStatus
 from cmp_cl.synthetic import default_rig
 
+lattice_filter.axis_filter = functools.cache(lattice_filter.axis_filter)  # much asked for, slow
 SHAPE = 480, 400
 LENSES = {
     "pinhole": (np.array([-0.2, 0.05, 1e-3, -5e-4, 0.01]),) * 2,
@@ -334,7 +336,7 @@ def test_a_device_without_double_precision_errs_by_hundredths_of_a_micrometre(
 @pytest.mark.parametrize("window", ["no window", "acrylic and gel"])
 def test_nodes_give_the_same_one_by_one_and_four_at_a_time(run, monkeypatch, window):
     rng, rig = np.random.default_rng(9), rig_with(window=window)
-    rest, now = (views_of(rig, surface(9, 11, press), rng) for press in (0.0, 1.0))
+    rest, now = (views_of(rig, surface(*USUAL, press), rng) for press in (0.0, 1.0))
     now = with_holes(now[0], (0, 0), (4, 3)), with_holes(now[1], (2, 5))
     _, _, many = run(rig, rest, now)
     monkeypatch.setattr(InSpace, "width", 1)
