@@ -176,10 +176,8 @@ def test_the_frame_that_moves_most_is_on_the_sheet_with_the_curves_of_all(record
     two = sheet_figure(recorded[1], Summary(recorded[:2]))
     titles = [axes.get_title() for axes in two.axes]
     assert not [title for title in titles if "over time" in title]  # two frames make no curve
-    save_figure(tmp_path / "a picture.png", figure)
-    save_figure(tmp_path / "press.svg", figure)
-    assert (tmp_path / "press.svg").read_bytes().startswith(b"<?xml")
-    assert cv2.imread(str(tmp_path / "a picture.png")).std() > 20
+    save_figure(tmp_path / "a sheet.svg", figure)  # as .png by the commands
+    assert (tmp_path / "a sheet.svg").read_bytes().startswith(b"<?xml")
 
 
 def test_a_frame_without_the_pattern_has_no_map(recorded):
