@@ -16,7 +16,8 @@ TREND = 6  # terms of a quadratic
 ROUNDING = 1e-9  # cells^2, of the energy of a flat surface, which is 0
 HELD = 1e-7  # of squared terms, in the energy, so that those which nodes leave open are 0
 NOWHERE = 1e30  # cells^2, the variance of a node that is not there
-SEEN, SOLVED = 512, 48  # tears whose nodes are looked for, and whose systems are solved, at once
+SEEN = 512  # tears whose nodes are looked for at once
+SOLVED = 16_000  # pairs of nodes of tears whose systems are solved at once, beside eight tears
 RIM = 128  # nodes, of a rim, to which distances are taken
 PAIRS = 1 << 20  # of nodes whose distances are taken at once
 
@@ -92,8 +93,11 @@ class Surface:
         for some in _in_turns(np.argsort(size, kind="stable"), SEEN):
             one, two = self._beside(asked.chosen(some), k)
             known = np.flatnonzero((one.nodes >= TREND) & (two.nodes >= TREND // 2))
-            known = known[np.argsort((one.nodes + two.nodes)[known], kind="stable")]
-            for each in _in_turns(known, SOLVED):
+            nodes = one.nodes + two.nodes
+            known = known[np.argsort(-nodes[known], kind="stable")]
+            while len(known):  # the first ones have most nodes
+                count = 8 + SOLVED // int(nodes[known[0]]) ** 2
+                each, known = known[:count], known[count:]
                 tears, sides = some[each], (one.chosen(each), two.chosen(each))
                 energy[tears] = _energies(*sides, self.cell[asked.second[tears]], least[tears])
         return energy
