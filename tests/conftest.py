@@ -28,6 +28,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    # Each process of -n has a core; more threads of NumPy's would only wait for one another.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     texts = config.getoption("device")
     if texts:  # for tests that use the default device
         os.environ[DEVICE_VARIABLE] = texts[0]
