@@ -81,19 +81,12 @@ class Found:
         own, its = (np.subtract(each.box[2:], each.box[:2]) for each in (self, other))
         return 2 * self.size >= other.size and bool((2 * own >= its).any())
 
-    @functools.cached_property
-    def lines(self) -> tuple[Mask, Mask]:
-        """Return which of its rows, and which of its columns, hold a node."""
-        mine = self.board.owner >= 0
-        rows, columns = (np.logical_or.reduce(mine, axis=axis) for axis in (1, 0))
-        return rows, columns
-
     @property
     def across(self) -> int:
         """Return the nodes on the smaller side of lines without a node, as behind a bar, if the
         surface through both sides does not bend far more at any other place; 0 if it does."""
         board, unsure, least = self.board, 0, math.exp(K.sure_nats)
-        for axis, lines in enumerate(self.lines):
+        for axis, lines in enumerate(board.lines):
             if lines.all():
                 continue
             held = np.flatnonzero(lines)
@@ -110,39 +103,21 @@ class Found:
         corner, 0 if they are few; lines without a node are not asked."""
         if self.board.there.all():
             return 0
-        there = self.board.there[np.ix_(*self.lines)]
+        there = self.board.there[np.ix_(*self.board.lines)]
         inside = _between(there) & _between(there.T).T
         missing = int(np.count_nonzero(inside & ~there))
         return missing if missing >= max(K.least_board, K.gap * np.count_nonzero(inside)) else 0
 
     @property
     def hanging(self) -> int:
-        """Return the nodes of the second largest region of cells whose four nodes are firm, 0 if
-        they are few: a pattern that goes on as another by chance hangs on it by a single side, or
-        by rough corners, or by ones on its outline, where cells of one colour differ. Lines without
-        a node are left out."""
-        firm = self.board.firm[np.ix_(*self.lines)]
-        cells = np.pad(firm[:-1, :-1] & firm[1:, :-1] & firm[:-1, 1:] & firm[1:, 1:], 1)
-        _, region, regions, _ = cv2.connectedComponentsWithStats(
-            cells.astype(np.uint8), connectivity=4
-        )
-        if len(regions) < 3:
-            return 0
-        second = region == 1 + np.argsort(regions[1:, cv2.CC_STAT_AREA])[-2]
-        nodes = second[:-1, :-1] | second[1:, :-1] | second[:-1, 1:] | second[1:, 1:]
-        count = int(np.count_nonzero(nodes))
-        return count if count >= K.least_board else 0
+        """Return the corners of the second largest region of its firm cells, 0 if they are few: it
+        may have joined the others by chance."""
+        return self.board.hanging if self.board.hanging >= K.least_board else 0
 
     @functools.cached_property
     def ended(self) -> int:
-        """Return on how many sides its border is seen, if it is a full rectangle but for a few
-        corners, else 0; 4 if it has every corner, and a further line on any side would be in
-        view."""
-        board, border = self.board, self.board.border
-        smooth = np.count_nonzero((board.owner >= 0) & ~board.torn) / board.owner.size
-        if smooth == 1 and (border.room & ~border.follows).all():
-            return 4
-        return int(np.count_nonzero(border.ends)) if smooth >= K.least_line else 0
+        """Return on how many sides the border of a full rectangle is seen, as `Board.ended`."""
+        return self.board.ended(K.least_line)
 
     @property
     def is_whole(self) -> bool:
@@ -152,7 +127,7 @@ class Found:
     @property
     def ends_nowhere(self) -> bool:
         """Return whether no border of it is seen, as of the ground behind a board."""
-        return not (self.ended or self.board.border.ends.any())
+        return self.board.ends_nowhere(K.least_line)
 
     def fills(self, shape: tuple[int, int]) -> bool:
         """Return whether it has nearly all nodes of a known size."""

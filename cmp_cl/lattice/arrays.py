@@ -4,6 +4,7 @@ import dataclasses
 import functools
 from typing import Any, NamedTuple, TypeVar
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,7 +43,7 @@ class Units(NamedTuple):
     at: Numbers
     faces: Whole
 
-    def chosen(self, some: Whole | Mask) -> "Units":
+    def chosen(self, some: Whole | Mask | slice) -> "Units":
         """Return some of the nodes, in this order."""
         *nodes, faces = self
         return Units._make([*(each[some] for each in nodes), faces])
@@ -160,6 +161,67 @@ class Board:
             steps.append(complex(known.mean()) if len(known) else 0j)
         along, down = steps
         return along or -1j * down, down or 1j * along
+
+    @functools.cached_property
+    def lines(self) -> tuple[Mask, Mask]:
+        """Return which of its rows, and which of its columns, hold a corner."""
+        mine = self.owner >= 0
+        rows, columns = (np.logical_or.reduce(mine, axis=axis) for axis in (1, 0))
+        return rows, columns
+
+    @functools.cached_property
+    def regions(self) -> list[Whole]:
+        """Return the corners of the two largest regions of cells whose four nodes are firm.
+
+        A pattern that goes on as another by chance hangs on it by a single side, or by rough
+        corners, or by ones on its outline, where cells of one colour differ. Lines without a corner
+        are left out.
+        """
+        held = np.ix_(*self.lines)
+        firm, owner = self.firm[held], self.owner[held]
+        cells = np.pad(firm[:-1, :-1] & firm[1:, :-1] & firm[:-1, 1:] & firm[1:, 1:], 1)
+        _, region, of_region, _ = cv2.connectedComponentsWithStats(
+            cells.astype(np.uint8), connectivity=4
+        )
+        found = []
+        for largest in 1 + np.argsort(-of_region[1:, cv2.CC_STAT_AREA], kind="stable")[:2]:
+            own = region == largest
+            nodes = own[:-1, :-1] | own[1:, :-1] | own[:-1, 1:] | own[1:, 1:]
+            found.append(owner[nodes].astype(np.int64))
+        return found
+
+    @property
+    def hanging(self) -> int:
+        """Return the corners of the second region, 0 without one."""
+        return len(self.regions[1]) if len(self.regions) > 1 else 0
+
+    @property
+    def has_firm_sides(self) -> bool:
+        """Return whether half of the nodes of each outer line, or more, are firm."""
+        sides = self.firm[0], self.firm[-1], self.firm[:, 0], self.firm[:, -1]
+        return all(2 * np.count_nonzero(side) >= len(side) for side in sides)
+
+    def ended(self, least: float) -> int:
+        """Return on how many sides its border is seen, if it is a full rectangle but for a few
+        corners, else 0; 4 if it has every corner, and a further line on any side would be in view.
+
+        least: share, of its places that must hold a corner that is not torn.
+        """
+        smooth = np.count_nonzero((self.owner >= 0) & ~self.torn) / max(self.owner.size, 1)
+        if smooth == 1 and (self.border.room & ~self.border.follows).all():
+            return 4
+        return int(np.count_nonzero(self.border.ends)) if smooth >= least else 0
+
+    def ends_nowhere(self, least: float) -> bool:
+        """Return whether no border of it is seen, as of the ground behind a board."""
+        return not (self.ended(least) or self.border.ends.any())
+
+    def layout(self, some: Mask) -> tuple[Whole, Numbers, Whole]:
+        """Return some of its corners, (R, C); their numbers; and quarter turns that are odd where
+        the first boundary of a corner runs down a column."""
+        row, column = np.nonzero(some)
+        corner = self.owner[row, column].astype(np.int64)
+        return corner, column + 1j * row, row + column + (self.sign < 0)
 
     def parity(self) -> Whole:
         """Return `sign` at every node, (R, C)."""

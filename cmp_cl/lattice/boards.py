@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.lattice.arrays import Board
+from cmp_cl.lattice.arrays import Board, Mask, Numbers, Units, Whole
 from cmp_cl.lattice.joins import joined
 from cmp_cl.lattice.kernels import TAKEN
 from cmp_cl.lattice.plan import LatticePlan
@@ -19,27 +19,65 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
     fewer than `least_board` faces begins no board, but for the largest one; nor does one of fewer
     corners that no board has.
     """
-    k = plan.constants
-    alone = plan.alone()
-    if alone is not None:
-        if np.count_nonzero(alone.there) >= k.least_board:
-            yield alone
-        return
-    units = joined(*plan.parts(xy), k)
     taken = np.zeros(len(xy), np.bool_)
-    for part in np.unique(units.part).tolist():
-        if part and units.faces[part] < k.least_board:
+    alone = plan.alone()
+    for joint, smaller in _joined(plan, xy, taken) if alone is None else ((alone, []),):
+        for board in _apart(plan, joint, smaller, taken):
+            if np.count_nonzero(board.there) >= plan.constants.least_board:
+                taken[board.owner[board.owner >= 0]] = True
+                yield board
+
+
+def _joined(
+    plan: LatticePlan, xy: NDArray[np.float32], taken: Mask
+) -> Iterator[tuple[Board, list[Units]]]:
+    """Yield the boards of parts that are joined; and of each the smaller parts that have some of
+    its corners. taken: (N,), the corners of the boards so far."""
+    k = plan.constants
+    units = joined(*plan.parts(xy), k)
+    units = units.chosen((units.part == 0) | (units.faces[units.part] >= k.least_board))
+    first = np.unique(units.part, return_index=True)[1].tolist()
+    parts = [units.chosen(slice(*ends)) for ends in zip(first, [*first[1:], None], strict=True)]
+    for rank, part in enumerate(parts):
+        if np.count_nonzero(~taken[part.corner]) < k.least_board:
             continue
-        nodes = slice(*np.searchsorted(units.part, (part, part + 1)))
-        corner = units.corner[nodes]
-        if np.count_nonzero(~taken[corner]) < k.least_board:
-            continue
-        number, turn = units.number[nodes], units.rotation[nodes]
-        numbers = np.zeros((len(xy), 4), np.int32)
-        columns = number.real, number.imag, turn, np.ones(len(corner))
-        numbers[corner] = np.rint(np.stack(columns, axis=1))
-        numbers[taken, 3] = TAKEN
-        board = plan.settle(numbers)
-        if np.count_nonzero(board.there) >= k.least_board:
+        joint = plan.settle(_numbers(part.corner, part.number, part.rotation, taken))
+        mine = np.zeros(len(xy), np.bool_)
+        mine[joint.owner[joint.owner >= 0]] = True
+        yield joint, [each for each in parts[rank + 1 :] if mine[each.corner].any()]
+
+
+def _apart(plan: LatticePlan, joint: Board, smaller: list[Units], taken: Mask) -> list[Board]:
+    """Return a board; or boards and the ground behind them, if its squares go on as theirs by
+    chance.
+
+    Few firm cells lead from one to the other then, or smaller parts have some of its corners. Each
+    region of firm cells, and each such part, is laid out by itself: a full rectangle whose border
+    is seen is a board, if what is left of the lattice ends nowhere.
+    """
+    least_board, least_line = plan.constants.least_board, plan.constants.least_line
+    if joint.ended(least_line):
+        return [joint]
+    layouts = [(each.corner, each.number, each.rotation) for each in smaller]
+    if joint.hanging >= least_board:
+        layouts += [joint.layout(np.isin(joint.owner, region)) for region in joint.regions]
+    found, taken = [], taken.copy()
+    for layout in layouts:
+        board = plan.settle(_numbers(*layout, taken))
+        if board.ended(least_line) and board.has_firm_sides:
+            found.append(board)
             taken[board.owner[board.owner >= 0]] = True
-            yield board
+    if found:
+        ground = plan.settle(_numbers(*joint.layout(joint.owner >= 0), taken))
+        if np.count_nonzero(ground.there) >= least_board and ground.ends_nowhere(least_line):
+            return [*found, ground]
+    return [joint]
+
+
+def _numbers(corner: Whole, number: Numbers, turn: Whole, taken: Mask) -> NDArray[np.int32]:
+    """Return numbered corners as `LatticePlan.settle` takes them."""
+    numbers = np.zeros((len(taken), 4), np.int32)
+    columns = number.real, number.imag, turn, np.ones(len(corner))
+    numbers[corner] = np.rint(np.stack(columns, axis=1))
+    numbers[taken, 3] = TAKEN
+    return numbers

@@ -29,6 +29,7 @@ from scenes import (
     plane,
     rendered,
     reordered,
+    samples,
     scored,
     squares,
     turned,
@@ -211,6 +212,40 @@ def test_a_board_at_the_edge_of_the_image_is_meant_and_not_the_floor_that_ends_n
     assert sum(grid.border) in (1, 2)
     assert scored(grid, view).right == grid.valid.sum() == 54
     assert grid.others_are == Others.PATTERN
+
+
+# shape, cell, turn, margin and floor: squares of the floor go on as those of the board, or have
+# some of its outer corners
+FLOORS = [(BOARD, 20, 15, 1, 2), (BOARD, 20, 15, 1, 8), ((10, 13), 26, 20, 1, 8)]
+FLOORS += [((8, 6), 24, 8, 0, 4), (BOARD, 20, 25, 1, 45), ((8, 6), 24, 8, 0, 37)]
+FLOORS += [(BOARD, 20, 15, 1, seed) for seed in (12, 24, 30, 34)]
+
+
+@pytest.mark.parametrize("case", some(FLOORS, FLOORS[:5]))
+def test_a_floor_that_goes_on_as_a_board_by_chance_is_parted_from_it(case):
+    shape, cell, turn, margin, seed = case
+    size, about = (420, 560), np.subtract(shape, 1)[::-1] / 2
+    camera = plane(cell=cell, middle=(280, 210), about=about, turn=turn)
+    view = drawn(camera, size, shape, ground=squares(size, seed), margin=margin)
+    grid = grid_of(view)
+    assert scored(grid, view).right == grid.valid.sum() == np.prod(shape)
+    boards = build_grids(corners_of(view), view.image)
+    owned = np.sum([each.index[:, 0] >= 0 for each in boards], axis=0)
+    assert owned.max() == 1
+    assert len(boards) > 1
+
+
+@pytest.mark.parametrize(("spot", "right"), [((-9, -9), 104), ((5, 6), 94)])
+@pytest.mark.parametrize("turn", [8, 40])
+def test_a_board_is_not_parted_where_a_bar_hides_the_cells_between_two_rows(turn, spot, right):
+    """Nor if there is a spot on one side of the bar."""
+    camera = plane(cell=16, middle=(200, 150), about=(6, 3.5), turn=turn)
+    columns, rows = camera(*samples(SIZE))
+    hidden = (np.abs(rows - 3.5) < 0.35) | (np.hypot(rows - spot[0], columns - spot[1]) < 1.7)
+    view = drawn(camera, SIZE, (8, 13), front=np.where(hidden, 120.0, np.nan))
+    grid = grid_of(view)
+    assert scored(grid, view).right == right
+    assert grid.others_are == Others.HANGING
 
 
 @pytest.mark.parametrize(("lines", "told"), [(1, True), (12, False)])
