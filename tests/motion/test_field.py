@@ -2,7 +2,6 @@
 the positions are those of `StereoRig.triangulate` and of a `PlaneScale`, in NumPy."""
 
 import dataclasses
-import functools
 
 import numpy as np
 import pyopencl as cl
@@ -24,7 +23,6 @@ from cmp_cl.reference.field import strain as strains
 from cmp_cl.space import PointStatus
 from cmp_cl.synthetic import default_rig
 
-lattice_filter.axis_filter = functools.cache(lattice_filter.axis_filter)  # much asked for, slow
 SHAPE = 480, 400
 LENSES = {
     "pinhole": (np.array([-0.2, 0.05, 1e-3, -5e-4, 0.01]),) * 2,

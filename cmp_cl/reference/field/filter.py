@@ -35,6 +35,7 @@
 """
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
@@ -149,6 +150,7 @@ def _plane(values: Floats, votes: Bools) -> Floats:
     return terms @ fit
 
 
+@functools.cache
 def axis_filter(n: int, half: int, degree: int) -> Floats:
     """Return (n, n), the weights of the nodes in each node's polynomial."""
     weights = np.zeros((n, n))
