@@ -12,10 +12,9 @@ import numpy as np
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus, Others, Sides
-from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Border, Mask, Units, Votes, Whole
-from cmp_cl.lattice.bending import bending
+from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Border, Mask, Whole
 from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.lattice.joins import factor
+from cmp_cl.lattice.joins import goes_on
 from cmp_cl.lattice.numbers import (
     Decision,
     Numbering,
@@ -26,14 +25,6 @@ from cmp_cl.lattice.numbers import (
 from cmp_cl.lattice.printing import prints_of
 
 K = LatticeConstants()
-# Of the second of two parts beside the first, in the same numbers.
-BESIDE = Votes(
-    first=np.zeros(1, np.int64),
-    second=np.ones(1, np.int64),
-    quarter=np.zeros(1, np.int64),
-    offset=np.zeros(1, np.complex128),
-    weight=np.zeros(1),
-)
 
 
 class Asked(NamedTuple):
@@ -83,18 +74,18 @@ class Found:
 
     @property
     def across(self) -> int:
-        """Return the nodes on the smaller side of lines without a node, as behind a bar, if the
-        surface through both sides does not bend far more at any other place; 0 if it does."""
-        board, unsure, least = self.board, 0, math.exp(K.sure_nats)
+        """Return the nodes on the smaller side of lines without a node, as behind a bar, if it is
+        not sure that the board goes on there; 0 if it is."""
+        board, unsure = self.board, 0
         for axis, lines in enumerate(board.lines):
             if lines.all():
                 continue
             held = np.flatnonzero(lines)
             for last in held[:-1][np.diff(held) > 1]:
-                after = np.indices(board.owner.shape)[axis][board.owner >= 0] > last
-                nodes = _in_two(board, after)
-                if factor(bending(nodes, BESIDE, np.full(1, least), K))[0] < least:
-                    unsure = max(unsure, int(np.count_nonzero(nodes.part)))
+                after = np.indices(board.owner.shape)[axis] > last
+                if not goes_on(board, after, K):
+                    count = int(np.count_nonzero(after & (board.owner >= 0)))
+                    unsure = max(unsure, min(count, self.size - count))
         return unsure
 
     @property
@@ -206,22 +197,6 @@ def _corners_beyond(board: Board, corners: Corners) -> tuple[int, Whole]:
     held = np.stack([(away == line).sum(axis=1) for line in range(1, K.span + 1)]) > 1
     lines = np.max(held * np.arange(1, K.span + 1)[:, None], axis=0)
     return len(row), np.where((away > 0).sum(axis=1) < K.beside, 0, lines)
-
-
-def _in_two(board: Board, after: Mask) -> Units:
-    """Return the nodes of a board as two parts, the larger one first; after: which are one."""
-    row, column = np.nonzero(board.owner >= 0)
-    part = after if 2 * np.count_nonzero(after) <= len(after) else ~after
-    order = np.argsort(part, kind="stable")
-    return Units(
-        corner=board.owner[row, column].astype(np.int64),
-        part=part.astype(np.int64),
-        number=column + 1j * row,
-        rotation=np.zeros(len(row), np.int64),
-        rim=np.ones(len(row), np.bool_),
-        at=board.at[row, column],
-        faces=np.zeros(2, np.int64),
-    ).chosen(order)
 
 
 def _decided(board: Board, asked: Asked, corners: Corners) -> Decision:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.lattice.arrays import Board, Mask, Numbers, Units, Whole
-from cmp_cl.lattice.joins import joined
+from cmp_cl.lattice.joins import goes_on, joined
 from cmp_cl.lattice.kernels import TAKEN
 from cmp_cl.lattice.plan import LatticePlan
 
@@ -53,23 +53,24 @@ def _apart(plan: LatticePlan, joint: Board, smaller: list[Units], taken: Mask) -
 
     Few firm cells lead from one to the other then, or smaller parts have some of its corners. Each
     region of firm cells, and each such part, is laid out by itself: a full rectangle whose border
-    is seen is a board, if what is left of the lattice ends nowhere.
+    is seen is a board, if what is left of the lattice ends nowhere and does not surely go on as
+    the board does.
     """
-    least_board, least_line = plan.constants.least_board, plan.constants.least_line
-    if joint.ended(least_line):
+    k = plan.constants
+    if joint.ended(k.least_line):
         return [joint]
     layouts = [(each.corner, each.number, each.rotation) for each in smaller]
-    if joint.hanging >= least_board:
+    if joint.hanging >= k.least_board:
         layouts += [joint.layout(np.isin(joint.owner, region)) for region in joint.regions]
-    found, taken = [], taken.copy()
+    found, others = [], taken.copy()
     for layout in layouts:
-        board = plan.settle(_numbers(*layout, taken))
-        if board.ended(least_line) and board.has_firm_sides:
+        board = plan.settle(_numbers(*layout, others))
+        if board.ended(k.least_line) and board.has_firm_sides:
             found.append(board)
-            taken[board.owner[board.owner >= 0]] = True
-    if found:
-        ground = plan.settle(_numbers(*joint.layout(joint.owner >= 0), taken))
-        if np.count_nonzero(ground.there) >= least_board and ground.ends_nowhere(least_line):
+            others[board.owner[board.owner >= 0]] = True
+    if found and not goes_on(joint, others[joint.owner], k):
+        ground = plan.settle(_numbers(*joint.layout(joint.owner >= 0), others))
+        if ground.ends_nowhere(k.least_line):
             return [*found, ground]
     return [joint]
 

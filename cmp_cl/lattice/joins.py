@@ -7,14 +7,24 @@ numbers to positions bends least across the tear if the placement is right. What
 apart.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from cmp_cl.lattice.arrays import Float, Mask, Numbers, Units, Votes, Whole
+from cmp_cl.lattice.arrays import Board, Float, Mask, Numbers, Units, Votes, Whole
 from cmp_cl.lattice.bending import TURNS, Surface
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.parts import keys, summed
+
+# Of the second of two parts beside the first, in the same numbers.
+BESIDE = Votes(
+    first=np.zeros(1, np.int64),
+    second=np.ones(1, np.int64),
+    quarter=np.zeros(1, np.int64),
+    offset=np.zeros(1, np.complex128),
+    weight=np.zeros(1),
+)
 
 
 def joined(units: Units, votes: Votes, k: LatticeConstants) -> Units:
@@ -142,3 +152,25 @@ def factor(energy: Float) -> Float:
     best = (energy.argmin(axis=1) == 0) & np.isfinite(first)
     times: Float = np.divide(second, first, out=np.zeros(len(first)), where=best)
     return times
+
+
+def goes_on(board: Board, some: Mask, k: LatticeConstants) -> bool:
+    """Return whether some places of a board, (R, C), surely go on as the others: the surface
+    through both bends far more where its corners lie by other numbers."""
+    row, column = np.nonzero(board.owner >= 0)
+    part = some[row, column]
+    if 2 * np.count_nonzero(part) > len(part):
+        part = ~part
+    if not part.any():
+        return False
+    nodes = Units(
+        corner=board.owner[row, column].astype(np.int64),
+        part=part.astype(np.int64),
+        number=column + 1j * row,
+        rotation=np.zeros(len(row), np.int64),
+        rim=np.ones(len(row), np.bool_),
+        at=board.at[row, column],
+        faces=np.zeros(2, np.int64),
+    ).chosen(np.argsort(part, kind="stable"))
+    least = math.exp(k.sure_nats)
+    return bool(factor(Surface(nodes).bending(BESIDE, np.full(1, least), k))[0] >= least)

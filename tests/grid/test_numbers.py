@@ -235,16 +235,22 @@ def test_a_floor_that_goes_on_as_a_board_by_chance_is_parted_from_it(case):
     assert len(boards) > 1
 
 
-@pytest.mark.parametrize(("spot", "right"), [((-9, -9), 104), ((5, 6), 94)])
-@pytest.mark.parametrize("turn", [8, 40])
-def test_a_board_is_not_parted_where_a_bar_hides_the_cells_between_two_rows(turn, spot, right):
-    """Nor if there is a spot on one side of the bar."""
-    camera = plane(cell=16, middle=(200, 150), about=(6, 3.5), turn=turn)
-    columns, rows = camera(*samples(SIZE))
-    hidden = (np.abs(rows - 3.5) < 0.35) | (np.hypot(rows - spot[0], columns - spot[1]) < 1.7)
+# cell, turn; angle, width, row and column of a bar; row, column and radius of a spot at it
+HIDDEN = [(16, 8, (0, 0.7, 3.5, 6), (-9, -9, 1), 104), (16, 40, (0, 0.7, 3.5, 6), (-9, -9, 1), 104)]
+HIDDEN += [(18, -10, (0.7, 1.8, 2.7, 4.8), (3.4, 1.1, 2.1), 72)]
+HIDDEN += [(21, 5, (0.3, 2.8, 4.4, 6.4), (3.9, 8, 1.6), 62)]
+
+
+@pytest.mark.parametrize(("cell", "turn", "bar", "spot", "right"), HIDDEN)
+def test_a_board_behind_an_object_is_not_parted(cell, turn, bar, spot, right):
+    camera = plane(cell=cell, middle=(200, 150), about=(6, 3.5), turn=turn)
+    column, row = camera(*samples(SIZE))
+    angle, width, at_row, at_column = bar
+    off = (row - at_row) * np.cos(angle) + (column - at_column) * np.sin(angle)
+    hidden = (np.abs(off) < width / 2) | (np.hypot(row - spot[0], column - spot[1]) < spot[2])
     view = drawn(camera, SIZE, (8, 13), front=np.where(hidden, 120.0, np.nan))
     grid = grid_of(view)
-    assert scored(grid, view).right == right
+    assert scored(grid, view).right == grid.valid.sum() == right
     assert grid.others_are == Others.HANGING
 
 
