@@ -70,7 +70,7 @@ def _apart(plan: LatticePlan, joint: Board, smaller: list[Units], taken: Mask) -
             others[board.owner[board.owner >= 0]] = True
     if found and not goes_on(joint, others[joint.owner], k):
         ground = plan.settle(_numbers(*joint.layout(joint.owner >= 0), others))
-        if ground.ends_nowhere(k.least_line):
+        if np.count_nonzero(ground.there) >= k.least_board and ground.ends_nowhere(k.least_line):
             return [*found, ground]
     return [joint]
 

@@ -239,6 +239,7 @@ def test_a_floor_that_goes_on_as_a_board_by_chance_is_parted_from_it(case):
 HIDDEN = [(16, 8, (0, 0.7, 3.5, 6), (-9, -9, 1), 104), (16, 40, (0, 0.7, 3.5, 6), (-9, -9, 1), 104)]
 HIDDEN += [(18, -10, (0.7, 1.8, 2.7, 4.8), (3.4, 1.1, 2.1), 72)]
 HIDDEN += [(21, 5, (0.3, 2.8, 4.4, 6.4), (3.9, 8, 1.6), 62)]
+HIDDEN += [(15, 20, (-0.1, 0.7, 5.4, 8.9), (5.7, 8, 1), 85)]
 
 
 @pytest.mark.parametrize(("cell", "turn", "bar", "spot", "right"), HIDDEN)
