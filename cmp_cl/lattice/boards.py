@@ -52,9 +52,9 @@ def _apart(plan: LatticePlan, joint: Board, smaller: list[Units], taken: Mask) -
     chance.
 
     Few firm cells lead from one to the other then, or smaller parts have some of its corners. Each
-    region of firm cells, and each such part, is laid out by itself: a full rectangle whose border
-    is seen is a board, if what is left of the lattice ends nowhere and does not surely go on as
-    the board does.
+    region of firm cells, and each such part, is laid out by itself. It is a board if it is a full
+    rectangle with an end and with firm sides; if what is left is large enough for one and ends
+    nowhere; and if the surface does not surely go on from one to the other.
     """
     k = plan.constants
     if joint.ended(k.least_line):
