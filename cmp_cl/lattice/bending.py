@@ -22,16 +22,6 @@ RIM = 128  # nodes, of a rim, to which distances are taken
 PAIRS = 1 << 20  # of nodes whose distances are taken at once
 
 
-def bending(units: Units, asked: Votes, least: Float, k: LatticeConstants) -> Float:
-    """Return the bending energy of the map from numbers to positions, cells^2, near the tear at
-    each placement, for each shift of it, (T, 9); infinite where it is not defined.
-
-    least: (T,), times that the energy of a shift must exceed that of the placement. If the first
-    shift's does not, the others are infinite.
-    """
-    return Surface(units).bending(asked, least, k)
-
-
 def _in_turns(some: Whole, most: int) -> Iterator[Whole]:
     """Yield so many of them at a time."""
     return (some[start : start + most] for start in range(0, len(some), most))
@@ -87,7 +77,12 @@ class Surface:
         self.cell = _cells(units)
 
     def bending(self, asked: Votes, least: Float, k: LatticeConstants) -> Float:
-        """Return the energies of the surface, as the function of this name."""
+        """Return the bending energy of the map from numbers to positions, cells^2, near the tear at
+        each placement, for each shift of it, (T, 9); infinite where it is not defined.
+
+        least: (T,), times that the energy of a shift must exceed that of the placement. If the
+        first shift's does not, the others are infinite.
+        """
         energy = np.full((len(asked.first), len(SHIFTS)), np.inf)
         size = np.diff(self.bounds)[asked.second]
         for some in _in_turns(np.argsort(size, kind="stable"), SEEN):

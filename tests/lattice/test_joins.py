@@ -5,7 +5,7 @@ import pytest
 
 from cmp_cl.lattice import bending as module
 from cmp_cl.lattice.arrays import Units, Votes
-from cmp_cl.lattice.bending import TURNS, bending
+from cmp_cl.lattice.bending import TURNS, Surface
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.joins import Placements, factor, joined
 
@@ -129,15 +129,17 @@ def test_one_corner_across_a_gap_shows_no_surface(columns, sure, rows, step):
     both = np.concatenate([number.ravel(), moved.ravel()])
     one, rank = np.ones(len(both), np.bool_), np.repeat([0, 1], [number.size, moved.size])
     units = Units(np.arange(len(both)), rank, both, 0 * rank, one, step * both, np.zeros(2, int))
-    assert (factor(bending(units, vote(0, 1.0), np.full(1, 100.0), K))[0] > 100) == sure
+    assert (factor(Surface(units).bending(vote(0, 1.0), np.full(1, 100.0), K))[0] > 100) == sure
 
 
 def test_tears_have_the_same_energies_one_by_one():
     """Tears of different sizes are solved together."""
     units, _ = parts(range(6), range(7, 11), range(12, 14), range(15, 18))
     votes = votes_for(7, 5, 3)
-    together = bending(units, votes, np.zeros(3), K)
-    alone = [bending(units, votes.chosen(np.array([n])), np.zeros(1), K)[0] for n in range(3)]
+    together = Surface(units).bending(votes, np.zeros(3), K)
+    alone = [
+        Surface(units).bending(votes.chosen(np.array([n])), np.zeros(1), K)[0] for n in range(3)
+    ]
     np.testing.assert_allclose(together, alone, rtol=1e-6)
     assert (together.argmin(axis=1) == 0).all()
 
@@ -146,13 +148,13 @@ def test_shifts_are_left_out_where_the_first_one_decides():
     """The first part lies where it is, the second where the first shift brings it back."""
     units, _ = parts(range(8), range(9, 17), range(18, 26))
     votes = votes_for(9, 8 - 1j)
-    whole = bending(units, votes, np.zeros(2), K)
-    some = bending(units, votes, np.ones(2), K)
+    whole = Surface(units).bending(votes, np.zeros(2), K)
+    some = Surface(units).bending(votes, np.ones(2), K)
     np.testing.assert_array_equal(some[0], whole[0])
     assert np.isfinite(whole).all()
     assert np.isinf(some[1, 2:]).all()
     assert factor(some)[1] == factor(whole)[1] == 0
-    far = bending(units, votes, np.full(2, 1e6), K)
+    far = Surface(units).bending(votes, np.full(2, 1e6), K)
     assert np.isinf(far[:, 2:]).all()
     assert 0 < factor(whole)[0] <= factor(far)[0] < 1e6
 
@@ -161,9 +163,9 @@ def test_shifts_are_left_out_where_the_first_one_decides():
 def test_long_tears_are_seen_bit_by_bit_and_by_some_of_their_nodes(pairs, rim, monkeypatch):
     units, _ = parts(range(60), range(61, 100), range(101, 130))
     votes = votes_for(61, 40)
-    whole = bending(units, votes, np.zeros(2), K)
+    whole = Surface(units).bending(votes, np.zeros(2), K)
     monkeypatch.setattr(module, "PAIRS", pairs)
     monkeypatch.setattr(module, "RIM", rim)
-    seen = bending(units, votes, np.zeros(2), K)
+    seen = Surface(units).bending(votes, np.zeros(2), K)
     np.testing.assert_allclose(seen, whole, rtol=0.2 if rim < 128 else 1e-9)
     assert (seen.argmin(axis=1) == 0).all()
