@@ -1,8 +1,8 @@
 #include "plane.clh"
 
 /* The corners of a frame, as refinement reads them. The columns, of `length` rows each, are x,
- * y, the response, and the sum and the moments in x and y of the responses of the 5 x 5 around
- * it. Corner n of frame p has row p * capacity + n. */
+ * y, the response, the sum and the moments in x and y of the responses of the 5 x 5 around it,
+ * and the octave. Corner n of frame p has row p * capacity + n. */
 
 /* List the maxima in (y, x) order, whatever the order of the work-items. Bit k of word i of a
  * row is pixel 32 i + k. The number of corners, counts[count_offset + p], may exceed the
@@ -38,4 +38,5 @@ __kernel void centroid(__global const RESPONSE *restrict response,
   corner[3 * (size_t)length] = sum;
   corner[4 * (size_t)length] = sum_x;
   corner[5 * (size_t)length] = sum_y;
+  corner[6 * (size_t)length] = 0;
 }

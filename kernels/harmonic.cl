@@ -42,16 +42,12 @@ __kernel void smooth(__global const ushort *restrict plane, const uint rows,
   smoother[ROW(p, y) + get_global_id(0)] = (ushort)((BINOMIAL(SMOOTH_AT) + 8) >> 4);
 }
 
-#if OCTAVES
-
 /* The pixels of an octave's S3. One work-item per pixel. */
 __kernel void pixels_of_plane(__global const ushort *restrict plane, const uint rows,
                               const uint step, __global PIXEL *restrict image) {
   const size_t at = ROW(get_global_id(2), get_global_id(1)) + get_global_id(0);
   image[at] = AS_PIXEL(plane[at]);
 }
-
-#endif
 
 /* Ring (a, d) around row y of frame p. The padding repeats the border. */
 #define RING_OF(plane, a, d)                                                        \

@@ -29,8 +29,8 @@ float number_of(const uint order) {
 __kernel void typical_residual(__global float *restrict result,
                                __global const uint *restrict counts, const uint capacity,
                                const uint count_offset, __global float *restrict typical) {
-  const size_t group = get_group_id(1), p = group / (MEDIANS * LEVELS);
-  const uint octave = group / MEDIANS % LEVELS, is_grain = group % MEDIANS;
+  const size_t octave = get_group_id(1) / MEDIANS, p = get_group_id(2);
+  const uint is_grain = get_group_id(1) % MEDIANS;
   const uint first = get_local_id(0), items = get_local_size(0);
   RESULT_OF_FRAME(counts[count_offset + p])
   const uint total = SMALLER(counts[count_offset + p], capacity);
@@ -62,7 +62,9 @@ __kernel void typical_residual(__global float *restrict result,
     barrier(CLK_LOCAL_MEM_FENCE);
     if (rank < 0) break;
   }
-  if (first == 0) typical[group] = rank < 0 ? (is_grain ? 0 : -INFINITY) : number_of(prefix);
+  if (first == 0)
+    typical[(p * LEVELS + octave) * MEDIANS + is_grain] =
+        rank < 0 ? (is_grain ? 0 : -INFINITY) : number_of(prefix);
 }
 
 /* The variance of a position, with what the residuals tell, and whether the corner is doubtful: its

@@ -157,7 +157,6 @@ class Measurement(Closing):
                     views=[(view.rest, view.corners) for view in self._views],
                     sizes=[self._detector.shape] * len(self._views),
                     frame=self._plan.frame,
-                    octaves=self._detector.layout.octaves,
                 )
                 stack.callback(self._tracker.release)
             self._know_rest(images)

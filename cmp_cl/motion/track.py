@@ -83,9 +83,7 @@ class Tracker:
     """Follows the nodes of some views from frame to frame.
 
     views: the grids at rest, and their corners. sizes: (H, W) of each view. frame: the memory of a
-    plan that has the arrays of `layout`; a frame writes them on the device. octaves: of the
-    detector's plan.
-    """
+    plan that has the arrays of `layout`; a frame writes them on the device."""
 
     def __init__(
         self,
@@ -95,7 +93,6 @@ class Tracker:
         views: Sequence[tuple[Grid, Corners]],
         sizes: Sequence[tuple[int, int]],
         frame: Memory,
-        octaves: int,
     ) -> None:
         self._queue = queue
         self._frame = frame
@@ -107,7 +104,6 @@ class Tracker:
         self.capacity = multiple(max(LEAST_ROOM, 2 * rows * columns), GROUP)
         self._usual: list[tuple[int, ...]] = [(0, 0, 0, 0)] * len(views)
         self.room = multiple(rows * columns, GROUP)  # of second looks
-        look_columns = CORNER_COLUMNS + (octaves > 0)
         self._first_count = len(views) * LISTS
         self._bin = max(_LEAST_BIN, _BIN * min(_step(grid) for grid, _ in views))
         self._bins = tuple(int(max(size) / self._bin) + 1 for size in zip(*sizes, strict=True))
@@ -127,7 +123,7 @@ class Tracker:
                 "kept": (nodes, np.int32),
                 "expected": ((*nodes, 2), np.float32),
                 "look": (nodes, np.int32),
-                "looks": ((look_columns, self._count, self.room), np.int32),
+                "looks": ((CORNER_COLUMNS, self._count, self.room), np.int32),
                 "look_counts": ((self._count * (LISTS + 1),), np.uint32),
                 "look_result": ((self._count, _stride(self.room)), np.float32),
             },
@@ -146,7 +142,7 @@ class Tracker:
                 "COLUMNS": columns,
                 "CAPACITY": self.capacity,
                 "LOOKS": self.room,
-                "COLUMNS_OF_LOOK": look_columns,
+                "COLUMNS_OF_LOOK": CORNER_COLUMNS,
                 "HEAD": RESULT_HEAD,
                 "EDGES_FIELD": EDGES.start,
                 "METHOD_FIELD": METHOD,

@@ -7,7 +7,7 @@ import numpy as np
 from cmp_cl.config import RingHarmonic
 from cmp_cl.opencl.launches import Launch
 from cmp_cl.stages import noise
-from cmp_cl.stages.layout import CORNER_COLUMNS, PlanBase
+from cmp_cl.stages.layout import LIST_COLUMNS, MOST_OCTAVES, PlanBase
 
 DECIDING = 256  # work-items of a group that decides about a frame; 1 in the form for CPUs
 
@@ -30,14 +30,14 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
 
 def sizes(plan: PlanBase) -> dict[str, int]:
     frames, plane = plan.frames, plan.shape[0] * plan.step
-    lists, sums = frames * plan.kinds, frames * (1 + plan.compiled_octaves)
+    lists, sums = frames * plan.kinds, frames * (1 + MOST_OCTAVES)
     cpu = plan.for_cpu
     bands = plan.bands if cpu else noise.bands(plan)
     starts = plan.octave_starts
     return {
-        "halves": plan.dtype.itemsize * (starts[-1] - starts[1]) if cpu else 0,
+        "halves": plan.dtype.itemsize * max(starts[-1] - starts[1], 1) if cpu else 0,
         "area": plane // 8,
-        "lists": 4 * lists * CORNER_COLUMNS * plan.list_capacity,
+        "lists": 4 * lists * LIST_COLUMNS * plan.list_capacity,
         "counters": 4 * frames * _counters(plan),
         "noise": 8 * sums * bands,
         "levels": 8 * lists,
@@ -50,7 +50,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 
 def scratch(plan: PlanBase) -> list[dict[str, int]]:
     """Return the bytes of the temporary arrays, layout by layout."""
-    of_frame = 3 * plan.kinds * plan.list_capacity + (1 + plan.compiled_octaves) * plan.shape[0]
+    of_frame = 3 * plan.kinds * plan.list_capacity + (1 + MOST_OCTAVES) * plan.shape[0]
     decided = {"strong": 4 * plan.frames * (of_frame if plan.octaves else 1)}
     if plan.for_cpu:
         return [decided]
@@ -62,7 +62,7 @@ def _counters(plan: PlanBase) -> int:
     """Return the counters of a frame: of its lists, and of the work that CPUs share."""
     if not plan.for_cpu:
         return plan.kinds
-    segments, halving = -(-plan.bands // 2), 2 * (plan.octaves > 0)  # two bands share a segment
+    segments, halving = -(-plan.bands // 2), 2  # two bands share a segment
     return plan.kinds + 1 + segments * (1 + plan.octaves) + halving
 
 
@@ -177,9 +177,8 @@ def _work_rows(plan: PlanBase) -> int:
     """Return the rows of 16-bit numbers that a band keeps, see kernels/cpu/harmonic.cl."""
     radius = plan.config.nms_radius
     smooth = 16 if radius <= 4 else 32
-    coarse = 32 if plan.octaves else smooth
     responses = 8 if radius <= 3 else 16 if radius <= 7 else 32
-    return 4 + smooth + 4 + coarse + 2 + 1 + 2 + responses * (1 + _rule(plan).fine)
+    return 4 + smooth + 4 + 32 + 2 + 1 + 2 + responses * (1 + _rule(plan).fine)
 
 
 def _by_bands(plan: PlanBase) -> Launch:

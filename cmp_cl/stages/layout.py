@@ -15,7 +15,8 @@ from cmp_cl.stages.types import types_of
 
 LEAST_PAD = 16  # columns on either side of the pixels, for rings, discs and tents
 LANES = 8  # corners of a vector in the form for CPUs
-CORNER_COLUMNS = 6  # x, y, response, and the sum and the moments of the responses around it
+LIST_COLUMNS = 6  # x, y, response, and the sum and the moments of the responses around it
+CORNER_COLUMNS = LIST_COLUMNS + 1  # and the octave
 LEAST_OCTAVE = 48  # px, the shorter side of a halved frame
 MOST_OCTAVES = 3
 LISTS = 2 + MOST_OCTAVES  # of which a frame has counts, whatever its rule; its kinds come first
@@ -31,8 +32,7 @@ class PlanBase:
     kernels/cpu holds it for the stages in which it makes a whole frame at least 1.3 times as fast.
     The results are the same.
     shape: (H, W) of a frame. pad: columns of padding on either side; step: elements of a row.
-    octaves: number of halved frames, which lie behind the frames in "image"; compiled_octaves: the
-    same for which kernels are compiled, all or none, so that other sizes have the same kernels.
+    octaves: number of halved frames, which lie behind the frames in "image".
     frames: number of frames; kinds: number of lists of maxima or candidates per frame, with
     `list_capacity` entries each; corner_capacity: entries of the list of a frame's corners. bands:
     bands of rows that a frame is divided into in the form for CPUs. memory: by name, an array each;
@@ -63,7 +63,7 @@ class PlanBase:
         self.rule = config.detection
         self.frames = frames
         pixels = shape[0] * shape[1]
-        self.octaves = self.compiled_octaves = 0
+        self.octaves = 0
         if isinstance(self.rule, BinaryRings):
             self.kinds = 1
             self.pad = multiple(max(LEAST_PAD, self.rule.threshold.window // 2), LEAST_PAD)
@@ -71,8 +71,7 @@ class PlanBase:
         else:
             shorter = min(shape) // LEAST_OCTAVE
             self.octaves = min(self.rule.octaves, max(shorter, 1).bit_length() - 1)
-            self.compiled_octaves = MOST_OCTAVES if self.octaves else 0
-            self.kinds = 1 + self.rule.fine + self.compiled_octaves
+            self.kinds = 1 + self.rule.fine + MOST_OCTAVES
             self.pad = LEAST_PAD
             # One maximum in 128 pixels is one in a cell of 11 px; the lists grow. Each band fills
             # up its last entries.
@@ -169,9 +168,10 @@ class PlanBase:
         return self.stage(name, items, (GROUP if octave else self.width, 1, 1), octave, **arguments)
 
     def of_groups(self, name: str, groups: int, items: int, **arguments: Any) -> Launch:
-        """Bind a kernel of whole work-groups with so many work-items; on a CPU, with one each."""
+        """Bind a kernel of whole work-groups for each frame, with so many work-items; on a CPU,
+        with one each."""
         size = 1 if self._on_cpu else items
-        return self.stage(name, (size, groups), (size, 1), **arguments)
+        return self.stage(name, (size, groups, self.frames), (size, 1, 1), **arguments)
 
     def of_corners(self, name: str, **arguments: Any) -> Launch:
         """Bind a kernel with one work-item per entry of the list of corners."""

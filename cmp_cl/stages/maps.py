@@ -70,10 +70,8 @@ def _at_corners(plan: Plan) -> NDArray[np.bool_]:
     """Return an image that is True at the pixel of the frame nearest to each corner."""
     counts = np.empty(LISTS + 1, np.uint32)
     cl.enqueue_copy(plan.queue, counts, plan.arrays["counts"])
-    columns = np.zeros((CORNER_COLUMNS + 1, plan.corner_capacity), np.int32)
-    cl.enqueue_copy(
-        plan.queue, columns[: CORNER_COLUMNS + (plan.octaves > 0)], plan.arrays["corners"]
-    )
+    columns = np.zeros((CORNER_COLUMNS, plan.corner_capacity), np.int32)
+    cl.enqueue_copy(plan.queue, columns, plan.arrays["corners"])
     x, y, *_, octave = columns[:, : counts[-1]]
     image = np.zeros(plan.shape, np.bool_)
     image[(y << octave) + (1 << octave >> 1), (x << octave) + (1 << octave >> 1)] = True

@@ -23,7 +23,7 @@ from cmp_cl.opencl.memory import ALIGNMENT, Memory, copy_rectangle
 from cmp_cl.opencl.pocl import is_pocl
 from cmp_cl.opencl.program import Kernels, Programs
 from cmp_cl.stages import harmonic, noise, refine
-from cmp_cl.stages.layout import CORNER_COLUMNS, LANES, LISTS, PlanBase
+from cmp_cl.stages.layout import CORNER_COLUMNS, LANES, LISTS, MOST_OCTAVES, PlanBase
 from cmp_cl.stages.paper import rings
 from cmp_cl.stages.refine import READ_FIELDS, RESULT_HEAD
 from cmp_cl.stages.types import defines_of
@@ -81,7 +81,7 @@ class Plan(PlanBase):
             "PAD": self.pad,
             "GROUP": GROUP,
             "NMS_RADIUS": self.config.nms_radius,
-            "OCTAVES": self.compiled_octaves,
+            "OCTAVES": MOST_OCTAVES,
             "NOISE_BAND": noise.NOISE_BAND,
             **defines_of(self.types),
             **self.detection.defines(self),
@@ -102,12 +102,11 @@ class Plan(PlanBase):
         """Return the bytes of every buffer, by name."""
         layouts = self.detection.scratch(self)
         parts = [[multiple(size, ALIGNMENT) for size in each.values()] for each in layouts]
-        columns = CORNER_COLUMNS + (self.octaves > 0)
         sizes = {
             "image": self.octave_starts[-1] * self.dtype.itemsize,
             **self.detection.sizes(self),
             "scratch": max((sum(sizes) for sizes in parts), default=0),
-            "corners": 4 * columns * self.frames * self.corner_capacity,
+            "corners": 4 * CORNER_COLUMNS * self.frames * self.corner_capacity,
             "result": self.frames * refine.result_size(self),
             "counts": 4 * self.frames * (LISTS + 1),  # entries of the lists, corners
             **refine.sizes(self),

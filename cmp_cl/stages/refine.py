@@ -12,7 +12,7 @@ from cmp_cl.config import EdgeLines, EdgeStep, Fit, Midlines
 from cmp_cl.corners import Corners
 from cmp_cl.opencl.launches import GROUP, Launch, multiple
 from cmp_cl.stages.corner_model import ANGLES, BLUR, moments, step_radius
-from cmp_cl.stages.layout import LANES, LISTS, PlanBase
+from cmp_cl.stages.layout import LANES, LISTS, MOST_OCTAVES, PlanBase
 
 RESULT_HEAD = 16  # numbers before the fields of a frame, as in kernels/result.clh
 RESULT_FIELDS, READ_FIELDS = 13, 11  # of a corner; the last two stay on the device
@@ -61,7 +61,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
     """Return the bytes of the buffers that these kernels use, by name."""
     if not isinstance(plan.config.refinement, EdgeStep):
         return {}
-    return {"typical": 4 * plan.frames * (plan.compiled_octaves + 1) * MEDIANS}
+    return {"typical": 4 * plan.frames * (MOST_OCTAVES + 1) * MEDIANS}
 
 
 def launches(plan: PlanBase) -> list[Launch]:
@@ -72,7 +72,7 @@ def launches(plan: PlanBase) -> list[Launch]:
     refined, *grown = looks(plan, room=plan.corner_capacity, **given)
     if not grown:
         return [refined]
-    groups, capacity = plan.frames * (plan.compiled_octaves + 1) * MEDIANS, plan.corner_capacity
+    groups, capacity = (plan.octaves + 1) * MEDIANS, plan.corner_capacity
     typical = plan.of_groups("typical_residual", groups, MEDIAN_GROUP, capacity=np.uint32(capacity))
     return [refined, typical, *grown]
 

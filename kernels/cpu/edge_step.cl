@@ -204,13 +204,8 @@ __kernel void edge_step_eight(CORNERS_TO_REFINE, const float radius,
       const int near_x = (int)OF_LANE(start_x), near_y = (int)OF_LANE(start_y);
       /* The middle pixel, and the corner relative to it. */
       const int middle_x = ROUNDED(OF_LANE(x)), middle_y = ROUNDED(OF_LANE(y));
-#if OCTAVES
       const size_t start = ((const uint *)&own_start)[lane];
       const uint pitch = ((const uint *)&own_step)[lane];
-#else
-      const size_t start = own_start;
-      const uint pitch = own_step;
-#endif
       const int last = ((const int *)&last_row)[lane];
       const float centre = (float)image[HELD_ROW(near_y, last, start, pitch) + near_x];
       const Model model = {OF_LANE(x) - (float)middle_x,

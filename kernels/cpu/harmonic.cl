@@ -1,8 +1,6 @@
 #include "decide.clh"
 #include "pixel.clh"
-#if OCTAVES
 #include "cpu/halve.clh"
-#endif
 
 /* From an image to the lists of its maxima, for CPUs: one launch takes bands of rows from the image
  * to the maxima of both responses in all octaves, and the last band of a frame to finish decides
@@ -18,10 +16,10 @@
  * into vectors of 16-bit numbers. */
 
 #define REACH_OF_RING 5
-#define REACH_OF_WIDE (OCTAVES ? 8 : REACH_OF_RING)
+#define REACH_OF_WIDE 8
 #define LAG (REACH_OF_RING + 3) /* from an image row to the response that it completes */
 /* Rows of suppression, and of the moments. */
-#define BESIDE_MAXIMUM LARGER(NMS_RADIUS, OCTAVES ? 3 : 2)
+#define BESIDE_MAXIMUM LARGER(NMS_RADIUS, 3)
 #define BEYOND (LAG + BESIDE_MAXIMUM)
 #define ROWS_AT_A_TIME 8 /* that a band takes */
 #define ROWS_AHEAD 8 /* from the row that it reads to that which it calls into the cache */
@@ -29,7 +27,7 @@
 /* Ring buffers: powers of two. A smoothed row serves from the response REACH_OF_RING rows above
  * until check 1 of a maximum REACH_OF_RING rows below; of S3, until the wide ring. */
 #define SMOOTH_ROWS (NMS_RADIUS <= 4 ? 16 : 32)
-#define COARSE_ROWS (OCTAVES ? 32 : SMOOTH_ROWS)
+#define COARSE_ROWS 32
 #define RESPONSE_ROWS (NMS_RADIUS <= 3 ? 8 : NMS_RADIUS <= 7 ? 16 : 32)
 #define SMOOTH_AT(y) ((size_t)((y) & (SMOOTH_ROWS - 1)) * step + PAD)
 #define COARSE_AT(y) ((size_t)((y) & (COARSE_ROWS - 1)) * step + PAD)
@@ -432,10 +430,7 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
  * groups. One work-item per band. */
 __kernel void harmonic_band(__global const PIXEL *memory, const ulong frame_start,
                             const uint frame_step, const int frame_apart, __global PIXEL *image,
-#if OCTAVES
-                            __global PIXEL *halves,
-#endif
-                            const uint octaves,
+                            __global PIXEL *halves, const uint octaves,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint capacity,
                             const uint full_scale, const float inverse,
@@ -454,11 +449,9 @@ __kernel void harmonic_band(__global const PIXEL *memory, const ulong frame_star
   volatile __global uint *listed = counters + p * counters_of_frame, *finished = listed + KINDS;
   volatile __global uint *taken = finished + 1;
   __global const PIXEL *frame = memory + (long)frame_start + (long)p * frame_apart;
-#if OCTAVES
   volatile __global uint *halved = taken + segments * (1 + octaves);
   halve_frame(frame, frame_step, halves, octaves, rows, columns, step, p, frames, halved,
               halved + 1);
-#endif
   uint before = 0; /* bands of the smaller octaves: these spread over the work-items */
   for (int n = (int)octaves; n >= 0; --n) {
     const Octave octave = octave_of((uint)n, rows, columns, step, frames);
@@ -468,10 +461,7 @@ __kernel void harmonic_band(__global const PIXEL *memory, const ulong frame_star
     if (b >= searching) continue;
     const size_t in_octave = (p * octave.rows + 1) * octave.step + PAD;
     __global PIXEL *first = image + octave.start + in_octave;
-    __global const PIXEL *from = frame;
-#if OCTAVES
-    if (n) from = halves + octave.half_start + in_octave;
-#endif
+    __global const PIXEL *from = n ? halves + octave.half_start + in_octave : frame;
     noise[(n * frames + p) * bands + b] = search_band(
         (uint)n, from, n ? octave.step : frame_step, first, area, step / 32, octave, b, searching,
         capacity, full_scale, inverse, work + (p * bands + band) * work_size,

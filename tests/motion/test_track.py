@@ -91,7 +91,6 @@ def tracker_of(device):
             views=views,
             sizes=[SIZE] * len(rests),
             frame=frame,
-            octaves=0,
         )
         made.append(tracker)
 
