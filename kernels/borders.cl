@@ -148,12 +148,11 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
 }
 
 /* The position of a corner's node, NAN without one. */
-#define AT(side, line, k)                                                           \
+#define ON(side, line, k)                                                           \
   corner_at(nodes, node_owner, place_on(side, line, k, (int4)(0, height, 0, width), width))
 float2 corner_at(__global const float2 *nodes, __global const int *node_owner, const int place) {
   return node_owner[place] >= 0 ? nodes[place] : (float2)(NAN, NAN);
 }
-#define IS_HERE(p) ((p).x == (p).x)
 
 bool is_in_view(const float2 p, const uint rows, const uint columns) {
   return p.x >= 0 && p.y >= 0 && p.x < (float)columns && p.y < (float)rows;
@@ -166,8 +165,8 @@ typedef struct {
 } Square;
 Square square_at(__global const float2 *nodes, __global const int *node_owner, const int side,
                  const int k, const int height, const int width) {
-  const float2 a = AT(side, 0, k + 1), b = AT(side, 0, k);
-  const float2 middle = 0.5f * (a + b), inner = 0.5f * (AT(side, 1, k + 1) + AT(side, 1, k));
+  const float2 a = ON(side, 0, k + 1), b = ON(side, 0, k);
+  const float2 middle = 0.5f * (a + b), inner = 0.5f * (ON(side, 1, k + 1) + ON(side, 1, k));
   Square found = {middle, middle - inner, a - b};
   return found;
 }
@@ -180,7 +179,7 @@ float last_over_next(__global const float2 *nodes, __global const int *node_owne
                 const int height, const int width) {
   int last = 0, before = 0; /* 1/32 px */
   for (int k = 0; k < LENGTH_OF(side) && LINES_OF(side) > 2; ++k) {
-    const float2 inner = AT(side, 1, k), a = AT(side, 0, k) - inner, b = inner - AT(side, 2, k);
+    const float2 inner = ON(side, 1, k), a = ON(side, 0, k) - inner, b = inner - ON(side, 2, k);
     if (!IS_HERE(a) || !IS_HERE(b)) continue;
     last += IN_32THS(length_of(a));
     before += IN_32THS(length_of(b));
@@ -249,9 +248,9 @@ bool has_room(__global const float2 *nodes, __global const int *node_owner, cons
   int known = 0, inside = 0;
   for (int k = 0; k < LENGTH_OF(side); ++k) {
     int line = 0;
-    while (line < LINES_OF(side) - 1 && !IS_HERE(AT(side, line, k))) ++line;
+    while (line < LINES_OF(side) - 1 && !IS_HERE(ON(side, line, k))) ++line;
     if (line == LINES_OF(side) - 1) continue;
-    const float2 one = AT(side, line, k), two = AT(side, line + 1, k);
+    const float2 one = ON(side, line, k), two = ON(side, line + 1, k);
     if (!IS_HERE(two)) continue;
     ++known;
     inside += is_in_view(one + FAR_CELL * (one - two), rows, columns);

@@ -97,7 +97,6 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
     for (int column = (edge) + get_global_id(0); column < width - (edge);           \
          column += get_global_size(0))
 #define PLACE_OF_WORK_ITEM const int place = row * width + column;
-#define IS_HERE(position) ((position).x == (position).x)
 
 /* Where the neighbours predict a place: the mean of what some of them predict, and its weight. */
 typedef struct {
@@ -248,16 +247,19 @@ void measure(LEVELS_OF_IMAGE, __constant Nats *nats, const int width, const int 
              const int parity, __global const float2 *at, __global float *cell,
              __global int2 *sides, __global int2 *cells) {
   int2 side = (int2)(0), found_cells = (int2)(0, UNKNOWN);
-  const float2 here = at[place], right = at[place + 1], below = at[place + width];
+  const float2 here = at[place];
   if (IS_HERE(here)) {
     const Steps steps = steps_of(at, place, width);
     const Cells found = cells_at(LEVELS, here, steps, parity, nats->depth);
     cell[place] = steps.cell;
     found_cells = (int2)(found.quality, steps.known ? found.contrast : UNKNOWN);
-    if (IS_HERE(right))
-      side.x = side_between(LEVELS, nats, here, right, parity, found.contrast);
-    if (IS_HERE(below))
-      side.y = side_between(LEVELS, nats, here, below, -parity, found.contrast);
+    for (int down = 0; down < 2; ++down) { /* a loop, since a call in it is compiled once */
+      const float2 next = at[place + (down ? width : 1)];
+      if (!IS_HERE(next)) continue;
+      const int sign = down ? -parity : parity;
+      const int sum = side_between(LEVELS, nats, here, next, sign, found.contrast);
+      side = down ? (int2)(side.x, sum) : (int2)(sum, side.y);
+    }
   }
   sides[place] = side;
   cells[place] = found_cells;
@@ -355,11 +357,6 @@ typedef struct {
   int owner, nearest;
   float2 at;
 } Candidate;
-#define ADD_NEW_SIDE(neighbour, from, to, sign)                                     \
-  if (IS_HERE(at[neighbour])) {                                                     \
-    const int sum = (sign) * difference(LEVELS, from, to, WHOLE_SIDE);              \
-    whole += clipped(((float)sum * share) * OF_POINTS);                             \
-  }
 Candidate candidate_at(__global const float *corners, const uint capacity, LEVELS_OF_IMAGE,
                        __constant Nats *nats, __global const int *layout, const int width,
                        const int place, const int parity, __global const int *starts,
@@ -385,10 +382,14 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
   const Cells seen = cells_at(LEVELS, here, steps, parity, nats->depth);
   const float share = usual_share(cells, place, width);
   float whole = 0;
-  ADD_NEW_SIDE(place + 1, here, at[place + 1], parity)
-  ADD_NEW_SIDE(place + width, here, at[place + width], -parity)
-  ADD_NEW_SIDE(place - 1, at[place - 1], here, -parity)
-  ADD_NEW_SIDE(place - width, at[place - width], here, parity)
+  for (int side = 0; side < 4; ++side) { /* to the right, below, to the left, above */
+    const int step = side & 1 ? width : 1;
+    const float2 next = at[side < 2 ? place + step : place - step];
+    if (!IS_HERE(next)) continue;
+    const int sum = difference(LEVELS, side < 2 ? here : next, side < 2 ? next : here, WHOLE_SIDE);
+    const int sign = side == 1 || side == 2 ? -parity : parity;
+    whole += clipped(((float)(sign * sum) * share) * OF_POINTS);
+  }
   const float score = score_of(whole, seen.quality, share, found.at, is_torn, prediction,
                                steps.cell, nats);
   if (!(score < 0)) found.owner = is_free ? found.nearest : PLACE;
@@ -405,7 +406,7 @@ enum { CHANGED, MOVED, BLENDED, MEASURED, SCORED, JUDGED, LOOKED, ASKING, LISTS 
 #define LISTS_OF_PLACES                                                             \
   __global volatile int *marks, __global int *lists, const int places, __local volatile int *counts
 #define OF_PLACES marks, lists, places, counts
-void list_place(LISTS_OF_PLACES, const int kind, const int place) {
+__attribute__((noinline)) void list_place(LISTS_OF_PLACES, const int kind, const int place) {
   if (marks[place] >> kind & 1 || atomic_or(marks + place, 1 << kind) >> kind & 1) return;
   LIST_OF(kind)[ADD(counts + kind, 1)] = place;
 }

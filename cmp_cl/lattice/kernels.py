@@ -13,7 +13,7 @@ from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.opencl.launches import constant
 from cmp_cl.stages.refine import RESULT_FIELDS, RESULT_HEAD
 
-FILES = ("bins", "links", "faces", "parts", "votes", "nodes", "borders")
+FILES = ("bins", "lattice")  # the type of pixels matters for the first alone
 DIRECTIONS = 1024  # unit vectors in a full turn
 PARTS, VOTES, LAYOUT = 7, 9, 11  # in the layout, see kernels/lattice.clh; numbers in all
 ROUNDS = 12  # times that nodes are looked for, two less than the margin in kernels/nodes.cl
