@@ -9,8 +9,9 @@ from cmp_cl.lattice.arrays import Float, Mask, Numbers, Units, Votes, Whole
 from cmp_cl.lattice.constants import LatticeConstants
 
 TURNS = np.array([1, 1j, -1, -1j])
-# Shifts that keep the colours, of which the one of least bending is looked for.
-SHIFTS = np.array([0, 1 + 1j, 1 - 1j, -1 + 1j, -1 - 1j, 2, -2, 2j, -2j])
+# Shifts that keep the colours, of which the one of least bending is looked for, in diagonal steps
+# away from the first side: counts across a tear are too short, so such a step often bends less.
+SHIFTS = np.array([0, 1, 1j, -1j, -1, 1 + 1j, 1 - 1j, -1 + 1j, -1 - 1j])
 IN_TURN = np.s_[:2], np.s_[2:]  # of them; at most tears the first ones decide
 TREND = 6  # terms of a quadratic
 ROUNDING = 1e-9  # cells^2, of the energy of a flat surface, which is 0
@@ -19,7 +20,7 @@ NOWHERE = 1e30  # cells^2, the variance of a node that is not there
 SEEN = 512  # tears whose nodes are looked for at once
 SOLVED = 16_000  # pairs of nodes of tears whose systems are solved at once, beside eight tears
 RIM = 128  # nodes, of a rim, to which distances are taken
-PAIRS = 1 << 20  # of nodes whose distances are taken at once
+PAIRS = 1 << 15  # of nodes whose distances are taken at once, in the processor's cache
 
 
 def _in_turns(some: Whole, most: int) -> Iterator[Whole]:
@@ -205,6 +206,8 @@ def _energies(one: _Sides, two: _Sides, cell: Float, least: Float) -> Float:
     tears, most = one.at.shape
     origin, middle = one.mean(one.number), two.mean(two.at)
     first, second = one.number - origin, two.number - origin
+    away = two.mean(second)
+    shifts = SHIFTS * (np.copysign(1, away.real) + 1j * np.copysign(1, away.imag))
     x, y = (_as_pairs((side.at - middle) / cell[:, None]) for side in (one, two))
     system = np.zeros((tears, most + TREND, most + TREND))
     system[:, :most, :most] = _cubes(first, first) + one.variance
@@ -217,7 +220,7 @@ def _energies(one: _Sides, two: _Sides, cell: Float, least: Float) -> Float:
     own = (_cubes(second, second) + two.variance)[:, None]
     energy, left = np.full((tears, len(SHIFTS)), np.inf), np.arange(tears)
     for turn in IN_TURN:
-        shifted, beside = SHIFTS[turn, None] + second[left, None], first[left, None]
+        shifted, beside = shifts[left, turn, None] + second[left, None], first[left, None]
         terms = np.concatenate([_cubes(shifted, beside), _trend(shifted)], axis=3)
         across = terms @ inverse[left, None]  # one small product a shift: BLAS starts no threads
         rest = y[left, None] - terms @ flat[left, None]

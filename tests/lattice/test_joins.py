@@ -145,9 +145,9 @@ def test_tears_have_the_same_energies_one_by_one():
 
 
 def test_shifts_are_left_out_where_the_first_one_decides():
-    """The first part lies where it is, the second where the first shift brings it back."""
-    units, _ = parts(range(8), range(9, 17), range(18, 26))
-    votes = votes_for(9, 8 - 1j)
+    """The first part lies where it is, the second too near, and the first shift is away."""
+    units, _ = parts(range(18, 26), range(9, 17), range(8))
+    votes = votes_for(-9, -7)
     whole = Surface(units).bending(votes, np.zeros(2), K)
     some = Surface(units).bending(votes, np.ones(2), K)
     np.testing.assert_array_equal(some[0], whole[0])
