@@ -35,7 +35,6 @@ def _joined(
     its corners. taken: (N,), the corners of the boards so far."""
     k = plan.constants
     units = joined(*plan.parts(xy), k)
-    units = units.chosen((units.part == 0) | (units.faces[units.part] >= k.least_board))
     first = np.unique(units.part, return_index=True)[1].tolist()
     parts = [units.chosen(slice(*ends)) for ends in zip(first, [*first[1:], None], strict=True)]
     for rank, part in enumerate(parts):

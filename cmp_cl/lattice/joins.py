@@ -28,17 +28,19 @@ BESIDE = Votes(
 
 
 def joined(units: Units, votes: Votes, k: LatticeConstants) -> Units:
-    """Return the nodes of parts, each part in the numbers of the largest that it is joined to.
+    """Return the nodes of the parts that begin a board, each with the parts that are joined to it,
+    in its numbers.
 
-    In rounds, each part is asked whether it belongs beside a larger one, the largest first. Those
-    that are sure are one part from then on. Others are asked about another one, and again where
-    votes are new. A corner, and a number, belongs to the larger of two parts.
+    In rounds, each part is asked whether it belongs beside a larger one that begins a board, the
+    largest first. Those that are sure are one part from then on. Others are asked about another
+    one, and again where votes are new. A corner, and a number, belongs to the larger of two parts.
     """
     refused, surface = np.zeros(0, np.complex128), None
+    begin = max(int(np.count_nonzero(units.faces >= k.least_board)), 1)  # the first ones
     while True:
-        asked = _asked(votes, refused)
+        asked = _asked(votes.chosen(votes.first < begin), refused)
         if not len(asked.first):
-            return units
+            return units.chosen(units.part < begin)
         surface = surface or Surface(units)
         sure = _are_sure(surface, asked, k)
         refused = np.append(refused, _leads(asked))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cmp_cl.lattice import bending as module
+from cmp_cl.lattice import joins
 from cmp_cl.lattice.arrays import Units, Votes
 from cmp_cl.lattice.bending import TURNS, Surface
 from cmp_cl.lattice.constants import LatticeConstants
@@ -106,6 +107,18 @@ def test_a_part_that_is_not_sure_is_asked_again_once_more_votes_are_for_it():
     assert not joined(units, votes, K).part.any()
     alone = votes.chosen(np.array([0, 2]))
     np.testing.assert_array_equal(np.unique(joined(units, alone, K).part), [0, 2])
+
+
+def test_a_part_that_begins_no_board_is_only_asked_about_beside_one_that_does(monkeypatch):
+    """The third lies beside the second, and once that is joined, beside the first."""
+    units, _ = parts(range(8), range(9, 11), range(12, 14))
+    votes = votes_for(9, 3)
+    found = joined(units, votes, K)
+    np.testing.assert_array_equal(np.sort(found.corner), np.sort(units.corner))
+    assert not found.part.any()
+    monkeypatch.setattr(joins, "Surface", None)
+    alone = joined(units, votes.chosen(np.array([1])), K)
+    np.testing.assert_array_equal(alone.corner, units.corner[units.part == 0])
 
 
 @pytest.mark.parametrize(("offset", "new"), [(4, range(8, 12)), (10, range(12, 18))])
