@@ -3,7 +3,6 @@
 import argparse
 import statistics
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from cmp_cl.detector import detect
 from cmp_cl.errors import ConfigError
 from cmp_cl.grid import build_grid
 from cmp_cl.measure import Measured, TwoViews
+from cmp_cl.media.ahead import Ahead
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.space import BinocularSplit
 from cmp_cl.synthetic import Indenter, Mode, Scene, binocular_frame, default_rig, render_stereo
@@ -57,8 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
     (folder / "frames").mkdir(parents=True, exist_ok=True)
     rig = default_rig(VIEW)
     shape = (SCENE.markers, SCENE.markers)
-    with ThreadPoolExecutor(1) as pool:
-        rendered = pool.map(render_stereo, (SCENE.at_rest(), SCENE), (rig, rig))
+    scenes = SCENE.at_rest(), SCENE
+    with Ahead((render_stereo(scene, rig) for scene in scenes), len(scenes)) as rendered:
         _compile(device)  # meanwhile
         (*at_rest_views, rest), (*pressed_views, now) = rendered
     at_rest, pressed = binocular_frame(*at_rest_views), binocular_frame(*pressed_views)
