@@ -12,9 +12,14 @@ from cmp_cl.image import GreyImage, check_image
 BLOCK = 4  # px, over which edges are looked for
 EDGE = 1 / 5  # of the brightest block: a strong edge
 EDGES = 0.01  # share of the blocks that such edges cross
+FACE = 4  # corners, the fewest of a pattern
+GRAIN = 1 / 100  # of the brightest pixel: weaker second differences are no texture
 ASKED = 300  # corners, at most, whose neighbour is looked for
 FEW_BITS = 2**14  # a grey level that an image of 16 bits reaches, unless it is very dark
 MOSAIC = 0.75  # least share of the brightest mean that the darkest of the four pixels of 2 x 2 has
+MORE_LIGHT = (
+    "give more light, the mean of some frames, or the part of the image that shows the pattern"
+)
 ALTERNATE = -0.6  # mean cosine of twice the turn to the neighbour; noise has -.24 to -.6
 
 
@@ -90,8 +95,8 @@ class Corners:
 
         The line is empty if nothing speaks against them. It says that grey levels do not fit the
         full scale, that the image is the raw mosaic of a colour camera, that there is no corner
-        although there are strong edges, or that neighbouring corners do not alternate as those of a
-        checkerboard do: most are then noise or texture.
+        although there are strong edges, that there are but noise and texture, or that neighbouring
+        corners do not alternate as those of a checkerboard do: most are then noise or texture.
 
         image: (H, W), which they are of. full_scale: its largest grey level, if that was given.
         Raises ImageError for anything else.
@@ -106,14 +111,15 @@ class Corners:
             )
         if not len(self) and _has_edges(image):
             return (
-                "no corner, although there are strong edges: enlarge an image whose cells are "
-                "under 5 px, and do not leave out octaves"
+                "no corner, although there are strong edges: those of noise or texture, or of "
+                "cells under 5 px; enlarge these, and do not leave out octaves"
             )
+        if len(self) < FACE and _has_grain(image):
+            return f"no pattern, but noise or texture: {MORE_LIGHT}"
         if self._alternation() > ALTERNATE:
             return (
                 f"most of the {len(self)} corners are noise or texture, because neighbours do not "
-                "alternate as in a checkerboard: give more light, the mean of some frames, or the "
-                "part of the image that shows the pattern"
+                f"alternate as in a checkerboard: {MORE_LIGHT}"
             )
         return ""
 
@@ -125,7 +131,7 @@ class Corners:
         """
         known = np.isfinite(self.edges).all(axis=1)
         xy = self.xy[known]
-        if len(xy) < 20:
+        if len(xy) < FACE:
             return -1.0
         first, second, third, fourth = np.exp(1j * self.edges[known]).T
         angle = np.angle(first + second - third - fourth)
@@ -158,13 +164,31 @@ def _is_mosaic(image: GreyImage) -> bool:
     return bool(means.min() < MOSAIC * means.max())
 
 
-def _has_edges(image: GreyImage) -> bool:
-    """Return whether strong edges cross the image. Noise fades in the means of blocks."""
+def _means(image: GreyImage) -> NDArray[np.float64]:
+    """Return the means of blocks."""
     rows, columns = (length // BLOCK * BLOCK for length in image.shape)
     blocks = image[:rows, :columns].reshape(rows // BLOCK, BLOCK, columns // BLOCK, BLOCK)
-    grey = blocks.mean(axis=(1, 3))
+    means: NDArray[np.float64] = blocks.mean(axis=(1, 3))
+    return means
+
+
+def _has_edges(image: GreyImage) -> bool:
+    """Return whether strong edges cross the image. Noise fades in the means of blocks."""
+    grey = _means(image)
     steps = [np.abs(np.diff(grey, axis=axis)) > EDGE * grey.max(initial=0) for axis in (0, 1)]
     return bool(sum(int(step.sum()) for step in steps) > EDGES * grey.size)
+
+
+def _has_grain(image: GreyImage) -> bool:
+    """Return whether an image has noise or texture of some pixels: as seen by second differences
+    along both axes, noise of one falls to a quarter in the means of blocks."""
+    if min(image.shape) < 3 * BLOCK:
+        return False
+    fine, coarse = (
+        np.abs(np.diff(np.diff(grey, 2, axis=0), 2, axis=1)).mean()
+        for grey in (image.astype(float), _means(image))
+    )
+    return bool(coarse > max(fine / 2, GRAIN * image.max()))
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

@@ -41,6 +41,8 @@ NEIGHBOURS = 32  # px of the octave, x and y: corners of narrower cells have nei
 ALIGNED = 8  # of them suffice, and two more for each that is askew
 MOSTLY = 3  # times as many aligned neighbours as askew ones or more: the latter are few
 SEEN = 1.5  # px of the next octave
+SURELY = 32  # more neighbours of maxima of noise are askew than aligned: fewer may be chance
+FIRST_ASKED, ASKED = 16, 128  # maxima, about, whose neighbours show whether a frame is noise
 UNIT = 15  # of a direction, about
 
 
@@ -258,18 +260,38 @@ def decided(
         for each in octaves
     ]
     every = [[each for each in strong if not each.halvings], *([each] for each in enough[1:])]
+    noise = bool(rule.noise) and len(every) > 1 and is_noise(every, nms_radius)
     kept: list[Maxima] = []
     for each in strong:
         n, reach = each.halvings, OCTAVE_APART if each.halvings else nms_radius
         corner = ~is_near(each, kept, reach)
-        if n + 1 < len(octaves):
+        following = enough[n + 1 : n + 2]
+        if noise:
+            corner[corner] = ~is_lone_in_noise(each.of(corner), every[n], following, nms_radius)
+        elif following:
             weak = (STRONG * each.response < level) & (n == 0)
             asked = corner & (weak | (n > 0) | (OUTDONE * references[0] < level))
-            corner[asked] = ~is_lone(
-                each.of(asked), weak[asked], every[n], enough[n + 1], nms_radius
-            )
+            corner[asked] = ~is_lone(each.of(asked), weak[asked], every[n], following, nms_radius)
         kept.append(each.of(corner))
     return greatest, kept
+
+
+def is_noise(octaves: Sequence[Sequence[Maxima]], nms_radius: int) -> bool:
+    """Return whether a frame is noise.
+
+    Of its maxima more neighbours are askew than aligned, in all octaves together by SURELY or more,
+    and in none are as many aligned as those of a sure maximum. The maxima of one row in so many are
+    asked: about 16 of the frame, then 128 of each octave.
+    """
+    aligned = askew = 0
+    for count, n in [(FIRST_ASKED, 0), *((ASKED, n) for n in range(len(octaves)))]:
+        every = sum(len(each.x) for each in octaves[n]) // count | 1
+        asked = [each.of(each.y % every == every // 2) for each in octaves[n]]
+        found = sum(around(each, octaves[n], nms_radius).sum(axis=1) for each in asked)
+        if are_sure(*found):
+            return False
+        aligned, askew = np.add((aligned, askew), found)
+    return bool(askew >= SURELY + aligned)
 
 
 def strong_enough(found: Maxima, rule: RingHarmonic, level: int) -> Maxima:
@@ -300,7 +322,7 @@ def is_lone(
     asked: Maxima,
     weak: NDArray[np.bool_],
     every: Sequence[Maxima],
-    following: Maxima,
+    following: Sequence[Maxima],
     nms_radius: int,
 ) -> NDArray[np.bool_]:
     """Return which maxima of an octave neither many neighbours confirm nor the next octave.
@@ -310,16 +332,44 @@ def is_lone(
         Noise is weaker there, and independent of that before; the corners of wide cells stay.
     """
     aligned, askew = around(asked, every, nms_radius)
-    seen = is_near(asked, [following], SEEN)
+    seen = is_near(asked, following, SEEN)
     if_weak, if_not = (askew > 0) | ~seen, (MOSTLY * askew > aligned) & ~seen
-    lone: NDArray[np.bool_] = np.where(weak, if_weak, if_not) & (aligned < ALIGNED + 2 * askew)
+    lone: NDArray[np.bool_] = np.where(weak, if_weak, if_not) & ~are_sure(aligned, askew)
     return lone
 
 
+def is_lone_in_noise(
+    asked: Maxima, every: Sequence[Maxima], following: Sequence[Maxima], nms_radius: int
+) -> NDArray[np.bool_]:
+    """Return which maxima of an octave of noise are not those of a board in it.
+
+    Of those, and of what the next octave has there, no more neighbours are askew than aligned, and
+    a sure maximum is near; or ALIGNED sure ones are near, whatever the next octave has: noise of a
+    few pixels is in every octave.
+    """
+    aligned, askew = around(asked, every, nms_radius)
+    sure = [each.of(are_sure(*around(each, every, nms_radius))) for each in every]
+    near = number_near(asked, sure, NEIGHBOURS)
+    likely = [each.of(np.less_equal(*around(each, [each], nms_radius)[::-1])) for each in following]
+    beside = (near >= ALIGNED) | (near > 0) & is_near(asked, likely, SEEN)
+    lone: NDArray[np.bool_] = ~(are_sure(aligned, askew) | beside & (askew <= aligned))
+    return lone
+
+
+def are_sure(aligned: Whole, askew: Whole) -> NDArray[np.bool_]:
+    """Return which maxima with so many neighbours are sure."""
+    return aligned >= ALIGNED + 2 * askew
+
+
 def is_near(found: Maxima, others: Sequence[Maxima], reach: float) -> NDArray[np.bool_]:
-    """Return (N,): whether one of the others is within reach in x and in y, px of the smaller of
-    the two frames."""
-    near = np.zeros(len(found.x), np.bool_)
+    """Return (N,): whether one of the others is within reach, as `number_near`."""
+    return number_near(found, others, reach) > 0
+
+
+def number_near(found: Maxima, others: Sequence[Maxima], reach: float) -> Whole:
+    """Return (N,): how many of the others are within reach in x and in y, px of the smaller of the
+    two frames."""
+    near = np.zeros(len(found.x), np.int64)
     for other in others:
         size, others_size = 2**found.halvings, 2**other.halvings
         x, y = ((2 * at + 1) * others_size for at in (other.x, other.y))  # twice the place, and 1
@@ -327,7 +377,7 @@ def is_near(found: Maxima, others: Sequence[Maxima], reach: float) -> NDArray[np
         for n in range(len(near)):
             apart_x = np.abs(x - (2 * found.x[n] + 1) * size)
             apart_y = np.abs(y - (2 * found.y[n] + 1) * size)
-            near[n] |= (np.maximum(apart_x, apart_y) <= furthest).any()
+            near[n] += np.count_nonzero(np.maximum(apart_x, apart_y) <= furthest)
     return near
 
 

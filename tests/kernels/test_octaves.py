@@ -122,6 +122,38 @@ def test_wide_cells_in_the_dark_have_corners_and_noise_there_has_none(
     assert_found_alone(found, truth, 20)
 
 
+def soft_noise(smooth, strength=15.0, seed=1, shape=SHAPE):
+    """Return grey with noise that pixels share, over so many px."""
+    return np.clip(128 + strength * grain(shape, smooth, seed), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("smooth", [1, 2, 4])
+def test_noise_that_pixels_share_has_hardly_a_corner(detector_in_form, smooth):
+    image = soft_noise(smooth)
+    assert len(assert_corners_equal(detector_in_form(image, OCTAVES), image)) < 5
+    every = DetectorConfig(detection=RingHarmonic(noise=0), refinement=None)
+    assert len(assert_corners_equal(detector_in_form(image, every), image)) > 50
+
+
+@pytest.mark.parametrize("cell", [9, 12, 20])
+def test_a_board_in_such_noise_keeps_its_corners_and_few_others_are_found(detector_in_form, cell):
+    """Those of its outline have the noise beside them; those of wide cells few neighbours."""
+    shape, (x, y) = (2 * SHAPE[0], 2 * SHAPE[1]), np.array([300, 260])
+    board, truth = images.board(*shape, cell, angle=0, blur=0.7, samples=3)
+    apart = np.abs(np.indices(shape)[::-1].transpose(1, 2, 0) - (x, y)).max(axis=2)
+    image = np.where(apart < 4.4 * cell, board, soft_noise(1.8, 60, 2, shape))
+    corners = truth[np.abs(truth - (x, y)).max(axis=1) < 3.9 * cell]
+    found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
+    assert len(corners) > 40
+    assert to_nearest(corners, found.xy).max() < 1
+    assert len(found) < 2 * len(corners)
+
+
+def test_few_neighbours_are_no_noise(detector_in_form):
+    image = soft_noise(4, seed=2, shape=(96, 96))
+    assert len(assert_corners_equal(detector_in_form(image, OCTAVES), image)) > 5
+
+
 @pytest.mark.parametrize("cell", [8, 12, 17])
 def test_a_faint_pattern_of_small_cells_beside_wide_ones_is_found(detector_in_form, cell):
     image, _ = images.board(*SHAPE, 60, angle=0.3, blur=0.7, samples=3)
