@@ -83,7 +83,8 @@ class Tracker:
     """Follows the nodes of some views from frame to frame.
 
     views: the grids at rest, and their corners. sizes: (H, W) of each view. frame: the memory of a
-    plan that has the arrays of `layout`; a frame writes them on the device."""
+    plan that has the arrays of `layout`; a frame writes them on the device.
+    """
 
     def __init__(
         self,

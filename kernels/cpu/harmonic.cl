@@ -475,6 +475,6 @@ __kernel void harmonic_band(__global const PIXEL *memory, const ulong frame_star
     find_level(kind, p, frames, noise, bands, rows, columns, full_scale, coarse_noise, capacity,
                counters_of_frame, counters, lists, levels, 0);
   decide_frame(p, octaves, levels, strong, rows, step, capacity, coarse_noise, coarse_share,
-               fine_share, NMS_RADIUS, counters_of_frame, corner_capacity, count_offset, length, counters,
-               lists, maxima, row_counts, row_columns, corners, counts, sums);
+               fine_share, NMS_RADIUS, counters_of_frame, corner_capacity, count_offset, length,
+               counters, lists, maxima, row_counts, row_columns, corners, counts, sums);
 }
