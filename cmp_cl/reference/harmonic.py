@@ -41,6 +41,7 @@ NEIGHBOURS = 32  # px of the octave, x and y: corners of narrower cells have nei
 ALIGNED = 8  # of them suffice, and two more for each that is askew
 MOSTLY = 3  # times as many aligned neighbours as askew ones or more: the latter are few
 SEEN = 1.5  # px of the next octave
+BESIDE = 4  # sure maxima, within NEIGHBOURS of a maximum of a board in noise
 SURELY = 32  # more neighbours of maxima of noise are askew than aligned: fewer may be chance
 FIRST_ASKED, ASKED = 16, 128  # maxima, about, whose neighbours show whether a frame is noise
 UNIT = 15  # of a direction, about
@@ -265,13 +266,14 @@ def decided(
     for each in strong:
         n, reach = each.halvings, OCTAVE_APART if each.halvings else nms_radius
         corner = ~is_near(each, kept, reach)
-        following = enough[n + 1 : n + 2]
         if noise:
-            corner[corner] = ~is_lone_in_noise(each.of(corner), every[n], following, nms_radius)
-        elif following:
+            corner[corner] = ~is_lone_in_noise(each.of(corner), every[n], nms_radius)
+        elif n + 1 < len(octaves):
             weak = (STRONG * each.response < level) & (n == 0)
             asked = corner & (weak | (n > 0) | (OUTDONE * references[0] < level))
-            corner[asked] = ~is_lone(each.of(asked), weak[asked], every[n], following, nms_radius)
+            corner[asked] = ~is_lone(
+                each.of(asked), weak[asked], every[n], enough[n + 1], nms_radius
+            )
         kept.append(each.of(corner))
     return greatest, kept
 
@@ -322,7 +324,7 @@ def is_lone(
     asked: Maxima,
     weak: NDArray[np.bool_],
     every: Sequence[Maxima],
-    following: Sequence[Maxima],
+    following: Maxima,
     nms_radius: int,
 ) -> NDArray[np.bool_]:
     """Return which maxima of an octave neither many neighbours confirm nor the next octave.
@@ -332,27 +334,22 @@ def is_lone(
         Noise is weaker there, and independent of that before; the corners of wide cells stay.
     """
     aligned, askew = around(asked, every, nms_radius)
-    seen = is_near(asked, following, SEEN)
+    seen = is_near(asked, [following], SEEN)
     if_weak, if_not = (askew > 0) | ~seen, (MOSTLY * askew > aligned) & ~seen
     lone: NDArray[np.bool_] = np.where(weak, if_weak, if_not) & ~are_sure(aligned, askew)
     return lone
 
 
-def is_lone_in_noise(
-    asked: Maxima, every: Sequence[Maxima], following: Sequence[Maxima], nms_radius: int
-) -> NDArray[np.bool_]:
+def is_lone_in_noise(asked: Maxima, every: Sequence[Maxima], nms_radius: int) -> NDArray[np.bool_]:
     """Return which maxima of an octave of noise are not those of a board in it.
 
-    Of those, and of what the next octave has there, no more neighbours are askew than aligned, and
-    a sure maximum is near; or ALIGNED sure ones are near, whatever the next octave has: noise of a
-    few pixels is in every octave.
+    Those are sure, or no more of their neighbours are askew than aligned, and BESIDE sure ones are
+    near. The next octave tells nothing: noise of a few pixels is there too.
     """
     aligned, askew = around(asked, every, nms_radius)
     sure = [each.of(are_sure(*around(each, every, nms_radius))) for each in every]
-    near = number_near(asked, sure, NEIGHBOURS)
-    likely = [each.of(np.less_equal(*around(each, [each], nms_radius)[::-1])) for each in following]
-    beside = (near >= ALIGNED) | (near > 0) & is_near(asked, likely, SEEN)
-    lone: NDArray[np.bool_] = ~(are_sure(aligned, askew) | beside & (askew <= aligned))
+    beside = (askew <= aligned) & (number_near(asked, sure, NEIGHBOURS) >= BESIDE)
+    lone: NDArray[np.bool_] = ~(are_sure(aligned, askew) | beside)
     return lone
 
 

@@ -137,7 +137,7 @@ def test_noise_that_pixels_share_has_hardly_a_corner(detector_in_form, smooth):
 
 @pytest.mark.parametrize("cell", [9, 12, 20])
 def test_a_board_in_such_noise_keeps_its_corners_and_few_others_are_found(detector_in_form, cell):
-    """Those of its outline have the noise beside them; those of wide cells few neighbours."""
+    """Those of its outline have the noise beside them."""
     shape, (x, y) = (2 * SHAPE[0], 2 * SHAPE[1]), np.array([300, 260])
     board, truth = images.board(*shape, cell, angle=0, blur=0.7, samples=3)
     apart = np.abs(np.indices(shape)[::-1].transpose(1, 2, 0) - (x, y)).max(axis=2)
@@ -150,7 +150,7 @@ def test_a_board_in_such_noise_keeps_its_corners_and_few_others_are_found(detect
 
 
 def test_few_neighbours_are_no_noise(detector_in_form):
-    image = soft_noise(4, seed=2, shape=(96, 96))
+    image = soft_noise(4, 4, 4, (96, 96))
     assert len(assert_corners_equal(detector_in_form(image, OCTAVES), image)) > 5
 
 
