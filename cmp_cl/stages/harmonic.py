@@ -9,6 +9,7 @@ from cmp_cl.opencl.launches import Launch
 from cmp_cl.stages import noise
 from cmp_cl.stages.layout import LIST_COLUMNS, MOST_OCTAVES, PlanBase
 
+TILE = 32  # px, see kernels/decide.clh
 DECIDING = 256  # work-items of a group that decides about a frame; 1 in the form for CPUs
 
 
@@ -50,7 +51,8 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 
 def scratch(plan: PlanBase) -> list[dict[str, int]]:
     """Return the bytes of the temporary arrays, layout by layout."""
-    of_frame = 3 * plan.kinds * plan.list_capacity + (1 + MOST_OCTAVES) * plan.shape[0]
+    tiles = -(-plan.shape[0] // TILE) * (plan.step // TILE)
+    of_frame = 3 * plan.kinds * plan.list_capacity + (1 + MOST_OCTAVES) * tiles
     decided = {"strong": 4 * plan.frames * (of_frame if plan.octaves else 1)}
     if plan.for_cpu:
         return [decided]
