@@ -41,7 +41,7 @@ NEIGHBOURS = 32  # px of the octave, x and y: corners of narrower cells have nei
 ALIGNED = 8  # of them suffice, and two more for each that is askew
 MOSTLY = 3  # times as many aligned neighbours as askew ones or more: the latter are few
 SEEN = 1.5  # px of the next octave
-BESIDE = 4  # sure maxima, within NEIGHBOURS of a maximum of a board in noise
+BOARD = 8  # sure maxima within NEIGHBOURS of one of them: a board before noise
 SURELY = 32  # more neighbours of maxima of noise are askew than aligned: fewer may be chance
 FIRST_ASKED, ASKED = 16, 128  # maxima, about, whose neighbours show whether a frame is noise
 UNIT = 15  # of a direction, about
@@ -261,14 +261,13 @@ def decided(
         for each in octaves
     ]
     every = [[each for each in strong if not each.halvings], *([each] for each in enough[1:])]
-    noise = bool(rule.noise) and len(every) > 1 and is_noise(every, nms_radius)
+    if rule.noise and len(every) > 1 and is_noise(every, nms_radius):
+        return greatest, [each.of(np.zeros(len(each.x), np.bool_)) for each in layers]
     kept: list[Maxima] = []
     for each in strong:
         n, reach = each.halvings, OCTAVE_APART if each.halvings else nms_radius
         corner = ~is_near(each, kept, reach)
-        if noise:
-            corner[corner] = ~is_lone_in_noise(each.of(corner), every[n], nms_radius)
-        elif n + 1 < len(octaves):
+        if n + 1 < len(octaves):
             weak = (STRONG * each.response < level) & (n == 0)
             asked = corner & (weak | (n > 0) | (OUTDONE * references[0] < level))
             corner[asked] = ~is_lone(
@@ -279,11 +278,22 @@ def decided(
 
 
 def is_noise(octaves: Sequence[Sequence[Maxima]], nms_radius: int) -> bool:
-    """Return whether a frame is noise.
+    """Return whether a frame shows nothing but noise: its maxima are askew, and nowhere are
+    BOARD sure maxima near one of them, as on a board before noise."""
+    if not are_askew(octaves, nms_radius):
+        return False
+    for every in octaves:
+        sure = [each.of(are_sure(*around(each, every, nms_radius))) for each in every]
+        if any((number_near(each, sure, NEIGHBOURS) >= BOARD).any() for each in sure):
+            return False
+    return True
 
-    Of its maxima more neighbours are askew than aligned, in all octaves together by SURELY or more,
-    and in none are as many aligned as those of a sure maximum. The maxima of one row in so many are
-    asked: about 16 of the frame, then 128 of each octave.
+
+def are_askew(octaves: Sequence[Sequence[Maxima]], nms_radius: int) -> bool:
+    """Return whether more neighbours of the maxima of a frame are askew than aligned, in all
+    octaves together by SURELY or more, and in none as many aligned as those of a sure maximum.
+
+    The maxima of one row in so many are asked: about 16 of the frame, then 128 of each octave.
     """
     aligned = askew = 0
     for count, n in [(FIRST_ASKED, 0), *((ASKED, n) for n in range(len(octaves)))]:
@@ -337,19 +347,6 @@ def is_lone(
     seen = is_near(asked, [following], SEEN)
     if_weak, if_not = (askew > 0) | ~seen, (MOSTLY * askew > aligned) & ~seen
     lone: NDArray[np.bool_] = np.where(weak, if_weak, if_not) & ~are_sure(aligned, askew)
-    return lone
-
-
-def is_lone_in_noise(asked: Maxima, every: Sequence[Maxima], nms_radius: int) -> NDArray[np.bool_]:
-    """Return which maxima of an octave of noise are not those of a board in it.
-
-    Those are sure, or no more of their neighbours are askew than aligned, and BESIDE sure ones are
-    near. The next octave tells nothing: noise of a few pixels is there too.
-    """
-    aligned, askew = around(asked, every, nms_radius)
-    sure = [each.of(are_sure(*around(each, every, nms_radius))) for each in every]
-    beside = (askew <= aligned) & (number_near(asked, sure, NEIGHBOURS) >= BESIDE)
-    lone: NDArray[np.bool_] = ~(are_sure(aligned, askew) | beside)
     return lone
 
 

@@ -128,25 +128,23 @@ def soft_noise(smooth, strength=15.0, seed=1, shape=SHAPE):
 
 
 @pytest.mark.parametrize("smooth", [1, 2, 4])
-def test_noise_that_pixels_share_has_hardly_a_corner(detector_in_form, smooth):
+def test_noise_that_pixels_share_has_no_corner(detector_in_form, smooth):
     image = soft_noise(smooth)
-    assert len(assert_corners_equal(detector_in_form(image, OCTAVES), image)) < 5
+    assert not len(assert_corners_equal(detector_in_form(image, OCTAVES), image))
     every = DetectorConfig(detection=RingHarmonic(noise=0), refinement=None)
     assert len(assert_corners_equal(detector_in_form(image, every), image)) > 50
 
 
-@pytest.mark.parametrize("cell", [9, 12, 20])
-def test_a_board_in_such_noise_keeps_its_corners_and_few_others_are_found(detector_in_form, cell):
-    """Those of its outline have the noise beside them."""
+@pytest.mark.parametrize("cell", [9, 12, 20, 30])
+def test_a_board_in_such_noise_keeps_its_corners(detector_in_form, cell):
     shape, (x, y) = (2 * SHAPE[0], 2 * SHAPE[1]), np.array([300, 260])
     board, truth = images.board(*shape, cell, angle=0, blur=0.7, samples=3)
     apart = np.abs(np.indices(shape)[::-1].transpose(1, 2, 0) - (x, y)).max(axis=2)
-    image = np.where(apart < 4.4 * cell, board, soft_noise(1.8, 60, 2, shape))
-    corners = truth[np.abs(truth - (x, y)).max(axis=1) < 3.9 * cell]
+    image = np.where(apart < 3.4 * cell, board, soft_noise(1.8, 60, 2, shape))
+    corners = truth[np.abs(truth - (x, y)).max(axis=1) < 2.9 * cell]
     found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
-    assert len(corners) > 40
+    assert len(corners) > 20
     assert to_nearest(corners, found.xy).max() < 1
-    assert len(found) < 2 * len(corners)
 
 
 def test_few_neighbours_are_no_noise(detector_in_form):
