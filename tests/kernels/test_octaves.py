@@ -127,7 +127,7 @@ def soft_noise(smooth, strength=15.0, seed=1, shape=SHAPE):
     return np.clip(128 + strength * grain(shape, smooth, seed), 0, 255).astype(np.uint8)
 
 
-@pytest.mark.parametrize("smooth", [1, 2, 4])
+@pytest.mark.parametrize("smooth", [1, 2, 3, 4])
 def test_noise_that_pixels_share_has_no_corner(detector_in_form, smooth):
     image = soft_noise(smooth)
     assert not len(assert_corners_equal(detector_in_form(image, OCTAVES), image))
