@@ -10,11 +10,14 @@ import os
 from collections.abc import Iterator
 
 import pytest
-from detectors import FORMS, MakeDetector, detectors_on, in_form
+from detectors import FORMS, MakeDetector, detectors_on, in_form, in_other_form
 
 from cmp_cl import Device, select_device
 from cmp_cl.opencl import program
 from cmp_cl.opencl.device import DEVICE_VARIABLE, DeviceKind
+
+BOTH_FORMS = "lattice", "motion"  # folders; detection has tests of its own for each form
+EXHAUSTIVE = pytest.mark.exhaustive
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -36,16 +39,24 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    if "device" in metafunc.fixturenames:
-        texts = metafunc.config.getoption("device") or [None]
-        ids = [text or "default" for text in texts]
-        metafunc.parametrize("device", texts, ids=ids, indirect=True, scope="session")
+    if "device" not in metafunc.fixturenames:
+        return
+    cases = []
+    for text in metafunc.config.getoption("device") or [None]:
+        name = text or "default"
+        cases.append(pytest.param((text, False), id=name))
+        if metafunc.definition.path.parent.name in BOTH_FORMS:
+            other = pytest.param((text, True), id=f"{name} in its other form", marks=EXHAUSTIVE)
+            cases.append(other)
+    metafunc.parametrize("device", cases, indirect=True, scope="session")
 
 
 @pytest.fixture(scope="session")
 def device(request: pytest.FixtureRequest) -> Device:
-    """Return the device under test."""
-    return select_device(request.param)
+    """Return the device under test, in BOTH_FORMS also in the form that is not its own."""
+    text, other = request.param
+    device = select_device(text)
+    return in_other_form(device) if other else device
 
 
 @pytest.fixture(scope="session")

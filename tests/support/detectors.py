@@ -19,6 +19,11 @@ def in_form(device: Device, form: DeviceKind) -> Device:
     return dataclasses.replace(device, kind=form)
 
 
+def in_other_form(device: Device) -> Device:
+    """Return the device as if it were of the other kind."""
+    return in_form(device, FORMS[device.kind is FORMS[0]])
+
+
 @contextlib.contextmanager
 def detectors_on(device: Device) -> Iterator[MakeDetector]:
     """Yield make(image, config, mask), which returns a detector for such images, made only once."""
