@@ -407,7 +407,7 @@ enum { CHANGED, MOVED, BLENDED, MEASURED, SCORED, JUDGED, LOOKED, ASKING, LISTS 
   __global volatile int *marks, __global int *lists, const int places, __local volatile int *counts
 #define OF_PLACES marks, lists, places, counts
 __attribute__((noinline)) void list_place(LISTS_OF_PLACES, const int kind, const int place) {
-  if (marks[place] >> kind & 1 || atomic_or(marks + place, 1 << kind) >> kind & 1) return;
+  if (READ(marks + place) >> kind & 1 || atomic_or(marks + place, 1 << kind) >> kind & 1) return;
   LIST_OF(kind)[ADD(counts + kind, 1)] = place;
 }
 /* Empty a list, once all work-items have read it. */

@@ -8,7 +8,7 @@
 
 /* The root of a face. `part` points to lower faces of the same part until a root points to itself. */
 int root_of(__global volatile int *part, int f) {
-  for (int up = part[f]; up != f; up = part[f]) f = up;
+  for (int up = READ(part + f); up != f; up = READ(part + f)) f = up;
   return f;
 }
 
@@ -66,7 +66,7 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
     FOR_ALL(h, ends) {
       if (face[h] != h) continue;
       const int root = root_of(part, h);
-      part[h] = root;
+      REPLACE(part + h, root);
       ADD(faces_of_part + root, 1);
       state[h] = (int4)(0, 0, 0, root == h ? 0 : WAITING);
       if (root == h) waiting[ADD(&listed, 1)] = h;
@@ -82,12 +82,12 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
         int h = begin;
         do {
           part[h] = root;
-          state[h] = here;
+          state[h].xyz = here.xyz;
           const int other = beyond[h];
           if (other != NONE) {
             __global volatile int *reached = (__global volatile int *)(state + face[other]) + 3;
-            if (*reached == WAITING && REPLACE(reached, 0) == WAITING) {
-              state[other] = STEP(here, 2);
+            if (READ(reached) == WAITING && REPLACE(reached, 0) == WAITING) {
+              state[other].xyz = STEP(here, 2).xyz;
               waiting[ADD(&listed, 1)] = other;
             }
           }
@@ -123,7 +123,7 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
   ALL_TOGETHER;
   FOR_ALL(h, ends)
     if (part[h] == h && faces_of_part[h]) {
-      if (faces_of_part[h] > most) atomic_max(&most, faces_of_part[h]);
+      if (faces_of_part[h] > READ(&most)) atomic_max(&most, faces_of_part[h]);
       if (faces_of_part[h] > 1) ADD(&parts, 1); /* one face agrees with none */
     }
   ALL_TOGETHER;
