@@ -149,6 +149,11 @@ def test_what_a_camera_does_not_do_is_reported(monkeypatch):
         next(Source("rtsp://a/b").frames())
 
 
+def test_a_number_that_no_camera_can_have_is_no_camera():
+    with pytest.raises(ImageError, match="no camera 99999999999"):
+        next(Source("99999999999").frames())
+
+
 @pytest.mark.parametrize(
     ("devices", "words"),
     [([], "none is seen in /dev"), (["video2", "video0", "null"], "video0, .*video2 can be given")],

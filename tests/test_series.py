@@ -233,6 +233,22 @@ def test_what_a_series_cannot_hold_is_named_and_nothing_is_added(tmp_path, suffi
         series.append(index=2, time_ms=2, **frame(2))
 
 
+def test_times_that_mcap_has_no_stamp_for_are_refused_at_once(tmp_path):
+    pytest.importorskip("mcap_ros2", reason="mcap is not installed")
+    path = tmp_path / "press.mcap"
+    with SeriesWriter(path, **ABOUT, rest=rest(), unit="mm") as series:
+        for time_ms in (-40, 2.2e12, 1e300):
+            with pytest.raises(FieldError, match=r"^time_ms must be from 0 to .* in \.mcap"):
+                series.append(index=0, time_ms=time_ms, **frame(0))
+        series.append(index=0, time_ms=np.nan, **frame(0))
+        series.append(index=1, time_ms=1.7e12, **frame(1))
+    assert shown_in(path) == [0, 1]
+    with SeriesWriter(tmp_path / "press.npz", **ABOUT, rest=rest(), unit="mm") as series:
+        series.append(index=0, time_ms=-40, **frame(0))
+        with pytest.raises(FieldError, match=r"in \.mcap, not -40"):
+            complete(tmp_path / "press.npz.part", path)
+
+
 def test_names_and_packages_that_no_format_has_are_refused(tmp_path, monkeypatch):
     with pytest.raises(ConfigError, match=", ".join(map(re.escape, SERIES_SUFFIXES))):
         SeriesWriter("press.mat")

@@ -5,6 +5,7 @@ import os
 import urllib.error
 import urllib.request
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -272,7 +273,7 @@ def test_a_video_has_every_picture_and_the_rights_of_the_old_file(tmp_path):
     assert os.name == "nt" or path.stat().st_mode & 0o777 == 0o600
 
 
-def test_a_video_that_cannot_be_written_is_refused_and_leaves_the_old_file(tmp_path):
+def test_a_video_that_cannot_be_written_is_refused_and_leaves_the_old_file(tmp_path, monkeypatch):
     with pytest.raises(OSError, match="nothere"):
         VideoFile(tmp_path / "nothere" / "press.mp4", fps=10)
     (tmp_path / "press.mp4").write_bytes(b"old")
@@ -295,6 +296,13 @@ def test_a_video_that_cannot_be_written_is_refused_and_leaves_the_old_file(tmp_p
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
+
+    def failing(*_):
+        raise av.error.ExternalError(0, "Generic error in an external library")
+
+    monkeypatch.setattr(VideoFile, "_write", failing)
+    with pytest.raises(OSError, match=r"press\.mp4.*external"):
+        write_noise()
     assert (tmp_path / "press.mp4").read_bytes() == b"old"
     assert len(list(tmp_path.iterdir())) == 1
 

@@ -108,8 +108,10 @@ class Source:
                 index = frame.index + 1
 
     def _capture(self) -> Any:
-        capture = cv2.VideoCapture(self._opened_as)
-        if not capture.isOpened():
+        capture = None
+        with contextlib.suppress(cv2.error):  # of a number that no camera can have
+            capture = cv2.VideoCapture(self._opened_as)
+        if capture is None or not capture.isOpened():
             what = "stream" if "://" in self.name else "camera"
             there = "check the address" if what == "stream" else _cameras_here()
             raise ImageError(f"there is no {what} {self.name} that OpenCV can open; {there}")

@@ -6,11 +6,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.errors import FieldError
 from cmp_cl.series.formats import moved_by
 from cmp_cl.series.part import Stored
 
 TOPIC = "/cmp_cl/nodes"
 POINT_FIELDS = ("x", "y", "z", "dx", "dy", "dz", "sigma", "row", "column")
+
+_LATEST = 2**31 - 1  # s, of ROS's 32 bits with a sign; MCAP has none for the sign
 
 _RULE = "=" * 80
 _POINT_CLOUD = f"""\
@@ -85,6 +88,14 @@ def point_cloud(
     }
 
 
+def stamp_ns(index: int, time_ms: float) -> int:
+    """Return the time stamp of a frame; raises FieldError if MCAP has none for such a time."""
+    stamp = time_ms if np.isfinite(time_ms) else index
+    if not 0 <= stamp <= 1e3 * _LATEST:
+        raise FieldError(f"time_ms must be from 0 to {1e3 * _LATEST:.0f} in .mcap, not {stamp:g}")
+    return round(stamp * 1e6)
+
+
 def write_mcap(series: Stored, path: Path, _target: Path) -> None:
     """MCAP with one PointCloud2 per frame on /cmp_cl/nodes, for ROS 2, Foxglove and rosbags.
 
@@ -102,7 +113,7 @@ def write_mcap(series: Stored, path: Path, _target: Path) -> None:
         for index, time_ms, frame in series.frames():
             rest, shift = moved_by(series.constants, frame)
             sigma = frame.get("sigma", np.full(rest.shape[:2], np.nan))
-            stamp = round((time_ms if np.isfinite(time_ms) else index) * 1e6)
+            stamp = stamp_ns(index, time_ms)
             frame_id = "camera" if rest.shape[2] == 3 else "image"
             writer.write_message(
                 topic=TOPIC,

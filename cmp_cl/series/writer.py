@@ -159,8 +159,8 @@ class SeriesWriter(Closing):
 
         Raises FieldError if index is not whole, time_ms is not a number, the names, shapes or types
         differ from the first frame's, a name is one of the constants', the format needs `rest` and
-        `displacement` of nodes, or the series is closed; OSError, for example if the disk is full.
-        Then nothing is added.
+        `displacement` of nodes or has no such time, or the series is closed; OSError, for example
+        if the disk is full. Then nothing is added.
         """
         if not self._open:
             raise FieldError("the series is closed")
@@ -175,6 +175,8 @@ class SeriesWriter(Closing):
             raise FieldError(f"the series already has constants of the names {taken}")
         if self._of_nodes:
             formats.moved_by(self._constants, frame)
+        if self._target.suffix.lower() == ".mcap":
+            mcap.stamp_ns(int(index), float(time_ms))
         try:
             self._sink.append(self._count, int(index), float(time_ms), frame)
         except BrokenPipeError:

@@ -55,7 +55,8 @@ class VideoFile(Closing):
             yield
         except BaseException as error:
             self._discard()
-            if isinstance(error, ValueError):  # FFmpeg lacks the codec, or takes no such rate
+            of_ffmpeg = isinstance(error, ValueError | self._av.FFmpegError)
+            if of_ffmpeg and not isinstance(error, OSError):  # it lacks the codec, or room for it
                 raise OSError(f"no video can be written to {str(self._path)!r}: {error}") from error
             raise
 
