@@ -20,6 +20,7 @@ CORNER_COLUMNS = LIST_COLUMNS + 1  # and the octave
 LEAST_OCTAVE = 48  # px, the shorter side of a halved frame
 MOST_OCTAVES = 3
 LISTS = 2 + MOST_OCTAVES  # of which a frame has counts, whatever its rule; its kinds come first
+MOST_COLUMNS = 1 << 16  # of a frame in the form for CPUs, which keeps 16 bits of a column
 OCTAVE_ALIGNMENT = 128  # elements, of the start of an octave in the buffer of the frames
 
 
@@ -55,7 +56,8 @@ class PlanBase:
     ) -> None:
         self.queue = queue
         self.device = device
-        self.for_cpu = device.kind is DeviceKind.CPU and not portable
+        on_cpu = device.kind is DeviceKind.CPU
+        self.for_cpu = on_cpu and not portable and shape[1] <= MOST_COLUMNS
         self.shape = shape
         self.dtype = dtype
         self.types = types_of(dtype, config)

@@ -126,6 +126,21 @@ def test_widths_around_words_and_vectors(detector_in_form, config, width):
     assert seen & {width - 2, width - 1}
 
 
+@pytest.mark.parametrize("width", [2**16, 2**16 + 90])
+def test_corners_beyond_column_65536_are_found(detector_in_form, width):
+    """The form for CPUs keeps 16 bits of a column."""
+    part = images.texture((34, 90))
+    image = np.pad(part, ((0, 0), (width - 90, 0)))
+
+    def last(image):
+        """Return the corners of the last 80 columns, as seen from the image's right border."""
+        place = detector_in_form(image, DENSE)(image).pixel - (image.shape[1], 0)
+        return place[place[:, 0] >= -80]
+
+    assert len(last(part)) > 10
+    assert np.array_equal(last(image), last(part))
+
+
 @pytest.mark.parametrize("bands", some([1, 2, 3, 5, 7, 36, 70], (2, 7)))
 def test_any_number_of_bands_gives_the_same_corners(device, monkeypatch, bands):
     """Even so many that the last ones have no row."""
