@@ -267,23 +267,17 @@ class Detector(Closing):
         read: bool = True,
     ) -> None:
         plan.events.clear()
-        try:
-            plan.launch(plan.upload(transfers, frames, still=still), read=read)
-        except cl.MemoryError as error:
-            raise plan.refused(error) from error
+        plan.launch(plan.upload(transfers, frames, still=still), read=read)
 
     def _found(self, plan: Plan, listed: NDArray[np.float32] | None = None) -> Found:
         self._plans.take_back(plan)
         self._last = plan
-        try:
-            while True:
-                try:
-                    return Found(plan.read(listed), plan)
-                except Overflow as overflow:
-                    self._grow(plan, overflow)
-                    listed = None
-        except cl.MemoryError as error:
-            raise plan.refused(error) from error
+        while True:
+            try:
+                return Found(plan.read(listed), plan)
+            except Overflow as overflow:
+                self._grow(plan, overflow)
+                listed = None
 
     def _grow(self, plan: Plan, overflow: Overflow) -> None:
         """Enlarge the lists and restart with the frames that are on the device."""

@@ -4,6 +4,8 @@ import ctypes
 import multiprocessing
 import os
 import platform
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import images
@@ -15,10 +17,17 @@ from children import ENVIRONMENT, python
 from comparison import assert_same_bytes
 from workers import corners_of_board
 
+import cmp_cl
 from cmp_cl import BinaryRings, Detector, DetectorConfig
+from cmp_cl.cli.main import main
+from cmp_cl.detector import kept_detector
 from cmp_cl.errors import CapacityError
+from cmp_cl.lattice import plan
+from cmp_cl.measure import OneView
+from cmp_cl.media import read_image
 from cmp_cl.opencl import pocl
 
+BOARD_FILE = Path(cmp_cl.__file__).parent / "data" / "board.png"
 BOARD = images.eight_bits()["board"]
 
 # --- memory --------------------------------------------------------------------------------
@@ -36,9 +45,7 @@ def test_memory_that_is_refused_is_a_capacity_error(device, monkeypatch):
         Detector(shape=images.SHAPE, device=device)
 
 
-@pytest.mark.parametrize(
-    "call", ["pyopencl.enqueue_nd_range_kernel", "cmp_cl.stages.plan.copy_rectangle"]
-)
+@pytest.mark.parametrize("call", ["pyopencl.enqueue_nd_range_kernel", "pyopencl.enqueue_copy"])
 def test_memory_that_runs_out_in_a_frame_is_a_capacity_error(device, monkeypatch, call):
     monkeypatch.setattr("cmp_cl.opencl.memory.shares_memory", lambda _: False)
     with Detector(shape=images.SHAPE, device=device) as detector:
@@ -53,6 +60,47 @@ def test_memory_that_runs_out_in_a_frame_is_a_capacity_error(device, monkeypatch
                 with pytest.raises(CapacityError, match="not enough memory for a plan"):
                     use()
         assert_same_bytes(detector(BOARD), expected)
+
+
+def numbered(device):
+    """Number the corners of a board by the command, which says an error."""
+    main(["detect", str(BOARD_FILE), "--grid", "9x6", "--device", device.index])
+
+
+def measured(device):
+    """Make what a field needs, and say an error as a command does."""
+    try:
+        OneView(read_image(BOARD_FILE), device=device).close()
+    except CapacityError as error:
+        print(error, file=sys.stderr)
+
+
+@pytest.mark.parametrize("call", ["Buffer", "enqueue_nd_range_kernel", "enqueue_copy"])
+@pytest.mark.parametrize("use", [numbered, measured])
+def test_memory_that_is_refused_at_any_time_is_one_line(device, monkeypatch, capsys, use, call):
+    monkeypatch.setattr("cmp_cl.opencl.memory.shares_memory", lambda _: False)
+    done, calls, refused = getattr(cl, call), 0, 0
+
+    def count(*arguments, **how):
+        nonlocal calls
+        calls += 1
+        return refuse() if calls == refused else done(*arguments, **how)
+
+    def errors(at):
+        """Return what is said if that call is refused."""
+        nonlocal calls, refused
+        calls, refused = 0, at
+        kept_detector.cache_clear()
+        plan._kept.cache_clear()
+        use(device)
+        return capsys.readouterr().err
+
+    monkeypatch.setattr(cl, call, count)
+    assert errors(0) == ""
+    for at in range(1, calls + 1):
+        said = errors(at)
+        assert said.count("\n") == 1
+        assert "not enough memory for a plan" in said
 
 
 def test_a_capacity_that_cannot_grow_leaves_a_detector_that_works(device, monkeypatch):

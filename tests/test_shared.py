@@ -13,7 +13,6 @@ from gels import NODES, RIG, SPLIT, pressed
 from cmp_cl import Detector
 from cmp_cl.measure import OneView, TwoViews
 from cmp_cl.opencl import memory
-from cmp_cl.stages import plan as plans
 
 BOARD = images.eight_bits()["board"]
 TEXTURE = images.texture(BOARD.shape)
@@ -52,8 +51,6 @@ def copies(monkeypatch):
         return copy(queue, to, source, **place)
 
     monkeypatch.setattr(cl, "enqueue_copy", counted)
-    for module in (memory, plans):
-        monkeypatch.setattr(module, "copy_rectangle", counted)
     return counts
 
 

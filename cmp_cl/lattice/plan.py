@@ -17,7 +17,7 @@ from cmp_cl.lattice import kernels, parts
 from cmp_cl.lattice.arrays import Board, Border, Units, Votes
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.kernels import Kernel, Over
-from cmp_cl.opencl.device import Device, DeviceKind, check_process
+from cmp_cl.opencl.device import Device, DeviceKind, check_process, clear_errors
 from cmp_cl.opencl.launches import GROUP, Launch, bound, enqueue, multiple
 from cmp_cl.opencl.memory import Memory
 from cmp_cl.opencl.program import Programs, programs_of
@@ -208,7 +208,8 @@ class LatticePlan:
     def _set(self, place: int, value: int) -> None:
         """Enqueue the writing of a number of the layout."""
         layout = self.memory.parts["layout"]
-        cl.enqueue_fill_buffer(self.queue, layout, np.full(1, value, np.int32), 4 * place, 4)
+        with clear_errors(self.queue.device):
+            cl.enqueue_fill_buffer(self.queue, layout, np.full(1, value, np.int32), 4 * place, 4)
 
     def enqueue(self, launches: list[Launch]) -> None:
         """Enqueue launches, in order."""
@@ -295,7 +296,8 @@ class LatticePlan:
         """Return the first elements of arrays after the launches: names, dtypes, counts."""
         counts = {name: count * np.dtype(dtype).itemsize for name, dtype, count in wanted}
         self.memory.download(**counts)
-        self.queue.finish()
+        with clear_errors(self.queue.device):
+            self.queue.finish()
         return [
             self.memory.arrays[name][: counts[name]].copy().view(dtype) for name, dtype, _ in wanted
         ]

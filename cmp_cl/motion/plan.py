@@ -31,7 +31,7 @@ from cmp_cl.motion.moments import AtRest, Moment
 from cmp_cl.motion.nodes import put
 from cmp_cl.motion.tables import axis_tables
 from cmp_cl.motion.track import Tracker
-from cmp_cl.opencl.device import Device, DeviceKind
+from cmp_cl.opencl.device import Device, DeviceKind, clear_errors
 from cmp_cl.opencl.launches import constant, enqueue
 from cmp_cl.opencl.memory import Layout, Memory
 from cmp_cl.opencl.program import Programs
@@ -153,7 +153,8 @@ class FieldPlan:
     def read(self) -> dict[str, NDArray[Any]]:
         """Wait for what was started. Return copies of the arrays of the frame by name; results are
         planes (N, R, C) float32, status and source (R, C) uint8."""
-        self._done.wait()
+        with clear_errors(self._queue.device):
+            self._done.wait()
         return self.frame.copies()
 
     def field(self, results: dict[str, NDArray[Any]]) -> DisplacementField:

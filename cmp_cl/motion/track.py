@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cmp_cl.corners import Corners
 from cmp_cl.grid.grid import NO_SIDES, Grid
 from cmp_cl.opencl.launches import GROUP, Launch, bound, constant, multiple
-from cmp_cl.opencl.memory import Layout, Memory
+from cmp_cl.opencl.memory import Layout, Memory, copy
 from cmp_cl.opencl.program import Programs
 from cmp_cl.stages import refine
 from cmp_cl.stages.layout import CORNER_COLUMNS, LISTS
@@ -219,7 +219,7 @@ class Tracker:
     def begin(self, grids: Sequence[Grid]) -> bool:
         """Go on from the nodes of these grids, which are on the device; return whether they are
         enough. Enqueues a copy: they do not move."""
-        cl.enqueue_copy(self._queue, self._parts["last"], self._parts["nodes"])
+        copy(self._queue, self._parts["last"], self._parts["nodes"])
         return all(not grid.ambiguous and grid.valid.mean() >= 1 - LOST for grid in grids)
 
     def holds(self, arrays: Mapping[str, NDArray[Any]], corners: Sequence[int]) -> bool:

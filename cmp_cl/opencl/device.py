@@ -1,12 +1,14 @@
 """OpenCL devices: listing them and selecting one."""
 
+import contextlib
 import dataclasses
 import enum
 import os
+from collections.abc import Iterator
 
 import pyopencl as cl
 
-from cmp_cl.errors import DeviceError
+from cmp_cl.errors import CapacityError, DeviceError
 from cmp_cl.opencl import pocl
 
 DEVICE_VARIABLE = "CMP_CL_DEVICE"
@@ -69,6 +71,27 @@ def check_process() -> None:
             "survive a fork; start processes with multiprocessing.get_context('spawn') or "
             "'forkserver'"
         )
+
+
+@contextlib.contextmanager
+def clear_errors(device: cl.Device, needed: int = 0) -> Iterator[None]:
+    """Raise CapacityError for an error of OpenCL in this block that means too little memory,
+    DeviceError for another.
+
+    needed: the bytes that the block allocates; then every error means that.
+    """
+    try:
+        yield
+    except cl.Error as error:
+        name = device.name.strip()
+        if not needed and not isinstance(error, cl.MemoryError):
+            raise DeviceError(f"{name} has failed: {error}; `cmp-cl devices` tries it") from error
+        size = f" of {needed} bytes" if needed else ""
+        raise CapacityError(
+            f"{name} has not enough memory for a plan{size}, though it has "
+            f"{device.global_mem_size}: {error}; close what else uses it, or use smaller images or "
+            "fewer frames at a time"
+        ) from error
 
 
 def list_devices() -> list[Device]:

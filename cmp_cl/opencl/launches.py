@@ -7,6 +7,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from cmp_cl.opencl.device import clear_errors
 from cmp_cl.opencl.program import Kernels
 
 GROUP = 64  # work-items in a group of a kernel over a list
@@ -44,17 +45,19 @@ def enqueue(
     """Enqueue launches in order, after some events; return the stage of each and the event of its
     end."""
     events = []
-    for stage, kernel, items, group, _ in launches:
-        event = cl.enqueue_nd_range_kernel(queue, kernel, items, group, wait_for=after)
-        events.append((stage, event))
-        after = ()
+    with clear_errors(queue.device):
+        for stage, kernel, items, group, _ in launches:
+            event = cl.enqueue_nd_range_kernel(queue, kernel, items, group, wait_for=after)
+            events.append((stage, event))
+            after = ()
     return events
 
 
 def constant(context: cl.Context, table: NDArray[Any]) -> cl.Buffer:
     """Return a constant table as a buffer on the device."""
     flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-    return cl.Buffer(context, flags, hostbuf=np.ascontiguousarray(table))
+    with clear_errors(context.devices[0], table.nbytes):
+        return cl.Buffer(context, flags, hostbuf=np.ascontiguousarray(table))
 
 
 def sum_times(

@@ -12,12 +12,11 @@ import pyopencl as cl
 from numpy.typing import DTypeLike, NDArray
 from pyopencl.characterize import has_fine_grain_buffer_svm
 
-from cmp_cl.opencl.device import is_forked
+from cmp_cl.opencl.device import clear_errors, is_forked
 
 ALIGNMENT = 128  # bytes: one that every device accepts for a sub-buffer, and every type
 _svm_empty: Any = cl.svm_empty  # its stub has other types than the function
 _has_fine_grained: Any = has_fine_grain_buffer_svm  # it has no types
-copy_rectangle: Any = cl.enqueue_copy  # whose stub does not know the form for rectangles
 
 Layout = Mapping[str, tuple[tuple[int, ...], DTypeLike]]
 
@@ -26,6 +25,13 @@ def shares_memory(device: cl.Device) -> bool:
     """Return whether a device can work in the host's memory, without a copy."""
     fine_grained: bool = _has_fine_grained(device)
     return bool(device.host_unified_memory) and fine_grained
+
+
+def copy(queue: cl.CommandQueue, to: Any, source: Any, **how: Any) -> cl.Event:
+    """Enqueue a copy, as pyopencl.enqueue_copy does."""
+    with clear_errors(queue.device):
+        event: cl.Event = cl.enqueue_copy(queue, to, source, **how)
+        return event
 
 
 class Memory:
@@ -46,21 +52,25 @@ class Memory:
             size += -(-max(own, 1) // ALIGNMENT) * ALIGNMENT
         self.shared = shares_memory(queue.device)
         flags: Any = cl.mem_flags.READ_WRITE
-        if self.shared:
-            fine = cl.svm_mem_flags.READ_WRITE | cl.svm_mem_flags.SVM_FINE_GRAIN_BUFFER
-            self._memory = _svm_empty(queue.context, fine, (size,), np.uint8, alignment=ALIGNMENT)
-            self._memory[:] = 0
-            flags |= cl.mem_flags.USE_HOST_PTR
-            self.buffer = cl.Buffer(queue.context, flags, hostbuf=self._memory)
-        else:
-            self._memory = np.zeros(size, np.uint8)
-            self.buffer = cl.Buffer(queue.context, flags, size)
-            cl.enqueue_fill_buffer(queue, self.buffer, np.zeros(1, np.uint8), 0, size)
-        self.arrays = self._arrays_in(self._memory)
-        self.parts: dict[str, cl.Buffer] = {
-            name: self.buffer.get_sub_region(self._starts[name], max(values.nbytes, 1))
-            for name, values in self.arrays.items()
-        }
+        with clear_errors(queue.device, size):
+            if self.shared:
+                fine = cl.svm_mem_flags.READ_WRITE | cl.svm_mem_flags.SVM_FINE_GRAIN_BUFFER
+                self._memory = _svm_empty(
+                    queue.context, fine, (size,), np.uint8, alignment=ALIGNMENT
+                )
+                self._memory[:] = 0
+                flags |= cl.mem_flags.USE_HOST_PTR
+                self.buffer = cl.Buffer(queue.context, flags, hostbuf=self._memory)
+            else:
+                self._memory = np.zeros(size, np.uint8)
+                self.buffer = cl.Buffer(queue.context, flags, size)
+                cl.enqueue_fill_buffer(queue, self.buffer, np.zeros(1, np.uint8), 0, size)
+                queue.finish()  # some devices allocate only now
+            self.arrays = self._arrays_in(self._memory)
+            self.parts: dict[str, cl.Buffer] = {
+                name: self.buffer.get_sub_region(self._starts[name], max(values.nbytes, 1))
+                for name, values in self.arrays.items()
+            }
 
     def __del__(self) -> None:
         """Keep the memory until no kernel uses it."""
@@ -72,10 +82,9 @@ class Memory:
         if self.shared:
             return
         if not names:
-            cl.enqueue_copy(self._queue, self.buffer, self._memory, is_blocking=False)
+            copy(self._queue, self.buffer, self._memory, is_blocking=False)
         for name in names:
-            copy = self.parts[name], self.arrays[name]
-            cl.enqueue_copy(self._queue, *copy, is_blocking=False)
+            copy(self._queue, self.parts[name], self.arrays[name], is_blocking=False)
 
     def download(self, **counts: int) -> list[cl.Event]:
         """Enqueue the copy of all arrays from the device, or of the first elements of each row of
@@ -83,13 +92,13 @@ class Memory:
         if self.shared:
             return []
         if not counts:
-            return [cl.enqueue_copy(self._queue, self._memory, self.buffer, is_blocking=False)]
+            return [copy(self._queue, self._memory, self.buffer, is_blocking=False)]
         return [self._download(name, count) for name, count in counts.items() if count]
 
     def _download(self, name: str, count: int) -> cl.Event:
         array = self.arrays[name]
         rows, pitch = array.size // array.shape[-1], array.shape[-1] * array.itemsize
-        event: cl.Event = copy_rectangle(
+        return copy(
             self._queue,
             array,
             self.parts[name],
@@ -100,7 +109,6 @@ class Memory:
             host_pitches=(pitch, 0),
             is_blocking=False,
         )
-        return event
 
     def copies(self) -> dict[str, NDArray[Any]]:
         """Return copies of the arrays of the host, by name."""

@@ -23,7 +23,7 @@ import pyopencl as cl
 
 from cmp_cl.errors import DeviceError, KernelBuildError
 from cmp_cl.opencl import pocl
-from cmp_cl.opencl.device import check_process
+from cmp_cl.opencl.device import check_process, clear_errors
 from cmp_cl.opencl.pocl import is_pocl
 
 _OPTIONS = ("-cl-std=CL1.2", "-cl-kernel-arg-info")
@@ -187,7 +187,8 @@ def programs_of(device: cl.Device) -> Programs:
 
 @functools.cache
 def _shared(device: cl.Device) -> Programs:
-    return Programs(cl.Context([device]))
+    with clear_errors(device):
+        return Programs(cl.Context([device]))
 
 
 def _compiled(context: cl.Context, stage: str, text: str, options: list[str]) -> cl.Program:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.config import BinaryRings, RapidCriteria, RingHarmonic
 from cmp_cl.corners import HarmonicMaps, Maps
+from cmp_cl.opencl.memory import copy
 from cmp_cl.stages.layout import CORNER_COLUMNS, LISTS
 from cmp_cl.stages.paper import spectral
 from cmp_cl.stages.plan import Plan
@@ -38,7 +39,7 @@ def _plane(plan: Plan, buffer: cl.Buffer, dtype: Any) -> NDArray[Any]:
     """Return a plane without its padding, (H, W)."""
     rows, columns = plan.shape
     padded = np.empty((rows + 2, plan.step), dtype)
-    cl.enqueue_copy(plan.queue, padded, buffer)
+    copy(plan.queue, padded, buffer)
     return np.ascontiguousarray(padded[1:-1, plan.pad : plan.pad + columns])
 
 
@@ -46,7 +47,7 @@ def _bits(plan: Plan, name: str) -> NDArray[np.bool_]:
     """Return a buffer of bits as an image."""
     rows, columns = plan.shape
     bits = np.empty((rows, plan.step // 8), np.uint8)
-    cl.enqueue_copy(plan.queue, bits, plan.arrays[name])
+    copy(plan.queue, bits, plan.arrays[name])
     padded = np.unpackbits(bits, axis=1, bitorder="little")
     return padded[:, plan.pad : plan.pad + columns] > 0
 
@@ -69,9 +70,9 @@ def _harmonic_maps(plan: Plan) -> dict[str, Any]:
 def _at_corners(plan: Plan) -> NDArray[np.bool_]:
     """Return an image that is True at the pixel of the frame nearest to each corner."""
     counts = np.empty(LISTS + 1, np.uint32)
-    cl.enqueue_copy(plan.queue, counts, plan.arrays["counts"])
+    copy(plan.queue, counts, plan.arrays["counts"])
     columns = np.zeros((CORNER_COLUMNS, plan.corner_capacity), np.int32)
-    cl.enqueue_copy(plan.queue, columns, plan.arrays["corners"])
+    copy(plan.queue, columns, plan.arrays["corners"])
     x, y, *_, octave = columns[:, : counts[-1]]
     image = np.zeros(plan.shape, np.bool_)
     image[(y << octave) + (1 << octave >> 1), (x << octave) + (1 << octave >> 1)] = True
@@ -151,10 +152,10 @@ def _at_candidates(plan: Plan, dtype: Any, name: str | None) -> NDArray[Any]:
     counts = np.empty(2, np.uint32)
     index = np.empty(capacity, np.uint32)
     numbers = np.ones(capacity, plan.types["CONTRAST"])
-    cl.enqueue_copy(plan.queue, counts, plan.arrays["counts"])
-    cl.enqueue_copy(plan.queue, index, plan.arrays["candidates"])
+    copy(plan.queue, counts, plan.arrays["counts"])
+    copy(plan.queue, index, plan.arrays["candidates"])
     if name is not None:
-        cl.enqueue_copy(plan.queue, numbers, plan.arrays[name])
+        copy(plan.queue, numbers, plan.arrays[name])
     image = np.zeros(rows * plan.step, dtype)
     image[index[: counts[0]]] = numbers[: counts[0]]
     return image.reshape(rows, plan.step)[:, plan.pad :][:, : plan.shape[1]]

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from cmp_cl.config import BinaryRings, DetectorConfig
 from cmp_cl.errors import CapacityError
 from cmp_cl.image import GreyImage
-from cmp_cl.opencl.device import Device
+from cmp_cl.opencl.device import Device, clear_errors
 from cmp_cl.opencl.launches import GROUP, Launch, enqueue, multiple
-from cmp_cl.opencl.memory import ALIGNMENT, Memory, copy_rectangle
+from cmp_cl.opencl.memory import ALIGNMENT, Memory, copy
 from cmp_cl.opencl.pocl import is_pocl
 from cmp_cl.opencl.program import Kernels, Programs
 from cmp_cl.stages import harmonic, noise, refine
@@ -120,26 +120,14 @@ class Plan(PlanBase):
                 f"the plan needs {needed} bytes, {self.device} has {self.device.memory}; "
                 "use smaller images, fewer frames at a time or a mask of the active area"
             )
-        try:
-            for name, size in self.sizes.items():
-                if name not in self.memory:
-                    rows = self.frames if name == "result" else 1
-                    layout = {name: ((rows, max(size // rows, 4)), np.uint8)}
-                    self.memory[name] = Memory(self.queue, layout)
-            self.queue.finish()
-            self.arrays = {name: each.buffer for name, each in self.memory.items()}
-            self.arrays |= self._parts_of_work()
-        except cl.Error as error:  # too little memory, or above the device's largest buffer
-            raise self.refused(error) from error
+        for name, size in self.sizes.items():
+            if name not in self.memory:
+                rows = self.frames if name == "result" else 1
+                layout = {name: ((rows, max(size // rows, 4)), np.uint8)}
+                self.memory[name] = Memory(self.queue, layout)
+        self.arrays = {name: each.buffer for name, each in self.memory.items()}
+        self.arrays |= self._parts_of_work()
         self._upload_area()
-
-    def refused(self, error: cl.Error) -> CapacityError:
-        """Return the error for a device that has too little memory left."""
-        return CapacityError(
-            f"{self.device} has not enough memory for a plan of {sum(self.sizes.values())} bytes, "
-            f"though it has {self.device.memory}: {error}; close what else uses it, or use smaller "
-            "images or fewer frames at a time"
-        )
 
     @property
     def bytes(self) -> int:
@@ -203,7 +191,8 @@ class Plan(PlanBase):
             memory, numbers = where
             self._wait()  # for earlier frames that kernels may still read
             around = cl.mem_flags.READ_ONLY | cl.mem_flags.USE_HOST_PTR
-            self._frames = cl.Buffer(queue.context, around, hostbuf=memory)
+            with clear_errors(queue.device, memory.nbytes):
+                self._frames = cl.Buffer(queue.context, around, hostbuf=memory)
             self._in_place[0].kernel.set_arg(0, self._frames)
             if numbers != self._numbers:
                 harmonic.set_place(self._in_place[0], *numbers)
@@ -216,7 +205,7 @@ class Plan(PlanBase):
         for n, frame in enumerate(frames):
             pitch = _pitch(frame)
             host = _flat(frame)
-            copy = copy_rectangle(
+            upload = copy(
                 queue,
                 self.arrays["image"],
                 host,
@@ -228,7 +217,7 @@ class Plan(PlanBase):
                 is_blocking=False,
             )
             if queue is not self.queue:
-                self.uploads.append(copy)
+                self.uploads.append(upload)
         queue.flush()
         return self.launches
 
@@ -261,7 +250,7 @@ class Plan(PlanBase):
             return
         own, listed = self.memory["result"].arrays["result"], memory.arrays["listed"]
         for frame in range(self.frames):  # PoCL 3.0 crashes at a copy of all as a rectangle
-            cl.enqueue_copy(
+            copy(
                 self.queue,
                 memory.parts["listed"],
                 self.arrays["result"],
@@ -282,7 +271,8 @@ class Plan(PlanBase):
     def _wait(self) -> None:
         """Wait until no kernel runs."""
         if self._last is not None:
-            self._last.wait()
+            with clear_errors(self.queue.device):
+                self._last.wait()
             self._last = None
 
     def read(self, listed: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
