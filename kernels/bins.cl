@@ -58,8 +58,7 @@ int middle_of(const int angle, const int other) {
 
 __kernel void direct_corners(__global const float *restrict corners, const uint capacity,
                              LEVELS_OF_IMAGE, __global const float *restrict circle,
-                             const float radius, __global float4 *restrict lines,
-                             __global int *restrict contrast) {
+                             __global float4 *restrict lines, __global int *restrict contrast) {
   const uint i = get_global_id(0);
   if (i >= COUNT(corners)) return;
   const float2 at = POSITIONS(corners)[i];
@@ -74,7 +73,8 @@ __kernel void direct_corners(__global const float *restrict corners, const uint 
   for (int k = 0; k < 4; ++k) {
     const int from = SIXTEEN_BITS((k & 1 ? second : first) + (k & 2 ? TURN / 2 : 0));
     const int to = SIXTEEN_BITS((k & 1 ? first : second) + ((k + 1) & 2 ? TURN / 2 : 0));
-    const float2 way = radius * unit_of(SIXTEEN_BITS(from + (SIXTEEN_BITS(to - from) >> 1)), circle);
+    const int middle = SIXTEEN_BITS(from + (SIXTEEN_BITS(to - from) >> 1));
+    const float2 way = CONTRAST_RADIUS_PX * unit_of(middle, circle);
     const int level = level_at(LEVELS, at.x + way.x, at.y + way.y);
     sum += k & 1 ? level : -level;
   }

@@ -15,7 +15,7 @@
 #define NEAR_DEPTH 2
 #define UNSEEN INT_MIN
 #define WHOLE 4096 /* a share of 1 */
-#define REACH(doubled) (STEP_OF_LEVELS * (1.5f + (float)(doubled) * (0.5f / WHOLE))) /* cells */
+#define REACH(doubled) (BORDER_STEP_CELLS * (1.5f + (float)(doubled) * (0.5f / WHOLE))) /* cells */
 
 /* What is found: the size of the board, and values of its sides, see `Border`. */
 #define ROWS_OF 0
@@ -40,9 +40,9 @@ int place_on(const int side, const int line, const int k, const int4 box, const 
  * bright less the greatest dark level, and twice their contrast. */
 #define ROUGH 1
 #define FIRM 2
-#define KIND_OF(place) kind_of(owner[place], rough[place], cells[place], passing)
-uchar kind_of(const int owner, const uchar is_rough, const int2 cells, const float passing) {
-  const bool alike = cells.y > 0 && (float)(2 * cells.x) > (1.0f - passing) * (float)cells.y;
+#define KIND_OF(place) kind_of(owner[place], rough[place], cells[place])
+uchar kind_of(const int owner, const uchar is_rough, const int2 cells) {
+  const bool alike = cells.y > 0 && (float)(2 * cells.x) > (1.0f - PASSING) * (float)cells.y;
   return is_rough ? ROUGH : owner >= 0 && alike ? FIRM : 0;
 }
 
@@ -52,8 +52,7 @@ uchar kind_of(const int owner, const uchar is_rough, const int2 cells, const flo
  * column, and those to the next row turned back by a quarter, sum to a way that is nearest to the
  * image's x axis then. One work-group. */
 #define IN_32THS(v) floor_of(32 * (v) + 0.5f)
-__kernel void cut_board(const uint rows, const uint columns, const float least_line,
-                        const float edge, const float passing, __global const int *restrict layout,
+__kernel void cut_board(const uint rows, const uint columns, __global const int *restrict layout,
                         __global const float2 *restrict result,
                         __global const int *restrict owner, __global const uchar *restrict rough,
                         __global const int2 *restrict cells, __global float2 *restrict nodes,
@@ -79,8 +78,7 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
         const int one = place_on(side, 1, k, box, width);
         const int two = place_on(side, 2, k, box, width);
         const float2 p = 2.0f * result[one] - result[two];
-        counts = owner[one] != NONE && owner[two] != NONE && p.x > edge && p.y > edge &&
-                 p.x < (float)((int)columns - 1) - edge && p.y < (float)((int)rows - 1) - edge;
+        counts = owner[one] != NONE && owner[two] != NONE && is_readable(p, rows, columns);
       }
       if (is_here) atomic_inc(there + side);
       if (counts) atomic_inc(asked + side);
@@ -92,7 +90,7 @@ __kernel void cut_board(const uint rows, const uint columns, const float least_l
     float worst = 0;
     int line = NONE;
     for (int side = 0; side < SIDES && !any; ++side) {
-      const float lack = least_line * (float)asked[side] - (float)there[side];
+      const float lack = LEAST_LINE * (float)asked[side] - (float)there[side];
       const bool is_hidden = 2 * firm[side] >= asked[side];
       if (lack > worst && !is_hidden && (side < 2 ? height : across) >= 3) {
         worst = lack;
@@ -267,8 +265,7 @@ int common_reach(__local const int *reach, const int count) {
 }
 
 /* Measure the sides of a board. One work-group. */
-__kernel void measure_border(LEVELS_OF_IMAGE, const float passing,
-                             __global const float2 *restrict nodes,
+__kernel void measure_border(LEVELS_OF_IMAGE, __global const float2 *restrict nodes,
                              __global const int *restrict node_owner,
                              __global int *restrict border) {
   const int height = border[ROWS_OF], width = border[COLUMNS_OF];
@@ -299,11 +296,11 @@ __kernel void measure_border(LEVELS_OF_IMAGE, const float passing,
     const Square square = SQUARE_AT(side, k + ((k + m) & 1)); /* an even one comes first */
     const float far = near[side] ? NEAR_CELL : FAR_CELL;
     for (int depth = 0; depth < DEPTHS; ++depth) {
-      const float out = depth == 0 ? -0.5f : depth == 1 ? far : STEP_OF_LEVELS * (float)depth;
+      const float out = depth == 0 ? -0.5f : depth == 1 ? far : BORDER_STEP_CELLS * (float)depth;
       int sum = 0;
       const float2 at = square.middle + out * square.out;
       for (int spot = -1; spot <= 1; ++spot) {
-        const float2 p = at + STEP_OF_LEVELS * (float)spot * square.along;
+        const float2 p = at + BORDER_STEP_CELLS * (float)spot * square.along;
         sum += level_at(LEVELS, p.x, p.y);
       }
       sums[m * DEPTHS + depth] = sum;
@@ -332,13 +329,13 @@ __kernel void measure_border(LEVELS_OF_IMAGE, const float passing,
     }
     const bool read = some && 2 * some >= pairs[side];
     const float whole = (float)MAGNITUDE_OF(inside);
-    int reached = read && (float)MAGNITUDE_OF(beyond) < passing * whole
+    int reached = read && (float)MAGNITUDE_OF(beyond) < PASSING * whole
                       ? common_reach(squares + start, some)
                       : UNSEEN;
-    const bool follows = read && (float)change < 2.0f * passing * whole;
+    const bool follows = read && (float)change < 2.0f * PASSING * whole;
     /* What reaches farther than a square is not the last one. */
     const float reach = REACH(reached) * last_over_next(nodes, node_owner, side, height, width);
-    if (reached != UNSEEN && reach > 1 + STEP_OF_LEVELS) {
+    if (reached != UNSEEN && reach > 1 + BORDER_STEP_CELLS) {
       reached = UNSEEN;
       any_longer = 1;
     }

@@ -4,12 +4,11 @@
 
 /* face[h]: the least half-edge of the closed face that h belongs to; it stays NONE without one.
  * steps[h]: twice the mean steps of the face along h, and to its right. cut[face]: how often its
- * tolerance is lowered, once for each torn corner beyond torn_corners. One work-item per half-edge;
+ * tolerance is lowered, once for each torn corner beyond TORN_CORNERS. One work-item per half-edge;
  * that of the least one writes the face. */
 __kernel void close_faces(__global const float *restrict corners, const uint capacity,
-                          __global const int *restrict twin, const int torn_corners,
-                          __global int *restrict face, __global uchar *restrict cut,
-                          __global float4 *restrict steps) {
+                          __global const int *restrict twin, __global int *restrict face,
+                          __global uchar *restrict cut, __global float4 *restrict steps) {
   const int h = get_global_id(0);
   if (h >= 4 * (int)COUNT(corners)) return;
   int way[5] = {h};
@@ -31,5 +30,5 @@ __kernel void close_faces(__global const float *restrict corners, const uint cap
     face[way[k]] = h;
     torn += IS_TORN(way[k] >> 2);
   }
-  cut[h] = LARGER(torn - torn_corners, 0);
+  cut[h] = LARGER(torn - TORN_CORNERS, 0);
 }

@@ -8,7 +8,7 @@
 
 /* The bins that hold enough corners, in rings around the bin of a corner. */
 Window window_of(__global const int *layout, __global const int *starts, const int row,
-                 const int column, const int enough, const int rings) {
+                 const int column, const int enough) {
   const int across = layout[BINS_ACROSS], down = layout[BINS_DOWN];
   for (int ring = 1;; ++ring) {
     const Window found = {LARGER(row - ring, 0), SMALLER(row + ring + 1, down),
@@ -16,7 +16,7 @@ Window window_of(__global const int *layout, __global const int *starts, const i
     int seen = 0;
     for (int k = found.top; k < found.bottom; ++k)
       seen += starts[k * across + found.right] - starts[k * across + found.left];
-    if (seen >= enough || ring >= rings) return found;
+    if (seen >= enough || ring >= LINK_RINGS) return found;
   }
 }
 
@@ -77,17 +77,15 @@ __kernel void choose_links(__global const float *restrict corners, const uint ca
                            __global const float4 *restrict lines,
                            __global const int *restrict layout, __global const int *restrict starts,
                            __global const int *restrict binned, __global const float *restrict spots,
-                           const uint rows, const uint columns,
-                           const int neighbours, const int rings, const float least_cosine,
-                           const float turn_price, __global int *restrict choice) {
+                           const uint rows, const uint columns, __global int *restrict choice) {
   const int i = get_global_id(0);
   if (i >= (int)COUNT(corners)) return;
   const float4 own = lines[i];
   const float2 here = POSITIONS(corners)[i];
   const int shift = layout[BIN_SHIFT], row = BIN_ROW(here), column = BIN_COLUMN(here);
   bool sure = false;
-  for (int enough = NARROW; !sure; enough = neighbours) {
-    const Window window = window_of(layout, starts, row, column, enough, rings);
+  for (int enough = NARROW; !sure; enough = LINK_NEIGHBOURS) {
+    const Window window = window_of(layout, starts, row, column, enough);
     Chords best[4];
     for (int s = 0; s < 4; ++s) best[s].saved = best[s].end = 0;
     for (int k = window.top; k < window.bottom; ++k) {
@@ -97,8 +95,8 @@ __kernel void choose_links(__global const float *restrict corners, const uint ca
         const float8 length = squared * inverse_roots(squared);
         const Boundaries near = boundaries_along(own.x, own.y, own.z, own.w, dx, dy);
         const Boundaries far = boundaries_along(SPOT(2), SPOT(3), SPOT(4), SPOT(5), dx, dy);
-        const float8 price = length + turn_price * ((length + length) - (near.length + far.length));
-        const int8 good = (SMALLER(near.length, far.length) > least_cosine * length) &
+        const float8 price = length + TURN_PRICE * ((length + length) - (near.length + far.length));
+        const int8 good = (SMALLER(near.length, far.length) > LEAST_COSINE * length) &
                           (((near.side ^ far.side) & 1) != 0) & (squared >= 1) &
                           ((int8)(0, 1, 2, 3, 4, 5, 6, 7) < end - n);
         const int8 saved = good & (NO_CHORD - convert_int8(price * COSTS_PER_PX));
@@ -113,18 +111,17 @@ __kernel void choose_links(__global const float *restrict corners, const uint ca
       const int least = least_of(costs);
       choice[4 * i + s] =
           least == NO_CHORD ? NONE : least_of(costs == least ? best[s].end : (int8)(INT_MAX));
-      sure &= enough == neighbours || (float)least < outside;
+      sure &= enough == LINK_NEIGHBOURS || (float)least < outside;
     }
   }
 }
 
 /* twin[h]: the half-edge at the other end of a link. face[h]: NONE, for `close_faces`. One work-item
  * per half-edge; that of the lower end looks at the side of both. Tabs of a puzzle, and a side that
- * bends, hide colours near the chord, marks those deeper in the cells, and a bar both. least_middle:
- * share of the contrast, summed over three points. deep: share of the side, how far beside it. */
+ * bends, hide colours near the chord, marks those deeper in the cells, and a bar both. */
+#define LEAST_MIDDLE (3 * SIDE_MIDDLE) /* of the contrast, summed over three points */
 __kernel void keep_links(__global const float *restrict corners, const uint capacity,
                          __global const int *restrict contrast, LEVELS_OF_IMAGE,
-                         const float least_middle, const float deep,
                          __global const int *restrict choice, __global int *restrict twin,
                          __global int *restrict face) {
   const int h = get_global_id(0);
@@ -139,10 +136,10 @@ __kernel void keep_links(__global const float *restrict corners, const uint capa
     const float product = (float)contrast[h >> 2] * (float)contrast[end >> 2];
     const float root = inverse_root(product), sign = h & 1 ? -2.0f : 2.0f;
     const int near = difference(LEVELS, a, b, MIDDLE);
-    bool is_seen = sign * (float)near * root > least_middle;
+    bool is_seen = sign * (float)near * root > LEAST_MIDDLE;
     if (!is_seen) {
-      const int far = difference_within(LEVELS, a, b, MIDDLE, deep);
-      is_seen = sign * (float)far * root > least_middle;
+      const int far = difference_within(LEVELS, a, b, MIDDLE, DEEP_CELLS);
+      is_seen = sign * (float)far * root > LEAST_MIDDLE;
     }
     twin[h] = is_seen ? end : NONE;
     twin[end] = is_seen ? h : NONE;

@@ -10,27 +10,18 @@
  * blended with the one that the neighbours predict; what nodes are judged by. rough: torn, or far
  * from that prediction. result: blended if rough; a wrong neighbour may still mislead it. */
 #define PLACE (-2)
-#define MARGIN 14 /* places beside the first board: one a round, and two that are looked at */
+#define MARGIN (ROUNDS + 2) /* places beside the first board: those that are looked at last */
 #define NEAR 2    /* the farthest that a node looks */
-
-/* Constants of the score, in the order of cmp_cl/lattice/kernels.py. */
-typedef struct {
-  float depth, deep;
-  float rough_weight;
-  float side_nats, cells_nats, prior, torn_prior, penalty, torn_penalty;
-  float reach, near, edge;
-} Nats;
 
 /* Lay the numbered corners out as a board, which is empty while parts wait to be placed beside
  * others. One work-group. */
 #define TAKEN (-1) /* in the fourth place: a corner of another board, which the host puts */
 __kernel void lay_board(__global const float *restrict corners, const uint capacity,
                         __global const int4 *restrict numbers, const int places,
-                        __constant Nats *nats, __global int *restrict layout,
-                        __global float2 *restrict seen, __global int *restrict owner,
-                        __global uchar *restrict torn, __global uchar *restrict used,
-                        __global int *restrict claim, __global uchar *restrict tried,
-                        __global int *restrict marks) {
+                        __global int *restrict layout, __global float2 *restrict seen,
+                        __global int *restrict owner, __global uchar *restrict torn,
+                        __global uchar *restrict used, __global int *restrict claim,
+                        __global uchar *restrict tried, __global int *restrict marks) {
   const int count = (int)COUNT(corners);
   __local int left, right, top, bottom, sum, nodes;
   if (get_local_id(0) == 0) {
@@ -174,15 +165,15 @@ Steps steps_of(__global const float2 *at, const int place, const int width) {
 
 /* A rough position enters the mean of the predictions as one more. Its error is of some pixels,
  * that of a prediction of some share of a cell, so its weight is that of the cell's area. */
-float2 blended(const float2 seen, const Prediction prediction, const float cell, const float by_area) {
+float2 blended(const float2 seen, const Prediction prediction, const float cell) {
   if (!(prediction.weight > 0)) return seen;
-  const float root = inverse_root(prediction.weight + by_area * (cell * cell));
+  const float root = inverse_root(prediction.weight + ROUGH_WEIGHT_PER_PX2 * (cell * cell));
   const float share = prediction.weight * (root * root);
   return seen + share * (prediction.at - seen);
 }
 
 /* Blend the position of a node with its prediction. Returns whether `at` changes. */
-bool blend(__constant Nats *nats, const int width, const int place, __global const float2 *seen,
+bool blend(const int width, const int place, __global const float2 *seen,
            __global const uchar *torn, __global float2 *at, __global float2 *result,
            __global uchar *rough, __global float4 *predictions) {
   const float2 here = seen[place], before = at[place];
@@ -193,9 +184,9 @@ bool blend(__constant Nats *nats, const int width, const int place, __global con
     const float cell = steps_of(seen, place, width).cell;
     predictions[place] = (float4)(prediction.at, prediction.weight, 0.0f);
     const float2 away = here - prediction.at;
-    const float limit = nats->near * cell;
+    const float limit = NEAR_CELLS * cell;
     is_rough = torn[place] || away.x * away.x + away.y * away.y > limit * limit;
-    if (is_rough) blend = blended(here, prediction, cell, nats->rough_weight);
+    if (is_rough) blend = blended(here, prediction, cell);
     if (torn[place]) judged = blend;
   }
   at[place] = judged;
@@ -204,13 +195,13 @@ bool blend(__constant Nats *nats, const int width, const int place, __global con
   return as_int(judged.x) != as_int(before.x) || as_int(judged.y) != as_int(before.y);
 }
 
-__kernel void blend_nodes(__constant Nats *nats, __global const int *restrict layout,
-                          __global const float2 *restrict seen, __global const uchar *restrict torn,
-                          __global float2 *restrict at, __global float2 *restrict result,
-                          __global uchar *restrict rough, __global float4 *restrict predictions) {
+__kernel void blend_nodes(__global const int *restrict layout, __global const float2 *restrict seen,
+                          __global const uchar *restrict torn, __global float2 *restrict at,
+                          __global float2 *restrict result, __global uchar *restrict rough,
+                          __global float4 *restrict predictions) {
   FOR_PLACES(0) {
     PLACE_OF_WORK_ITEM
-    blend(nats, width, place, seen, torn, at, result, rough, predictions);
+    blend(width, place, seen, torn, at, result, rough, predictions);
   }
 }
 
@@ -219,9 +210,8 @@ __kernel void blend_nodes(__constant Nats *nats, __global const int *restrict la
 typedef struct {
   int quality, contrast;
 } Cells;
-Cells cells_at(LEVELS_OF_IMAGE, const float2 at, const Steps steps, const int parity,
-               const float depth) {
-  const float share = depth_within(depth, inverse_root(LARGER(steps.cell * steps.cell, 1.0f)));
+Cells cells_at(LEVELS_OF_IMAGE, const float2 at, const Steps steps, const int parity) {
+  const float share = depth_within(CELL_DEPTH, inverse_root(LARGER(steps.cell * steps.cell, 1.0f)));
   const float2 s = share * (steps.u + steps.v), t = share * (steps.v - steps.u);
   const int a = level_at(LEVELS, at.x + s.x, at.y + s.y), b = level_at(LEVELS, at.x - s.x, at.y - s.y);
   const int c = level_at(LEVELS, at.x + t.x, at.y + t.y), d = level_at(LEVELS, at.x - t.x, at.y - t.y);
@@ -234,30 +224,30 @@ Cells cells_at(LEVELS_OF_IMAGE, const float2 at, const Steps steps, const int pa
 
 /* The side from a node to the next: near it, and if that shows less than half of the node's contrast
  * deeper in the cells too, as beside a tab, or where the side bends. */
-int side_between(LEVELS_OF_IMAGE, __constant Nats *nats, const float2 a, const float2 b,
-                 const int sign, const int contrast) {
+int side_between(LEVELS_OF_IMAGE, const float2 a, const float2 b, const int sign,
+                 const int contrast) {
   const int near = sign * difference(LEVELS, a, b, WHOLE_SIDE);
   if (4 * near >= 5 * contrast) return near; /* five points, and twice the contrast */
-  return LARGER(near, sign * difference_within(LEVELS, a, b, WHOLE_SIDE, nats->deep));
+  return LARGER(near, sign * difference_within(LEVELS, a, b, WHOLE_SIDE, DEEP_CELLS));
 }
 
 /* Measure the steps, sides and cells of a node. */
 #define PARITY_OF(row, column) (((row) + (column)) & 1 ? -layout[SIGN] : layout[SIGN])
-void measure(LEVELS_OF_IMAGE, __constant Nats *nats, const int width, const int place,
-             const int parity, __global const float2 *at, __global float *cell,
-             __global int2 *sides, __global int2 *cells) {
+void measure(LEVELS_OF_IMAGE, const int width, const int place, const int parity,
+             __global const float2 *at, __global float *cell, __global int2 *sides,
+             __global int2 *cells) {
   int2 side = (int2)(0), found_cells = (int2)(0, UNKNOWN);
   const float2 here = at[place];
   if (IS_HERE(here)) {
     const Steps steps = steps_of(at, place, width);
-    const Cells found = cells_at(LEVELS, here, steps, parity, nats->depth);
+    const Cells found = cells_at(LEVELS, here, steps, parity);
     cell[place] = steps.cell;
     found_cells = (int2)(found.quality, steps.known ? found.contrast : UNKNOWN);
     for (int down = 0; down < 2; ++down) { /* a loop, since a call in it is compiled once */
       const float2 next = at[place + (down ? width : 1)];
       if (!IS_HERE(next)) continue;
       const int sign = down ? -parity : parity;
-      const int sum = side_between(LEVELS, nats, here, next, sign, found.contrast);
+      const int sum = side_between(LEVELS, here, next, sign, found.contrast);
       side = down ? (int2)(side.x, sum) : (int2)(sum, side.y);
     }
   }
@@ -265,13 +255,12 @@ void measure(LEVELS_OF_IMAGE, __constant Nats *nats, const int width, const int 
   cells[place] = found_cells;
 }
 
-__kernel void measure_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
-                            __global const int *restrict layout, __global const float2 *restrict at,
-                            __global float *restrict cell, __global int2 *restrict sides,
-                            __global int2 *restrict cells) {
+__kernel void measure_nodes(LEVELS_OF_IMAGE, __global const int *restrict layout,
+                            __global const float2 *restrict at, __global float *restrict cell,
+                            __global int2 *restrict sides, __global int2 *restrict cells) {
   FOR_PLACES(1) {
     PLACE_OF_WORK_ITEM
-    measure(LEVELS, nats, width, place, PARITY_OF(row, column), at, cell, sides, cells);
+    measure(LEVELS, width, place, PARITY_OF(row, column), at, cell, sides, cells);
   }
 }
 
@@ -295,23 +284,22 @@ float clipped(const float v) { return v < -1.0f ? -1.0f : v > 1.0f ? 1.0f : v; }
 /* The score of a node in nats, below 0 if it is less likely than not: its sides, its cells, and its
  * distance from the prediction, which counts more if it is torn; a torn one is less likely. */
 float score_of(const float sides, const int quality, const float share, const float2 seen,
-               const bool is_torn, const Prediction prediction, const float cell,
-               __constant Nats *nats) {
+               const bool is_torn, const Prediction prediction, const float cell) {
   const float cells = clipped((float)quality * share);
   const float2 d = seen - prediction.at;
   const float root = inverse_root(LARGER(cell * cell, 1e-6f));
   const float misfit = prediction.weight > 0 ? (d.x * d.x + d.y * d.y) * (root * root) : 0.0f;
-  const float prior = is_torn ? nats->torn_prior : nats->prior;
-  return ((nats->side_nats * sides + nats->cells_nats * cells) + prior) -
-         misfit * (is_torn ? nats->torn_penalty : nats->penalty);
+  const float prior = is_torn ? PRIOR_NATS - TORN_NATS : PRIOR_NATS;
+  return ((SIDE_NATS * sides + CELLS_NATS * cells) + prior) -
+         misfit * (is_torn ? 4 * PENALTY : PENALTY);
 }
 
 /* The score of a node; no node has a score of 99. */
 #define NO_SCORE 99.0f
 #define ADD_SIDE(neighbour, sum)                                                    \
   if (IS_HERE(at[neighbour])) whole += clipped(((float)(sum) * share) * OF_POINTS);
-void score_node(__constant Nats *nats, const int width, const int place,
-                __global const float2 *seen, __global const float2 *at, __global const uchar *torn,
+void score_node(const int width, const int place, __global const float2 *seen,
+                __global const float2 *at, __global const uchar *torn,
                 __global const float4 *predictions, __global const float *cell,
                 __global const int2 *sides, __global const int2 *cells, __global float *score) {
   float own = NO_SCORE;
@@ -324,21 +312,19 @@ void score_node(__constant Nats *nats, const int width, const int place,
     ADD_SIDE(place - width, sides[place - width].y)
     const float4 p = predictions[place];
     const Prediction prediction = {p.xy, p.z};
-    own = score_of(whole, cells[place].x, share, seen[place], torn[place], prediction,
-                   cell[place], nats);
+    own = score_of(whole, cells[place].x, share, seen[place], torn[place], prediction, cell[place]);
   }
   score[place] = own;
 }
 
-__kernel void score_nodes(__constant Nats *nats, __global const int *restrict layout,
-                          __global const float2 *restrict seen, __global const float2 *restrict at,
-                          __global const uchar *restrict torn,
+__kernel void score_nodes(__global const int *restrict layout, __global const float2 *restrict seen,
+                          __global const float2 *restrict at, __global const uchar *restrict torn,
                           __global const float4 *restrict predictions,
                           __global const float *restrict cell, __global const int2 *restrict sides,
                           __global const int2 *restrict cells, __global float *restrict score) {
   FOR_PLACES(1) {
     PLACE_OF_WORK_ITEM
-    score_node(nats, width, place, seen, at, torn, predictions, cell, sides, cells, score);
+    score_node(width, place, seen, at, torn, predictions, cell, sides, cells, score);
   }
 }
 
@@ -357,29 +343,30 @@ typedef struct {
   int owner, nearest;
   float2 at;
 } Candidate;
+bool is_readable(const float2 p, const uint rows, const uint columns) {
+  const float edge = CONTRAST_RADIUS_PX;
+  return p.x > edge && p.y > edge && p.x < (float)((int)columns - 1) - edge &&
+         p.y < (float)((int)rows - 1) - edge;
+}
 Candidate candidate_at(__global const float *corners, const uint capacity, LEVELS_OF_IMAGE,
-                       __constant Nats *nats, __global const int *layout, const int width,
-                       const int place, const int parity, __global const int *starts,
-                       __global const int *binned, __global const float2 *at,
-                       __global const int2 *cells, __global const uchar *used) {
+                       __global const int *layout, const int width, const int place,
+                       const int parity, __global const int *starts, __global const int *binned,
+                       __global const float2 *at, __global const int2 *cells,
+                       __global const uchar *used) {
   Candidate found = {NONE, NONE, (float2)(0.0f)};
   if (!is_beside_nodes(at, place, width)) return found;
   const Prediction prediction = predicted(at, place, width);
   const float2 p = prediction.at;
-  const float edge = nats->edge;
-  const float right = (float)((int)columns - 1) - edge, bottom = (float)((int)rows - 1) - edge;
-  if (!(prediction.weight > 0) || !(p.x > edge && p.y > edge && p.x < right && p.y < bottom))
-    return found;
+  if (!(prediction.weight > 0) || !is_readable(p, rows, columns)) return found;
   const Steps steps = steps_of(at, place, width);
   if (!steps.known) return found;
   found.nearest = nearest_corner(corners, capacity, layout, starts, binned, rows, columns, p,
-                                 nats->reach * steps.cell);
+                                 REACH_CELLS * steps.cell);
   const bool is_free = found.nearest != NONE && !used[found.nearest];
   float2 here = found.at = is_free ? POSITIONS(corners)[found.nearest] : p;
   const bool is_torn = !is_free || IS_TORN(found.nearest);
-  if (is_free && is_torn)
-    here = blended(here, prediction, steps.cell, nats->rough_weight);
-  const Cells seen = cells_at(LEVELS, here, steps, parity, nats->depth);
+  if (is_free && is_torn) here = blended(here, prediction, steps.cell);
+  const Cells seen = cells_at(LEVELS, here, steps, parity);
   const float share = usual_share(cells, place, width);
   float whole = 0;
   for (int side = 0; side < 4; ++side) { /* to the right, below, to the left, above */
@@ -390,8 +377,8 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
     const int sign = side == 1 || side == 2 ? -parity : parity;
     whole += clipped(((float)(sign * sum) * share) * OF_POINTS);
   }
-  const float score = score_of(whole, seen.quality, share, found.at, is_torn, prediction,
-                               steps.cell, nats);
+  const float score =
+      score_of(whole, seen.quality, share, found.at, is_torn, prediction, steps.cell);
   if (!(score < 0)) found.owner = is_free ? found.nearest : PLACE;
   return found;
 }
@@ -446,8 +433,8 @@ void list_around(LISTS_OF_PLACES, const int from, const int reach, const int ste
  * first of the places that may take a corner. */
 #define ASKED(corner) (2 * (corner) + used[corner])
 __kernel void settle_nodes(__global const float *restrict corners, const uint capacity,
-                           LEVELS_OF_IMAGE, __constant Nats *nats, const int rounds,
-                           __global const int *restrict starts, __global const int *restrict binned,
+                           LEVELS_OF_IMAGE, __global const int *restrict starts,
+                           __global const int *restrict binned,
                            __global int *restrict layout, __global float2 *seen,
                            __global int *owner, __global uchar *torn, __global uchar *used,
                            __global uchar *tried, __global float2 *at, __global float2 *result,
@@ -496,7 +483,7 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
       ALL_TOGETHER;
       FOR_LISTED(LOOKED) {
         if (IS_HERE(at[place]) || tried[place]) continue;
-        const Candidate own = candidate_at(corners, capacity, LEVELS, nats, layout, width, place,
+        const Candidate own = candidate_at(corners, capacity, LEVELS, layout, width, place,
                                            PARITY_OF(place / width, place % width), starts, binned,
                                            at, cells, used);
         if (own.nearest != NONE) {
@@ -531,19 +518,19 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
     if (!counts[CHANGED]) return;
     list_around(OF_PLACES, CHANGED, NEAR, 2, BLENDED, true, width, seen);
     FOR_LISTED(BLENDED)
-      if (blend(nats, width, place, seen, torn, at, result, rough, predictions))
+      if (blend(width, place, seen, torn, at, result, rough, predictions))
         list_place(OF_PLACES, MOVED, place);
     ALL_TOGETHER;
     list_around(OF_PLACES, MOVED, NEAR, 1, MEASURED, true, width, seen);
     FOR_LISTED(MEASURED)
-      measure(LEVELS, nats, width, place, PARITY_OF(place / width, place % width), at, cell, sides,
+      measure(LEVELS, width, place, PARITY_OF(place / width, place % width), at, cell, sides,
               cells);
-    if (looks && round++ == rounds) return;
+    if (looks && round++ == ROUNDS) return;
     FOR_LISTED(BLENDED) list_place(OF_PLACES, SCORED, place);
     ALL_TOGETHER;
     list_around(OF_PLACES, MEASURED, NEAR, 3, SCORED, true, width, seen);
     FOR_LISTED(SCORED)
-      score_node(nats, width, place, seen, at, torn, predictions, cell, sides, cells, score);
+      score_node(width, place, seen, at, torn, predictions, cell, sides, cells, score);
     ALL_TOGETHER;
     list_around(OF_PLACES, SCORED, 1, 2, JUDGED, false, width, seen);
     for (int kind = CHANGED; kind <= SCORED; ++kind) empty_list(OF_PLACES, kind);

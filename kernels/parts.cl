@@ -38,11 +38,11 @@ bool agree(const float4 one, const float4 other, const float tolerance) {
 __kernel void number_parts(__global const float *restrict corners, const uint capacity,
                            __global const int *restrict twin, __global const int *restrict face,
                            __global const float4 *restrict steps,
-                           __constant float *tolerances, const int most_cuts,
-                           __global uchar *restrict cut, __global int *restrict beyond,
-                           __global int *restrict part, __global int *restrict waiting,
-                           __global int4 *restrict state, __global int *restrict faces_of_part,
-                           __global int4 *restrict numbers, __global int *restrict layout) {
+                           __constant float *tolerances, __global uchar *restrict cut,
+                           __global int *restrict beyond, __global int *restrict part,
+                           __global int *restrict waiting, __global int4 *restrict state,
+                           __global int *restrict faces_of_part, __global int4 *restrict numbers,
+                           __global int *restrict layout) {
   const int count = (int)COUNT(corners), ends = 4 * count;
   __local int listed, contradictions, most, main, parts;
   for (int round = 0;; ++round) {
@@ -109,11 +109,11 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
         }
       }
     ALL_TOGETHER;
-    const bool done = !contradictions || round == most_cuts;
+    const bool done = !contradictions || round == CUTS;
     ALL_TOGETHER;
     if (done) break;
     FOR_ALL(h, ends)
-      if (face[h] == h && !faces_of_part[part[h]] && cut[h] < most_cuts) ++cut[h];
+      if (face[h] == h && !faces_of_part[part[h]] && cut[h] < CUTS) ++cut[h];
     ALL_TOGETHER;
   }
   if (get_local_id(0) == 0) {

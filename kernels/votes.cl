@@ -76,14 +76,14 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
                          __global const int4 *restrict state,
                          __global const int *restrict faces_of_part,
                          __global const int *restrict starts, __global const int *restrict binned,
-                         const float least_cosine, const float reach, const int room,
-                         __global int *restrict layout, __global int *restrict votes) {
+                         const int room, __global int *restrict layout,
+                         __global int *restrict votes) {
   const int h = get_global_id(0), i = h >> 2;
   if (layout[PARTS] < 2 || h >= 4 * (int)COUNT(corners)) return;
   if (part[h] == layout[MAIN] || !is_node(part, faces_of_part, h)) return;
   if (!is_at_rim(part, i)) return;
   __global const float2 *at = POSITIONS(corners);
-  const float own_step = mean_step(at, twin, i), own_reach = reach * own_step;
+  const float own_step = mean_step(at, twin, i), own_reach = (SPAN + 0.5f) * own_step;
   const Window window = window_around(layout, rows, columns, at[i], own_reach);
   FOR_CORNERS_IN(window, j) {
     const float dx = at[i].x - at[j].x, dy = at[i].y - at[j].y, squared = dx * dx + dy * dy;
@@ -98,7 +98,7 @@ __kernel void find_votes(__global const float *restrict corners, const uint capa
       const int direction = (near.side + ROTATION(g)) & 3;
       const int quarter = (direction - far.side + 2 - ROTATION(h)) & 3;
       for (int m = 1; m <= SPAN; ++m) {
-        if (!(along > least_cosine * length) || (near.side + far.side - m) & 1) continue;
+        if (!(along > LEAST_COSINE * length) || (near.side + far.side - m) & 1) continue;
         if (!(MAGNITUDE(length - (float)m * mean) < mean)) continue; /* a step off at most */
         const float weight = inverse_root((float)m), step_share = weight * weight;
         const int sum = difference_of_way(LEVELS, at[j], step_share * (float2)(dx, dy), m);

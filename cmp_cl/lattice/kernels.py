@@ -1,9 +1,9 @@
 """The kernels of the lattice, in order, and over what each runs; its arguments are buffers of the
-plan, or among `values`. What the kernels do stands in kernels/.
+plan, or among its `values`. What the kernels do stands in kernels/.
 """
 
+import dataclasses
 import enum
-from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -16,7 +16,7 @@ from cmp_cl.stages.refine import RESULT_FIELDS, RESULT_HEAD
 FILES = ("bins", "lattice")  # the type of pixels matters for the first alone
 DIRECTIONS = 1024  # unit vectors in a full turn
 PARTS, VOTES, LAYOUT = 7, 9, 11  # in the layout, see kernels/lattice.clh; numbers in all
-ROUNDS = 12  # times that nodes are looked for, two less than the margin in kernels/nodes.cl
+ROUNDS = 12  # times that nodes are looked for
 LISTS = 8  # of places, see `settle_nodes`
 ROUGH, FIRM = 1, 2  # kinds of a node
 SIDES, FOUND = 3, 15  # what is found of a board: its size, from here its sides; numbers in all
@@ -90,34 +90,24 @@ def sizes(*, corners: int, places: int, rows: int, columns: int, step: int) -> d
     }
 
 
-def values(k: LatticeConstants, context: cl.Context) -> dict[str, Any]:
-    """Return the arguments that the constants are, by name."""
-    whole = {
-        "rings": k.link_rings,
-        "neighbours": k.link_neighbours,
-        "torn_corners": k.torn_corners,
-        "most_cuts": k.cuts,
-        "rounds": ROUNDS,
-    }
-    real = {
-        **dict.fromkeys(("radius", "edge"), k.contrast_radius_px),
-        "least_cosine": k.least_cosine,
-        "turn_price": k.turn_price,
-        "least_middle": 3 * k.side_middle,  # three points
-        "deep": k.deep_cells,
-        "reach": k.span + 0.5,
-        "passing": k.passing,
-        "least_line": k.least_line,
-    }
-    tables = {
-        "circle": circle(),
-        "tolerances": k.face_tolerances(),
-        "nats": nats(k),
-    }
+def macros(k: LatticeConstants) -> dict[str, str]:
+    """Return the constants as macros: their names in large letters, and float32 to the bit."""
+    values = {name.upper(): value for name, value in dataclasses.asdict(k).items()}
+    shares = ("CUBIC_WEIGHT", "MIDDLE_WEIGHT", "CELL_WEIGHT", "BEYOND_WEIGHT")
+    values |= zip(shares, values.pop("PREDICTION_WEIGHTS"), strict=True)
+    values |= zip(("FAR_CELL", "NEAR_CELL"), values.pop("BEYOND_CELLS"), strict=True)
+    values |= {"PENALTY": 0.5 / k.sd_cells**2, "ROUNDS": ROUNDS}
     return {
-        **{name: np.int32(value) for name, value in whole.items()},
-        **{name: np.float32(value) for name, value in real.items()},
-        **{name: constant(context, table) for name, table in tables.items()},
+        name: f"{value}" if isinstance(value, int) else f"{np.float32(value)}f"
+        for name, value in values.items()
+    }
+
+
+def tables(k: LatticeConstants, context: cl.Context) -> dict[str, cl.Buffer]:
+    """Return the tables of constants, by the names of the arguments."""
+    return {
+        "circle": constant(context, circle()),
+        "tolerances": constant(context, k.face_tolerances()),
     }
 
 
@@ -126,16 +116,3 @@ def circle() -> NDArray[np.float32]:
     cosine = np.cos(np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS))
     rounded: NDArray[np.float32] = (np.rint(16384 * cosine) / 16384).astype(np.float32)
     return rounded
-
-
-def nats(k: LatticeConstants) -> NDArray[np.float32]:
-    """Return the constants of the score, in the order of kernels/nodes.cl."""
-    return np.array(
-        [
-            *(k.cell_depth, k.deep_cells, k.rough_weight_per_px2),
-            *(k.side_nats, k.cells_nats, k.prior_nats, k.prior_nats - k.torn_nats),
-            *(0.5 / k.sd_cells**2, 2 / k.sd_cells**2),  # that of a torn corner is half as large
-            *(k.reach_cells, k.near_cells, k.contrast_radius_px),
-        ],
-        np.float32,
-    )

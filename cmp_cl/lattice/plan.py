@@ -72,7 +72,7 @@ class LatticePlan:
             self.capacity, self.pad = multiple(capacity, GROUP), LEAST_PAD
             self.step, given = multiple(shape[1] + 2 * self.pad, GROUP), {}
         self.kernels = programs.kernels(kernels.FILES, self._defines)
-        self.values = kernels.values(self.constants, self.queue.context) | self._numbers
+        self.values = kernels.tables(self.constants, self.queue.context) | self._numbers
         sizes = {n: size for n, size in self._sizes.items() if n not in given}
         self.memory = Memory(self.queue, {n: ((size,), np.uint8) for n, size in sizes.items()})
         self.buffers = given | self.memory.parts
@@ -102,15 +102,8 @@ class LatticePlan:
     @property
     def _defines(self) -> dict[str, str | int]:
         whole = self.dtype == np.uint8 and self.full_scale == 255
-        k = self.constants
-        shares = ("CUBIC_WEIGHT", "MIDDLE_WEIGHT", "CELL_WEIGHT", "BEYOND_WEIGHT")
-        cells = ("FAR_CELL", "NEAR_CELL", "STEP_OF_LEVELS")
-        values = *k.prediction_weights, *k.beyond_cells, k.border_step_cells
         return {
-            **{name: f"{value}f" for name, value in zip(shares + cells, values, strict=True)},
-            "WIDE": f"{k.wide_px}f",
-            "SIDE_DEPTH": f"{k.side_depth_cells}f",
-            "SIDE_DEPTH_PX": f"{k.side_depth_px}f",
+            **kernels.macros(self.constants),
             "PIXEL": "uchar" if self.dtype == np.uint8 else "ushort",
             "IS_CPU": int(self.device.kind is DeviceKind.CPU),
             "PAD": self.pad,
@@ -118,7 +111,6 @@ class LatticePlan:
             "HEAD": RESULT_HEAD,
             "EDGES_FIELD": EDGES.start,
             "METHOD_FIELD": METHOD,
-            "SPAN": k.span,
         }
 
     @property
