@@ -146,6 +146,9 @@ __kernel void cut_board(const uint rows, const uint columns, __global const int 
 }
 
 /* The position of a corner's node, NAN without one. */
+#define NODES_OF_BOARD                                                              \
+  __global const float2 *nodes, __global const int *node_owner, const int height, const int width
+#define OF_BOARD nodes, node_owner, height, width
 #define ON(side, line, k)                                                           \
   corner_at(nodes, node_owner, place_on(side, line, k, (int4)(0, height, 0, width), width))
 float2 corner_at(__global const float2 *nodes, __global const int *node_owner, const int place) {
@@ -161,20 +164,18 @@ bool is_in_view(const float2 p, const uint rows, const uint columns) {
 typedef struct {
   float2 middle, out, along;
 } Square;
-Square square_at(__global const float2 *nodes, __global const int *node_owner, const int side,
-                 const int k, const int height, const int width) {
+Square square_at(NODES_OF_BOARD, const int side, const int k) {
   const float2 a = ON(side, 0, k + 1), b = ON(side, 0, k);
   const float2 middle = 0.5f * (a + b), inner = 0.5f * (ON(side, 1, k + 1) + ON(side, 1, k));
   Square found = {middle, middle - inner, a - b};
   return found;
 }
-#define SQUARE_AT(side, k) square_at(nodes, node_owner, side, k, height, width)
+#define SQUARE_AT(side, k) square_at(OF_BOARD, side, k)
 #define IS_SQUARE(square) IS_HERE((square).out)
 
 /* The steps of a tilted board grow from line to line: the last one of a side, in cells that lie
  * past it, if they grow on as they do before. */
-float last_over_next(__global const float2 *nodes, __global const int *node_owner, const int side,
-                const int height, const int width) {
+float last_over_next(NODES_OF_BOARD, const int side) {
   int last = 0, before = 0; /* 1/32 px */
   for (int k = 0; k < LENGTH_OF(side) && LINES_OF(side) > 2; ++k) {
     const float2 inner = ON(side, 1, k), a = ON(side, 0, k) - inner, b = inner - ON(side, 2, k);
@@ -188,10 +189,8 @@ float last_over_next(__global const float2 *nodes, __global const int *node_owne
 
 /* Which pairs of squares a side has in sight, as far as some cells beyond it. Returns their number. */
 #define PAIRS_IN_SIGHT(side, sight)                                                 \
-  pairs_in_sight(nodes, node_owner, side, height, width, own, pairs[side], sight, rows, columns, \
-                 own_shown)
-int pairs_in_sight(__global const float2 *nodes, __global const int *node_owner, const int side,
-                   const int height, const int width, __local const int *first, const int pairs,
+  pairs_in_sight(OF_BOARD, side, own, pairs[side], sight, rows, columns, own_shown)
+int pairs_in_sight(NODES_OF_BOARD, const int side, __local const int *first, const int pairs,
                    const float sight, const uint rows, const uint columns, __local int *shown) {
   int seen = 0;
   for (int n = 0; n < pairs; ++n) {
@@ -220,8 +219,7 @@ int doubled_median(__local const int *values, const int count) {
 
 /* Squares of a side, in pairs of neighbours; `first` has those of the pairs that are read. Returns
  * their number. */
-int list_pairs(__global const float2 *nodes, __global const int *node_owner, const int side,
-               const int height, const int width, __local int *first) {
+int list_pairs(NODES_OF_BOARD, const int side, __local int *first) {
   int pairs = 0;
   bool before = false;
   for (int k = 0; k < LENGTH_OF(side) - 1; ++k) {
@@ -241,8 +239,7 @@ int list_pairs(__global const float2 *nodes, __global const int *node_owner, con
 
 /* Whether most places of a line before the first one lie in the image; one nearer to its edge than
  * half a cell may be missed. */
-bool has_room(__global const float2 *nodes, __global const int *node_owner, const int side,
-              const int height, const int width, const uint rows, const uint columns) {
+bool has_room(NODES_OF_BOARD, const int side, const uint rows, const uint columns) {
   int known = 0, inside = 0;
   for (int k = 0; k < LENGTH_OF(side); ++k) {
     int line = 0;
@@ -274,10 +271,8 @@ __kernel void measure_border(LEVELS_OF_IMAGE, __global const float2 *restrict no
   __local int room[SIDES], any_longer;
   if (get_local_id(0) == 0) any_longer = 0;
   FOR_ALL(side, SIDES) {
-    room[side] = height && width && has_room(nodes, node_owner, side, height, width, rows, columns);
-    pairs[side] = height < 2 || width < 2
-                      ? 0
-                      : list_pairs(nodes, node_owner, side, height, width, first + side * PAIRS);
+    room[side] = height && width && has_room(OF_BOARD, side, rows, columns);
+    pairs[side] = height < 2 || width < 2 ? 0 : list_pairs(OF_BOARD, side, first + side * PAIRS);
   }
   ALL_TOGETHER;
   FOR_ALL(side, SIDES) { /* the image may end before the cells beyond a whole square */
@@ -334,7 +329,7 @@ __kernel void measure_border(LEVELS_OF_IMAGE, __global const float2 *restrict no
                       : UNSEEN;
     const bool follows = read && (float)change < 2.0f * PASSING * whole;
     /* What reaches farther than a square is not the last one. */
-    const float reach = REACH(reached) * last_over_next(nodes, node_owner, side, height, width);
+    const float reach = REACH(reached) * last_over_next(OF_BOARD, side);
     if (reached != UNSEEN && reach > 1 + BORDER_STEP_CELLS) {
       reached = UNSEEN;
       any_longer = 1;

@@ -11,7 +11,14 @@
  * from that prediction. result: blended if rough; a wrong neighbour may still mislead it. */
 #define PLACE (-2)
 #define MARGIN (ROUNDS + 2) /* places beside the first board: those that are looked at last */
-#define NEAR 2    /* the farthest that a node looks */
+#define NEAR 2 /* the farthest that a node looks */
+
+/* What is known of the places of a board. */
+#define PLACES_OF_BOARD                                                             \
+  __global float2 *seen, __global uchar *torn, __global float2 *at, __global float2 *result,  \
+      __global uchar *rough, __global float4 *predictions, __global float *cell,     \
+      __global int2 *sides, __global int2 *cells, __global float *score
+#define PLACES seen, torn, at, result, rough, predictions, cell, sides, cells, score
 
 /* Lay the numbered corners out as a board, which is empty while parts wait to be placed beside
  * others. One work-group. */
@@ -173,9 +180,7 @@ float2 blended(const float2 seen, const Prediction prediction, const float cell)
 }
 
 /* Blend the position of a node with its prediction. Returns whether `at` changes. */
-bool blend(const int width, const int place, __global const float2 *seen,
-           __global const uchar *torn, __global float2 *at, __global float2 *result,
-           __global uchar *rough, __global float4 *predictions) {
+bool blend(PLACES_OF_BOARD, const int width, const int place) {
   const float2 here = seen[place], before = at[place];
   float2 blend = here, judged = here;
   bool is_rough = false;
@@ -195,13 +200,10 @@ bool blend(const int width, const int place, __global const float2 *seen,
   return as_int(judged.x) != as_int(before.x) || as_int(judged.y) != as_int(before.y);
 }
 
-__kernel void blend_nodes(__global const int *restrict layout, __global const float2 *restrict seen,
-                          __global const uchar *restrict torn, __global float2 *restrict at,
-                          __global float2 *restrict result, __global uchar *restrict rough,
-                          __global float4 *restrict predictions) {
+__kernel void blend_nodes(__global const int *restrict layout, PLACES_OF_BOARD) {
   FOR_PLACES(0) {
     PLACE_OF_WORK_ITEM
-    blend(width, place, seen, torn, at, result, rough, predictions);
+    blend(PLACES, width, place);
   }
 }
 
@@ -233,9 +235,7 @@ int side_between(LEVELS_OF_IMAGE, const float2 a, const float2 b, const int sign
 
 /* Measure the steps, sides and cells of a node. */
 #define PARITY_OF(row, column) (((row) + (column)) & 1 ? -layout[SIGN] : layout[SIGN])
-void measure(LEVELS_OF_IMAGE, const int width, const int place, const int parity,
-             __global const float2 *at, __global float *cell, __global int2 *sides,
-             __global int2 *cells) {
+void measure(LEVELS_OF_IMAGE, PLACES_OF_BOARD, const int width, const int place, const int parity) {
   int2 side = (int2)(0), found_cells = (int2)(0, UNKNOWN);
   const float2 here = at[place];
   if (IS_HERE(here)) {
@@ -256,11 +256,10 @@ void measure(LEVELS_OF_IMAGE, const int width, const int place, const int parity
 }
 
 __kernel void measure_nodes(LEVELS_OF_IMAGE, __global const int *restrict layout,
-                            __global const float2 *restrict at, __global float *restrict cell,
-                            __global int2 *restrict sides, __global int2 *restrict cells) {
+                            PLACES_OF_BOARD) {
   FOR_PLACES(1) {
     PLACE_OF_WORK_ITEM
-    measure(LEVELS, width, place, PARITY_OF(row, column), at, cell, sides, cells);
+    measure(LEVELS, PLACES, width, place, PARITY_OF(row, column));
   }
 }
 
@@ -282,7 +281,8 @@ float usual_share(__global const int2 *cells, const int place, const int width) 
 float clipped(const float v) { return v < -1.0f ? -1.0f : v > 1.0f ? 1.0f : v; }
 
 /* The score of a node in nats, below 0 if it is less likely than not: its sides, its cells, and its
- * distance from the prediction, which counts more if it is torn; a torn one is less likely. */
+ * distance from the prediction, which counts more if it is torn; a torn one is less likely.
+ * PENALTY is 1 / (2 SD_CELLS^2). */
 float score_of(const float sides, const int quality, const float share, const float2 seen,
                const bool is_torn, const Prediction prediction, const float cell) {
   const float cells = clipped((float)quality * share);
@@ -298,10 +298,7 @@ float score_of(const float sides, const int quality, const float share, const fl
 #define NO_SCORE 99.0f
 #define ADD_SIDE(neighbour, sum)                                                    \
   if (IS_HERE(at[neighbour])) whole += clipped(((float)(sum) * share) * OF_POINTS);
-void score_node(const int width, const int place, __global const float2 *seen,
-                __global const float2 *at, __global const uchar *torn,
-                __global const float4 *predictions, __global const float *cell,
-                __global const int2 *sides, __global const int2 *cells, __global float *score) {
+void score_node(PLACES_OF_BOARD, const int width, const int place) {
   float own = NO_SCORE;
   if (IS_HERE(at[place])) {
     const float share = usual_share(cells, place, width);
@@ -317,14 +314,10 @@ void score_node(const int width, const int place, __global const float2 *seen,
   score[place] = own;
 }
 
-__kernel void score_nodes(__global const int *restrict layout, __global const float2 *restrict seen,
-                          __global const float2 *restrict at, __global const uchar *restrict torn,
-                          __global const float4 *restrict predictions,
-                          __global const float *restrict cell, __global const int2 *restrict sides,
-                          __global const int2 *restrict cells, __global float *restrict score) {
+__kernel void score_nodes(__global const int *restrict layout, PLACES_OF_BOARD) {
   FOR_PLACES(1) {
     PLACE_OF_WORK_ITEM
-    score_node(width, place, seen, at, torn, predictions, cell, sides, cells, score);
+    score_node(PLACES, width, place);
   }
 }
 
@@ -435,15 +428,11 @@ void list_around(LISTS_OF_PLACES, const int from, const int reach, const int ste
 __kernel void settle_nodes(__global const float *restrict corners, const uint capacity,
                            LEVELS_OF_IMAGE, __global const int *restrict starts,
                            __global const int *restrict binned,
-                           __global int *restrict layout, __global float2 *seen,
-                           __global int *owner, __global uchar *torn, __global uchar *used,
-                           __global uchar *tried, __global float2 *at, __global float2 *result,
-                           __global uchar *rough, __global float4 *predictions,
-                           __global float *cell, __global int2 *sides, __global int2 *cells,
-                           __global float *score,
-                           __global int *candidate, __global float2 *found, __global int *listed,
-                           __global int *asked, __global int *claim, __global int *marks,
-                           __global int *lists, const int places) {
+                           __global int *restrict layout, PLACES_OF_BOARD, __global int *owner,
+                           __global uchar *used, __global uchar *tried, __global int *candidate,
+                           __global float2 *found, __global int *listed, __global int *asked,
+                           __global int *claim, __global int *marks, __global int *lists,
+                           const int places) {
   const int width = layout[BOARD_COLUMNS], height = layout[BOARD_ROWS];
   __local int counts[LISTS], nodes, candidates;
   FOR_ALL(kind, LISTS) counts[kind] = 0;
@@ -518,19 +507,18 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
     if (!counts[CHANGED]) return;
     list_around(OF_PLACES, CHANGED, NEAR, 2, BLENDED, true, width, seen);
     FOR_LISTED(BLENDED)
-      if (blend(width, place, seen, torn, at, result, rough, predictions))
+      if (blend(PLACES, width, place))
         list_place(OF_PLACES, MOVED, place);
     ALL_TOGETHER;
     list_around(OF_PLACES, MOVED, NEAR, 1, MEASURED, true, width, seen);
     FOR_LISTED(MEASURED)
-      measure(LEVELS, width, place, PARITY_OF(place / width, place % width), at, cell, sides,
-              cells);
+      measure(LEVELS, PLACES, width, place, PARITY_OF(place / width, place % width));
     if (looks && round++ == ROUNDS) return;
     FOR_LISTED(BLENDED) list_place(OF_PLACES, SCORED, place);
     ALL_TOGETHER;
     list_around(OF_PLACES, MEASURED, NEAR, 3, SCORED, true, width, seen);
     FOR_LISTED(SCORED)
-      score_node(width, place, seen, at, torn, predictions, cell, sides, cells, score);
+      score_node(PLACES, width, place);
     ALL_TOGETHER;
     list_around(OF_PLACES, SCORED, 1, 2, JUDGED, false, width, seen);
     for (int kind = CHANGED; kind <= SCORED; ++kind) empty_list(OF_PLACES, kind);
