@@ -126,9 +126,6 @@ class Detector(Closing):
     def __call__(self, frame: GreyImage) -> Corners:
         """Find the corners of one frame, (H, W), of the shape and dtype of this detector.
 
-        No other thread may change the frame during the call: on a CPU the kernels read it where it
-        lies.
-
         Raises ImageError if the frame does not fit, CapacityError if the device is full,
         DeviceError if the detector is closed or of another process.
         """
@@ -143,7 +140,7 @@ class Detector(Closing):
         """
         waiting: Plan | None = None
         try:
-            each = (self.begin([frame], still=False) for frame in frames)
+            each = (self.begin([frame]) for frame in frames)
             for begun in errors_last(each):
                 ready, waiting = waiting, begun if isinstance(begun, Plan) else None
                 done = [] if ready is None else self.finish(ready)[0].corners
@@ -164,20 +161,19 @@ class Detector(Closing):
         """Return the plan that has the layout of its frames on the device."""
         return self._plans.lend()
 
-    def begin(self, frames: Sequence[GreyImage], *, still: bool = True, read: bool = True) -> Plan:
+    def begin(self, frames: Sequence[GreyImage], *, read: bool = True) -> Plan:
         """Upload frames and enqueue their kernels, without waiting; return the plan that has them.
 
         Launches that are enqueued in `queue` next find the corners of the frames on the device, see
-        kernels/result.clh. `finish` must follow. still: the frames do not change before it; else
-        they do not change before the `uploads` of the plan. read: download the result too; else
-        the plan's `download` must follow, or `finish` with what is listed. Raises the errors of a
-        call.
+        kernels/result.clh. `finish` must follow. The frames do not change before the `uploads` of
+        the plan are done. read: download the result too; else the plan's `download` must follow, or
+        `finish` with what is listed. Raises the errors of a call.
         """
         images = [self._checked(frame) for frame in frames]
         with self._lock:
             self._check_alive()
             plan = self._plans.lend(len(images))
-            self._start(plan, images, self._transfers, still=still, read=read)
+            self._start(plan, images, self._transfers, read=read)
             self._plans.keep(plan)
             return plan
 
@@ -263,11 +259,11 @@ class Detector(Closing):
         frames: list[GreyImage],
         transfers: cl.CommandQueue,
         *,
-        still: bool = True,
         read: bool = True,
     ) -> None:
         plan.events.clear()
-        plan.launch(plan.upload(transfers, frames, still=still), read=read)
+        plan.upload(transfers, frames)
+        plan.launch(plan.launches, read=read)
 
     def _found(self, plan: Plan, listed: NDArray[np.float32] | None = None) -> Found:
         self._plans.take_back(plan)

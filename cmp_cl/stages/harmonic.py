@@ -70,26 +70,7 @@ def _counters(plan: PlanBase) -> int:
 
 def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the image to the list of corners."""
-    if not plan.for_cpu:
-        return _by_pixels(plan)
-    return [_by_bands(plan)]
-
-
-def launch_in_place(plan: PlanBase) -> Launch | None:
-    """Return the first of them for frames in a buffer of their own, which is its first argument,
-    see `set_place`; None if the image must be there before."""
-    return _by_bands(plan) if plan.for_cpu else None
-
-
-def set_place(launch: Launch, start: int, step: int, apart: int) -> None:
-    """Say where the frames lie in the first argument of `launch_in_place`: the first pixel of the
-    first frame, the pixels from a row to the next and those from a frame to the next.
-
-    To set a number takes longer than the whole of a launch does.
-    """
-    launch.kernel.set_arg(1, np.uint64(start))
-    launch.kernel.set_arg(2, np.uint32(step))
-    launch.kernel.set_arg(3, np.int32(apart))
+    return [_by_bands(plan)] if plan.for_cpu else _by_pixels(plan)
 
 
 def _rule(plan: PlanBase) -> RingHarmonic:
@@ -184,15 +165,11 @@ def _work_rows(plan: PlanBase) -> int:
 
 
 def _by_bands(plan: PlanBase) -> Launch:
-    """Bind the launch from the frames in the image."""
+    """Bind the launch from the image to the list of corners."""
     return plan.stage(
         "harmonic_band",
         (plan.bands, plan.frames),
         (1, 1),
-        memory=plan.arrays["image"],
-        frame_start=np.uint64(plan.step + plan.pad),
-        frame_step=np.uint32(plan.step),
-        frame_apart=np.int32(plan.shape[0] * plan.step),
         inverse=np.float32(1 / _full_scale(plan)),
         work_size=np.uint32(_work_rows(plan) * plan.step),
         **_numbers(plan),

@@ -20,15 +20,12 @@ from cmp_cl.image import GreyImage
 from cmp_cl.opencl.device import Device, clear_errors
 from cmp_cl.opencl.launches import GROUP, Launch, enqueue, multiple
 from cmp_cl.opencl.memory import ALIGNMENT, Memory, copy
-from cmp_cl.opencl.pocl import is_pocl
 from cmp_cl.opencl.program import Kernels, Programs
 from cmp_cl.stages import harmonic, noise, refine
 from cmp_cl.stages.layout import CORNER_COLUMNS, LANES, LISTS, MOST_OCTAVES, PlanBase
 from cmp_cl.stages.paper import rings
 from cmp_cl.stages.refine import READ_FIELDS, RESULT_HEAD
 from cmp_cl.stages.types import defines_of
-
-SPREAD = 4  # times their pixels: frames that lie in more memory are copied
 
 
 class Overflow(Exception):
@@ -48,7 +45,6 @@ class Plan(PlanBase):
     portable form on a CPU too.
     """
 
-    _frames: cl.Buffer | None = None  # that the launches read where they lie
     _last: cl.Event | None = None  # of a launch or of a copy, until the host has waited for it
 
     def __init__(
@@ -167,40 +163,16 @@ class Plan(PlanBase):
 
     def _bind(self) -> None:
         self.launches = [*self.detection.launches(self), *refine.launches(self)]
-        # The same for frames that lie elsewhere. Intel's runtime copies such frames, and PoCL reads
-        # them where they lie.
-        self._in_place: list[Launch] = []
-        if self.shared and is_pocl(self.device.handle) and self.detection is harmonic:
-            first = harmonic.launch_in_place(self)
-            self._in_place = [first, *self.launches[1:]] if first else []
-        self._numbers: tuple[int, int, int] | None = None  # of their place
         self._likely = self.corner_capacity  # corners of a frame, at most
 
     # What happens in a frame
 
-    def upload(
-        self, queue: cl.CommandQueue, frames: Sequence[GreyImage], *, still: bool
-    ) -> list[Launch]:
-        """Enqueue the upload of the frames. Return the launches for them.
-
-        still: the frames do not change before `read`, so that kernels may read them where they lie;
-            else they may change when `uploads` have completed.
-        """
-        where = _where(frames) if still and self._in_place else None
-        if where is not None:
-            memory, numbers = where
-            self._wait()  # for earlier frames that kernels may still read
-            around = cl.mem_flags.READ_ONLY | cl.mem_flags.USE_HOST_PTR
-            with clear_errors(queue.device, memory.nbytes):
-                self._frames = cl.Buffer(queue.context, around, hostbuf=memory)
-            self._in_place[0].kernel.set_arg(0, self._frames)
-            if numbers != self._numbers:
-                harmonic.set_place(self._in_place[0], *numbers)
-                self._numbers = numbers
-            return self._in_place
+    def upload(self, queue: cl.CommandQueue, frames: Sequence[GreyImage]) -> None:
+        """Copy the frames to the device; in another queue they do not change before the `uploads`
+        are done."""
         if self.shared:
             self._write(frames)
-            return self.launches
+            return
         size = self.dtype.itemsize
         for n, frame in enumerate(frames):
             pitch = _pitch(frame)
@@ -219,7 +191,6 @@ class Plan(PlanBase):
             if queue is not self.queue:
                 self.uploads.append(upload)
         queue.flush()
-        return self.launches
 
     def _write(self, frames: Sequence[GreyImage]) -> None:
         """Copy the frames into the memory that the device shares."""
@@ -283,7 +254,6 @@ class Plan(PlanBase):
         """
         self._wait()
         self.uploads.clear()
-        self._frames = None
         result = self.memory["result"].arrays["result"]
         begun = result if listed is None else listed.view(np.uint8)
         heads = begun[:, : 4 * (1 + LISTS)].view(np.uint32).tolist()
@@ -351,40 +321,15 @@ class Plans:
         plan.release()
 
 
-def _where(frames: Sequence[GreyImage]) -> tuple[NDArray[Any], tuple[int, int, int]] | None:
-    """Return the memory in which frames lie, and of it the first pixel of the first frame, the
-    pixels from a row to the next and those from a frame to the next; None unless they are equally
-    spaced parts of one array, with little between them."""
-    base, pitch, size = frames[0].base, _pitch(frames[0]), frames[0].itemsize
-    most = SPREAD * len(frames) * frames[0].size
-    if len(frames) == 1:
-        memory = _flat(frames[0])
-        return (memory, (0, pitch // size, 0)) if memory.size <= most else None
-    starts = [frame.__array_interface__["data"][0] for frame in frames]
-    apart = starts[1] - starts[0]
-    together = isinstance(base, np.ndarray) and all(
-        frame.base is base and _pitch(frame) == pitch and start == starts[0] + n * apart
-        for n, (frame, start) in enumerate(zip(frames, starts, strict=True))
-    )
-    if not together or apart % size:
-        return None
-    least = min(starts)
-    memory = _flat(frames[starts.index(least)], (max(starts) - least) // size)
-    if memory.size > most:
-        return None
-    return memory, ((starts[0] - least) // size, pitch // size, apart // size)
-
-
 def _pitch(frame: GreyImage) -> int:
     """Return the bytes from a row to the next."""
     return frame.strides[0] if frame.shape[0] > 1 else frame.shape[1] * frame.itemsize
 
 
-def _flat(frame: GreyImage, more: int = 0) -> NDArray[Any]:
-    """Return the memory from the first to the last pixel, with the gaps between rows, and `more`
-    pixels behind."""
-    if not more and frame.flags.c_contiguous:
+def _flat(frame: GreyImage) -> NDArray[Any]:
+    """Return the memory from the first to the last pixel, with the gaps between rows."""
+    if frame.flags.c_contiguous:
         return frame
     size = frame.itemsize
-    count = (frame.shape[0] - 1) * _pitch(frame) // size + frame.shape[1] + more
+    count = (frame.shape[0] - 1) * _pitch(frame) // size + frame.shape[1]
     return np.lib.stride_tricks.as_strided(frame, (count,), (size,), writeable=False)

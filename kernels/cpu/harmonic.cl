@@ -63,13 +63,10 @@ ROW_LOOP void scale_levels(__global const PIXEL *restrict grey, __global ushort 
   }
 }
 
-#define EACH_OF_ROW(T, CONVERTED)                                                   \
-  (__global const T *restrict from, __global PIXEL *restrict to, const int width) { \
-    for (int x = 0; x < width; ++x) to[x] = CONVERTED(from[x]);                     \
-  }
-#define UNCHANGED(v) (v)
-ROW_LOOP void copy_row EACH_OF_ROW(PIXEL, UNCHANGED)
-ROW_LOOP void pixels_of_row EACH_OF_ROW(ushort, AS_PIXEL)
+ROW_LOOP void pixels_of_row(__global const ushort *restrict from, __global PIXEL *restrict to,
+                            const int width) {
+  for (int x = 0; x < width; ++x) to[x] = AS_PIXEL(from[x]);
+}
 
 /* [1 2 1] down the columns. */
 #define DOWN_COLUMNS(T)                                                             \
@@ -289,17 +286,16 @@ int take_rows(volatile __global uint *taken, const int next, const int height, c
 }
 
 /* Row y of the frame. */
-#define FRAME_ROW(y) (frame + (size_t)(y) * frame_step)
+#define FRAME_ROW(y) (frame + (size_t)(y) * step)
 #define IMAGE_ROW(y) (image + (size_t)(y) * step)
 
 /* List the maxima of a band of an octave, write the rows that its corners are refined in to
- * `image`, those of the frame unless it lies there, and fill their padding. frame, image: the first
- * pixel. An odd band goes up. `taken` counts how often the two bands of a segment have taken rows.
+ * `image`, where the frame itself lies, and fill their padding. frame, image: the first pixel. An
+ * odd band goes up. `taken` counts how often the two bands of a segment have taken rows.
  * `area` has a bit for every pixel of the frame, in rows of `frame_words`. lists, counts: of the
  * frame. Return the sum of the noise. */
-ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_step,
-                  __global PIXEL *image, __global const uint *restrict area,
-                  const uint frame_words, const Octave octave, const uint band,
+ulong search_band(const uint n, __global const PIXEL *frame, __global PIXEL *image,
+                  __global const uint *restrict area, const uint frame_words, const Octave octave, const uint band,
                   const uint bands, const uint capacity, const uint full_scale,
                   const float inverse, __global ushort *restrict work,
                   volatile __global uint *taken, volatile __global uint *counts,
@@ -369,7 +365,6 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
     }
     if (done < 0) continue;
     if (n) pixels_of_row(s3 + COARSE_AT(y), IMAGE_ROW(y), width);
-    else if (frame != image) copy_row(FRAME_ROW(y), IMAGE_ROW(y), width);
     REPEAT_BORDER(PIXEL, IMAGE_ROW(y))
     if (y > 0 && y + 1 < height) {
       __global CURVATURE *curvature = (__global CURVATURE *)column + PAD;
@@ -422,15 +417,11 @@ ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_st
   return noise_of_band + take_noise(noise_of_column, width);
 }
 
-/* List the maxima of all octaves, and decide for the frame. The first pixel of the first frame is
- * at `frame_start`, that of each other one `frame_apart` behind; rows have `frame_step` elements.
- * The counters of a frame are those of its lists, of the bands that have finished, of the rows
+/* List the maxima of all octaves, and decide for the frame. The counters of a frame are those of its lists, of the bands that have finished, of the rows
  * taken in each segment of each octave, and of halving. The fences and the counts order the lists
  * of all bands before the decision, on every CPU: OpenCL 1.2 alone does not promise it between
  * groups. One work-item per band. */
-__kernel void harmonic_band(__global const PIXEL *memory, const ulong frame_start,
-                            const uint frame_step, const int frame_apart, __global PIXEL *image,
-                            __global PIXEL *halves, const uint octaves,
+__kernel void harmonic_band(__global PIXEL *image, __global PIXEL *halves, const uint octaves,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint capacity,
                             const uint full_scale, const float inverse,
@@ -448,10 +439,9 @@ __kernel void harmonic_band(__global const PIXEL *memory, const ulong frame_star
   const size_t p = get_global_id(1), frames = get_global_size(1);
   volatile __global uint *listed = counters + p * counters_of_frame, *finished = listed + KINDS;
   volatile __global uint *taken = finished + 1;
-  __global const PIXEL *frame = memory + (long)frame_start + (long)p * frame_apart;
+  __global const PIXEL *frame = image + (p * rows + 1) * step + PAD;
   volatile __global uint *halved = taken + segments * (1 + octaves);
-  halve_frame(frame, frame_step, halves, octaves, rows, columns, step, p, frames, halved,
-              halved + 1);
+  halve_frame(frame, halves, octaves, rows, columns, step, p, frames, halved, halved + 1);
   uint before = 0; /* bands of the smaller octaves: these spread over the work-items */
   for (int n = (int)octaves; n >= 0; --n) {
     const Octave octave = octave_of((uint)n, rows, columns, step, frames);
@@ -463,9 +453,9 @@ __kernel void harmonic_band(__global const PIXEL *memory, const ulong frame_star
     __global PIXEL *first = image + octave.start + in_octave;
     __global const PIXEL *from = n ? halves + octave.half_start + in_octave : frame;
     noise[(n * frames + p) * bands + b] = search_band(
-        (uint)n, from, n ? octave.step : frame_step, first, area, step / 32, octave, b, searching,
-        capacity, full_scale, inverse, work + (p * bands + band) * work_size,
-        taken + n * segments + b / 2, listed, lists + p * KINDS * LIST_COLUMNS * capacity);
+        (uint)n, from, first, area, step / 32, octave, b, searching, capacity, full_scale, inverse,
+        work + (p * bands + band) * work_size, taken + n * segments + b / 2, listed,
+        lists + p * KINDS * LIST_COLUMNS * capacity);
   }
   mem_fence(CLK_GLOBAL_MEM_FENCE);
   if (atomic_inc(finished) + 1 < bands) return;
