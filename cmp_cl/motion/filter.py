@@ -44,7 +44,9 @@ _SHARES = 4  # of the rows for each unit of a CPU; each share costs sums over th
 _ROUGH = 6  # sums over a row, in kernels/strain.cl
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Single = NDArray[np.float32]
 Source = NDArray[np.uint8]
+Constants = Mapping[str, NDArray[Any]]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -59,15 +61,17 @@ class Filtered:
         images. In the plane, both axes have the same variance.
     raw_covariance: the same for the values before the filter.
     noise: (R, C), the standard deviation before the filter, by coordinate, NaN where unknown.
-    slopes: planes (N, R, C) float32, for `strain`: the covariances of the slopes per step along
-        a row and along a column, over all 3 x 3 values around a node; None unless asked for.
+    slopes, strain, strain_covariance: planes float32, see `LatticeFilter.layout`; none unless asked
+        for.
     """
 
     values: Array
     covariance: Array
     raw_covariance: Array
     noise: Array
-    slopes: NDArray[np.float32] | None
+    slopes: Single
+    strain: Single
+    strain_covariance: Single
 
 
 def filtered(
@@ -78,12 +82,13 @@ def filtered(
     *,
     most: Array | None = None,
     slopes: bool = False,
+    rest: Constants | None = None,
 ) -> Filtered:
     """Filter positions, or displacements, which may bend sharply, as at the edge of a contact.
 
     values: (R, C, K), NaN where missing. measured: (R, C) of `NodeStatus`, MISSING for nodes that
         may not influence others, which get the prediction of their neighbours. by_images: (R, C, K,
-        K), their covariance by the images alone. slopes: whether to compute `Filtered.slopes`.
+        K), their covariance by the images alone. slopes, rest: see `LatticeFilter`.
     most: None for positions; for displacements the largest variance of the noise, (R, C), NaN where
         unknown. A residual beyond it is taken for shape and kept.
 
@@ -99,11 +104,14 @@ def filtered(
             covariance=nothing,
             raw_covariance=nothing,
             noise=np.empty((rows, columns)),
-            slopes=np.empty((0, rows, columns), np.float32) if slopes else None,
+            slopes=np.empty((0, rows, columns), np.float32),
+            strain=np.empty((3, rows, columns), np.float32),
+            strain_covariance=np.empty((covariances(3), rows, columns), np.float32),
         )
     programs = programs_of(device.handle)
     queue = cl.CommandQueue(programs.context)
-    results = Memory(queue, LatticeFilter.layout((rows, columns), axes, slopes=slopes))
+    which = {"slopes": slopes, "strain": rest is not None}
+    results = Memory(queue, LatticeFilter.layout((rows, columns), axes, **which))
     plan = LatticeFilter(
         queue,
         programs,
@@ -113,6 +121,7 @@ def filtered(
         results=results,
         bends=most is not None,
         slopes=slopes,
+        rest=rest,
     )
     there: Bools = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
     votes, surface = there & (measured > 0), np.zeros(values.shape)
@@ -137,51 +146,11 @@ def filtered(
         covariance=matrices(arrays["covariance"]),
         raw_covariance=matrices(arrays["raw_covariance"]),
         noise=np.where(there, np.sqrt(arrays["variance"][:, :columns]), np.nan).astype(np.float64),
-        slopes=arrays["slopes"].copy() if slopes else None,
+        **{name: arrays[name].copy() for name in ("slopes", "strain", "strain_covariance")},
     )
     for memory in (plan, results):
         memory.release()
     return found
-
-
-def strain(
-    constants: Mapping[str, NDArray[Any]],
-    displacement: Array,
-    covariance: Array,
-    slopes: NDArray[np.float32],
-    device: Device,
-) -> tuple[Array, Array]:
-    """Return the Green-Lagrange strain of a displacement, (R, C, 3), and its covariance, (R, C, 3,
-    3), NaN where there is none; cmp_cl/reference/field/strain.py has the equations.
-
-    constants: rest_position, rest_covariance, rest_slopes, planes of the filtered positions at
-    rest; quadratic, cubic, see `surface_slopes`. displacement, covariance, slopes: as in
-    `Filtered`, without the shift by bent edges.
-    """
-    rows, columns, axes = displacement.shape
-    programs = programs_of(device.handle)
-    queue = cl.CommandQueue(programs.context)
-    there: Bools = np.asarray(np.isfinite(displacement).all(axis=2), np.bool_)
-    inputs = {
-        **constants,
-        "displacement": planes(displacement),
-        "valid": there.astype(np.uint8),
-        "covariance": flat(covariance),
-        "slopes": slopes,
-    }
-    given = {name: constant(queue.context, value) for name, value in inputs.items()}
-    layout: Layout = {
-        "strain": ((3, rows, columns), np.float32),
-        "strain_covariance": ((covariances(3), rows, columns), np.float32),
-    }
-    found = Memory(queue, layout)
-    kernels = programs.kernels(["strain"], defines_of((rows, columns), axes, device))
-    enqueue(queue, [of_nodes(kernels, (rows, columns), given | found.parts, "strain")])
-    found.download()
-    queue.finish()
-    result = nodes(found.arrays["strain"]), matrices(found.arrays["strain_covariance"])
-    found.release()
-    return result
 
 
 class LatticeFilter:
@@ -189,6 +158,8 @@ class LatticeFilter:
 
     shape: (R, C). axes: K, 2 or 3. bends: whether the values may bend sharply, see
     `filtered`. slopes: whether the covariances of slopes are computed.
+    rest: if the strain of a displacement is too, which needs `slopes`: the arrays of the moment at
+    rest that its kernel takes, see `AtRest`, and others to take in place of the results.
     inputs: what the launches start from. moved: K planes (R, C), 0 where there is no value.
     points: their covariance by the images, 6 planes or 1. bent: K planes, subtracted at the end.
     own, bound_rest: (R, C and more columns that are not used), of which the sum is the largest
@@ -208,6 +179,7 @@ class LatticeFilter:
         results: Memory,
         bends: bool,
         slopes: bool,
+        rest: Constants | None = None,
     ) -> None:
         self._shape, self._axes, self._slopes = shape, axes, slopes
         self._is_cpu = device.kind is DeviceKind.CPU
@@ -223,6 +195,10 @@ class LatticeFilter:
         files = ["filter", *(["strain"] if slopes else [])]
         self._kernels = programs.kernels(files, defines_of(shape, axes, device))
         self.launches = self._listed()
+        if rest is not None:
+            given = {name: constant(queue.context, each) for name, each in rest.items()}
+            parts = self.parts | given
+            self.launches.append(of_nodes(self._kernels, shape, parts, "strain"))
 
     def release(self) -> None:
         """Release the device's memory."""
@@ -246,14 +222,16 @@ class LatticeFilter:
         }
 
     @staticmethod
-    def layout(shape: tuple[int, int], axes: int, *, slopes: bool) -> Layout:
+    def layout(shape: tuple[int, int], axes: int, *, slopes: bool, strain: bool) -> Layout:
         """Return the layout of the results.
 
         displacement, raw_displacement: K planes (R, C), NaN where not valid. covariance,
         raw_covariance: 6 planes xx xy xz yy yz zz, or the variance per axis. slopes: 6 planes, or
-        xx xy yy, for each of the two, see `Filtered`; none unless asked for. variance: (R, C and
-        more columns that are not used), of the noise before the filter. counts: nodes without a
-        vote, and those that each round has rejected; 0 at the end.
+        xx xy yy, for the slope per step along a row, and as many along a column, their covariances
+        over all 3 x 3 values around a node. strain: 3 planes, Green-Lagrange; strain_covariance: 6;
+        NaN where there is none. variance: (R, C and more columns that are not used), of the noise
+        before the filter. counts: nodes without a vote, and those that each round has rejected; 0
+        at the end.
         """
         planes = {
             "displacement": axes,
@@ -261,6 +239,8 @@ class LatticeFilter:
             "covariance": covariances(axes),
             "raw_covariance": covariances(axes),
             "slopes": axes * (axes + 1) if slopes else 0,
+            "strain": 3 if strain else 0,
+            "strain_covariance": covariances(3) if strain else 0,
         }
         return {
             **{name: ((count, *shape), np.float32) for name, count in planes.items()},

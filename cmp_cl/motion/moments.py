@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from cmp_cl.field import DisplacementField
 from cmp_cl.fits import bend_shift, surface_slopes
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
-from cmp_cl.motion.filter import Filtered, filtered, strain
-from cmp_cl.motion.layout import flat, planes
+from cmp_cl.motion.filter import Filtered, filtered
+from cmp_cl.motion.layout import flat, matrices, nodes, planes
 from cmp_cl.motion.scale import PlaneScale
 from cmp_cl.opencl.device import Device
 from cmp_cl.points import Points3D, PointStatus
@@ -93,15 +93,12 @@ class AtRest:
     def __init__(self, moment: Moment, device: Device, *, slopes: bool = False) -> None:
         self.moment, self._device, self._slopes = moment, device, slopes
 
-    def _filter(self, *, slopes: bool) -> Filtered:
-        moment = self.moment
-        measured = measured_of(moment.source, moment.valid)
-        return filtered(moment.at, measured, moment.covariance, self._device, slopes=slopes)
-
     @functools.cached_property
     def filtered(self) -> Filtered:
         """Return the filtered positions."""
-        return self._filter(slopes=self._slopes)
+        at, measured = self.moment.at, measured_of(self.moment.source, self.moment.valid)
+        covariance = self.moment.covariance
+        return filtered(at, measured, covariance, self._device, slopes=self._slopes)
 
     @functools.cached_property
     def position(self) -> Array:
@@ -123,8 +120,7 @@ class AtRest:
     @functools.cached_property
     def strain_constants(self) -> dict[str, NDArray[np.float32]]:
         """Return the planes of the positions, and the tables, that the strain's kernel takes."""
-        found = self.filtered if self._slopes else self._filter(slopes=True)
-        assert found.slopes is not None
+        found = (self if self._slopes else AtRest(self.moment, self._device, slopes=True)).filtered
         return {
             "rest_position": planes(self.position - np.nanmean(self.position, axis=(0, 1))),
             "rest_covariance": flat(found.covariance),
@@ -139,18 +135,17 @@ class AtRest:
         measured: NDArray[np.uint8],
         own: NDArray[np.floating],
         by_images: Array | None = None,
-        *,
-        slopes: bool = False,
+        **strained: Any,
     ) -> Filtered:
         """Filter the displacement `moved`, (R, C, D).
 
         measured: (R, C), see `measured_of`. own: (R, C), the variance per axis now, from the
-        images. by_images: the covariance of `moved` from the images.
+        images. by_images: the covariance of `moved` from the images. strained: see `filtered`.
         """
         if by_images is None:
             by_images = np.zeros((*moved.shape, moved.shape[2]))
         most = self.most + own
-        return filtered(moved, measured, by_images, self._device, most=most, slopes=slopes)
+        return filtered(moved, measured, by_images, self._device, most=most, **strained)
 
     def field(
         self,
@@ -178,11 +173,13 @@ class AtRest:
 
         def strain_of(field: DisplacementField) -> tuple[Array, Array]:
             measured = measured_of(field.source, field.valid)
-            slopes = self.change(moved, measured, own, slopes=True).slopes
-            assert slopes is not None
-            return strain(
-                self.strain_constants, field.displacement, field.covariance, slopes, self._device
-            )
+            rest = {
+                **self.strain_constants,
+                "displacement": planes(field.displacement),
+                "covariance": flat(field.covariance),
+            }
+            found = self.change(moved, measured, own, slopes=True, rest=rest)
+            return nodes(found.strain), matrices(found.strain_covariance)
 
         raw = DisplacementField(
             position=known(self.moment.at),

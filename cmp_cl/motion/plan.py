@@ -18,7 +18,6 @@ from cmp_cl.grid.grid import Grid
 from cmp_cl.motion.filter import LatticeFilter
 from cmp_cl.motion.geometry import InPlane, InSpace
 from cmp_cl.motion.layout import (
-    covariances,
     defines_of,
     flat,
     in_lines_of,
@@ -76,25 +75,23 @@ class FieldPlan:
             results=self.frame,
             bends=True,
             slopes=strain,
+            rest=self._at_rest.strain_constants if strain else None,
         )
         self._filter.inputs.arrays["bound_rest"][:, : self.shape[1]] = self._at_rest.most
         self._filter.inputs.upload()
         width = geometry.width if device.kind is DeviceKind.CPU else 1
-        files = [geometry.file, *(["strain"] if strain else [])]
         defines = {
             **defines_of(self.shape, geometry.axes, device),
             "DOUBLE": int(self._double),
             "WIDTH": width,
             **geometry.defines(double=self._double),
         }
-        kernels = programs.kernels(files, defines)
+        kernels = programs.kernels([geometry.file], defines)
         parts = self._filter.parts | geometry.numbers(np.float64 if self._double else np.float32)
         for name, table in self._tables().items():
             parts[name] = constant(queue.context, table)
         moved = of_nodes(kernels, self.shape, parts, geometry.kernel, width)
         self.launches = [moved, *self._filter.launches]
-        if strain:
-            self.launches.append(of_nodes(kernels, self.shape, parts, "strain"))
 
     def release(self) -> None:
         """Release the device's memory."""
@@ -105,7 +102,7 @@ class FieldPlan:
         rest, real = self._at_rest.moment, np.float64 if self._double else np.float32
         down, along = (axis_tables(n) for n in self.shape)
         seen = {name: np.asarray(each, real) for name, each in self._geometry.constants().items()}
-        tables: dict[str, NDArray[Any]] = {
+        return {
             "bend_down": down.bend,
             "bend_along": along.bend,
             **seen,
@@ -115,21 +112,19 @@ class FieldPlan:
             "rest_points": flat(rest.covariance),
             "rest_bent": planes(rest.bend),
         }
-        return tables | (self._at_rest.strain_constants if self._strained else {})
 
     def _frame_layout(self, listed: int) -> Layout:
         layout = {
             **Tracker.layout(self._geometry.views, self.shape),
-            **LatticeFilter.layout(self.shape, self._geometry.axes, slopes=self._strained),
+            **LatticeFilter.layout(
+                self.shape, self._geometry.axes, slopes=self._strained, strain=self._strained
+            ),
             "own": (in_lines_of(self.shape), np.float32),
             "status": (self.shape, np.uint8),
             "source": (self.shape, np.uint8),
         }
         for name, count in self._geometry.own_results.items():
             layout[name] = (count, *self.shape), np.float32
-        if self._strained:
-            layout["strain"] = (3, *self.shape), np.float32
-            layout["strain_covariance"] = (covariances(3), *self.shape), np.float32
         if listed:
             layout["listed"] = (self._geometry.views, listed), np.float32
         return layout
