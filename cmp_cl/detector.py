@@ -144,8 +144,8 @@ class Detector(Closing):
             for begun in errors_last(each):
                 ready, waiting = waiting, begun if isinstance(begun, Plan) else None
                 done = [] if ready is None else self.finish(ready)[0].corners
-                if waiting is not None and waiting.uploads:
-                    cl.wait_for_events(waiting.uploads)
+                if waiting is not None:
+                    waiting.wait_for_uploads()
                 yield from done
                 if isinstance(begun, Exception):
                     raise begun

@@ -62,6 +62,16 @@ def test_memory_that_runs_out_in_a_frame_is_a_capacity_error(device, monkeypatch
         assert_same_bytes(detector(BOARD), expected)
 
 
+def test_memory_that_runs_out_during_an_upload_is_a_capacity_error(device, monkeypatch):
+    monkeypatch.setattr("cmp_cl.opencl.memory.shares_memory", lambda _: False)
+    monkeypatch.setattr(cl, "wait_for_events", refuse)
+    with (
+        Detector(shape=images.SHAPE, device=device) as detector,
+        pytest.raises(CapacityError, match="not enough memory for a plan"),
+    ):
+        list(detector.stream([BOARD]))
+
+
 def numbered(device):
     """Number the corners of a board by the command, which says an error."""
     main(["detect", str(BOARD_FILE), "--grid", "9x6", "--device", device.index])

@@ -193,7 +193,8 @@ class LatticePlan:
 
     def write(self, name: str, values: NDArray[Any]) -> None:
         """Write the first elements of an array."""
-        self.queue.finish()
+        with clear_errors(self.queue.device):
+            self.queue.finish()
         self.memory.arrays[name].view(values.dtype)[: values.size] = values.ravel()
         self.memory.upload(name)
 

@@ -192,6 +192,12 @@ class Plan(PlanBase):
                 self.uploads.append(upload)
         queue.flush()
 
+    def wait_for_uploads(self) -> None:
+        """Wait until the frames may change."""
+        if self.uploads:
+            with clear_errors(self.queue.device):
+                cl.wait_for_events(self.uploads)
+
     def _write(self, frames: Sequence[GreyImage]) -> None:
         """Copy the frames into the memory that the device shares."""
         self._wait()  # for an earlier frame that may still run
