@@ -18,8 +18,6 @@
   RUN_INDEX(11, 10) RUN_INDEX(12, 11) RUN_INDEX(13, 12) RUN_INDEX(14, 13)           \
   RUN_INDEX(15, 14)
 
-#if RAPID
-
 #define BLACK_AT(dx, dy) binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)]
 #define LOAD_INNER(i, dx, dy) const uchar a##i = BLACK_AT(dx, dy);
 #define LOAD_OUTER(i, dx, dy) const uchar b##i = BLACK_AT(dx, dy);
@@ -82,8 +80,6 @@ __kernel void rapid_criteria(__global const uchar *restrict binary, const uint r
   response[ROW(p, y) + x] =
       (uchar)((sector_threshold - sector_difference) & (uchar)(0 - holds));
 }
-
-#endif
 
 /* d2 of Eq. 21; 255 if there are not four runs. */
 uint run_difference(const uint mask) {
