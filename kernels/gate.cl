@@ -1,5 +1,6 @@
 #include "plane.clh"
 #include "ring.clh"
+#include "rank.clh"
 
 /* The contrast gate: a maximum passes if its four sectors differ clearly in grey level.
  *
@@ -9,18 +10,11 @@
 
 #define FULL ((PIXEL)(-1)) /* the largest grey level */
 #define NO_CONTRAST (PIXEL_BITS == 8 ? SHRT_MIN : INT_MIN)
-#define BINS 256 /* of the histograms that the percentile is read from */
 #define WORD_OF(bits) (bits + (p * rows + index / step) * (step / 32) + index % step / 32)
 
-/* Clear the histograms. One work-item per bin. */
-__kernel void clear_bins(__global uint *restrict bins) {
-  bins[get_global_id(1) * BINS + get_global_id(0)] = 0;
-}
-
 /* The contrast of the inner ring, the smaller contrast of the two rings, and the difference of the
- * sector means in sixteenths of a grey level. There are two runs or more. The histogram counts the
- * inner contrasts by their highest eight bits. One work-item per candidate; those that are no
- * maxima are skipped. */
+ * sector means in sixteenths of a grey level. There are two runs or more. One work-item per
+ * candidate; those that are no maxima are skipped. */
 __kernel void sector_contrast(__global const PIXEL *restrict image,
                               __global const uchar *restrict binary,
                               __global const uint *restrict list,
@@ -29,8 +23,7 @@ __kernel void sector_contrast(__global const PIXEL *restrict image,
                               __global const uint *restrict maxima,
                               __global CONTRAST *restrict inner_contrast,
                               __global CONTRAST *restrict contrast,
-                              __global CONTRAST *restrict mean_difference,
-                              __global uint *restrict bins) {
+                              __global CONTRAST *restrict mean_difference) {
   const size_t n = get_global_id(0), p = get_global_id(1);
   if (n >= min(counts[p * LISTS], capacity)) return;
   const uint index = list[p * capacity + n];
@@ -70,61 +63,41 @@ __kernel void sector_contrast(__global const PIXEL *restrict image,
     }
   }
   const size_t i = p * capacity + n;
-  atomic_inc(bins + p * BINS + (max(white_inner - black_inner, 0) >> (PIXEL_BITS - 8)));
   inner_contrast[i] = (CONTRAST)(white_inner - black_inner);
   contrast[i] = (CONTRAST)min(white_inner - black_inner, white_outer - black_outer);
   mean_difference[i] = (CONTRAST)(white_mean - black_mean);
 }
 
-/* The 90th percentile of the inner contrasts: eight bits of it at a time, the highest first.
- * Each pass stores the prefix found and the rank remaining, and clears the histogram. */
-
-#if PIXEL_BITS == 16
-
-/* Histogram of the lower eight bits. One work-item per candidate. */
-__kernel void histogram(__global const CONTRAST *restrict inner_contrast,
-                        __global const uint *restrict counts,
-                        __global const uint2 *restrict found, const uint capacity,
-                        __global uint *restrict bins) {
-  const size_t n = get_global_id(0), p = get_global_id(1);
-  if (n >= min(counts[p * LISTS], capacity)) return;
-  if (inner_contrast[p * capacity + n] == NO_CONTRAST) return;
-  const uint value = (uint)max((int)inner_contrast[p * capacity + n], 0);
-  if (value >> 8 == found[p].x) atomic_inc(bins + p * BINS + (value & 255));
-}
-
-#endif
-
-/* Find the next eight bits, and after the last eight the bounds of the gate:
- * contrast >= limit[P90] and 2 N sm >= F A. One work-item per plane. */
-__kernel void percentile(__global const ulong *restrict noise_sums,
+/* From the 90th percentile of the inner contrasts the bounds of the gate: contrast >= limit[P90] and
+ * 2 N sm >= F A. One work-group per plane. */
+__kernel void percentile(__global const CONTRAST *restrict inner_contrast,
+                         __global const uint *restrict counts, const uint capacity,
+                         __global const ulong *restrict noise_sums,
                          __global const int *restrict limit, const uint rows, const uint columns,
-                         const uint bands, const uint shift, const uint noise_factor,
-                         __global uint *restrict bins, __global uint2 *restrict found,
-                         __global int2 *restrict bounds) {
-  const size_t p = get_global_id(0);
-  const bool first = shift + 8 == PIXEL_BITS;
-  uint n = 0, bin = 0, count = 0, below = 0;
-  for (uint b = 0; b < BINS; ++b) n += bins[p * BINS + b];
-  const uint rank = first ? (9 * n + 9) / 10 : found[p].y;
-  for (uint b = 0; b < BINS; ++b) { /* no early end, so the reads need not wait for one another */
-    count += bins[p * BINS + b];
-    if (count < rank) {
-      bin = b + 1;
-      below = count;
+                         const uint bands, const uint noise_factor, __global int2 *restrict bounds) {
+  const size_t p = get_group_id(2);
+  __local uint bins[BINS], found;
+  __local int rank;
+  if (get_local_id(0) == 0) found = 0;
+  for (int shift = PIXEL_BITS - 8; shift >= 0; shift -= 8) {
+    empty_bins(bins);
+    FOR_ITEMS(n, min(counts[p * LISTS], capacity)) {
+      const int contrast = inner_contrast[p * capacity + n];
+      if (contrast != NO_CONTRAST) count_byte(bins, max(contrast, 0), shift, found);
     }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (get_local_id(0) == 0) {
+      if (shift == PIXEL_BITS - 8) rank = (9 * sum_of(bins) + 9) / 10 - 1;
+      found = found << 8 | byte_of(bins, &rank);
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
   }
-  const uint value = (first ? 0 : found[p].x << 8) | bin;
-  if (shift > 0) {
-    found[p] = (uint2)(value, rank - below);
-    for (uint b = 0; b < BINS; ++b) bins[p * BINS + b] = 0;
-    return;
-  }
+  if (get_local_id(0)) return;
   ulong noise = 0;
   for (uint band = 0; band < bands; ++band) noise += noise_sums[p * bands + band];
   const ulong twice = 2 * (ulong)(rows > 2 ? rows - 2 : 0) * (columns > 2 ? columns - 2 : 0);
   const ulong bound = twice ? (noise_factor * noise + twice - 1) / twice : 0;
-  bounds[p] = (int2)(limit[value], twice ? (int)min(bound, (ulong)INT_MAX) : INT_MIN);
+  bounds[p] = (int2)(limit[found], twice ? (int)min(bound, (ulong)INT_MAX) : INT_MIN);
 }
 
 /* Keep the maxima that pass the gate. One work-item per candidate. */

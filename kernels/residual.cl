@@ -1,4 +1,5 @@
 #include "result.clh"
+#include "rank.clh"
 
 /* What the residuals of all corners of a frame, octave by octave, say about each variance. Noise
  * that neighbouring pixels share moves a corner by more than other noise: the median grain tells.
@@ -7,7 +8,6 @@
  * not. */
 #define LEVELS (OCTAVES + 1)
 #define MEDIANS 2 /* of an octave */
-#define DIGITS 256
 #define FEW 8 /* corners that do not tell what the noise is */
 #define VARIANCE_OF_GRAIN 2.2f
 #define VARIANCE_OF_ODD 1000 /* px^2 per squared autocorrelation */
@@ -31,40 +31,29 @@ __kernel void typical_residual(__global float *restrict result,
                                const uint count_offset, __global float *restrict typical) {
   const size_t octave = get_group_id(1) / MEDIANS, p = get_group_id(2);
   const uint is_grain = get_group_id(1) % MEDIANS;
-  const uint first = get_local_id(0), items = get_local_size(0);
   RESULT_OF_FRAME(counts[count_offset + p])
   const uint total = SMALLER(counts[count_offset + p], capacity);
-  __local uint bins[DIGITS], prefix;
+  const int few = is_grain ? FEW : 0;
+  __local uint bins[BINS], found;
   __local int rank;
+  if (get_local_id(0) == 0) found = 0;
   for (int shift = 24; shift >= 0; shift -= 8) {
-    for (uint b = first; b < DIGITS; b += items) bins[b] = 0;
+    empty_bins(bins);
+    FOR_ITEMS(n, total)
+      if (*RESULT_METHOD == METHOD_EDGE_STEP && *RESULT_OCTAVE == octave)
+        count_byte(bins, ordered(is_grain ? *RESULT_GRAIN : *RESULT_CORRELATION), shift, found);
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint n = first; n < total; n += items) {
-      if (*RESULT_METHOD != METHOD_EDGE_STEP || *RESULT_OCTAVE != octave) continue;
-      const uint order = ordered(is_grain ? *RESULT_GRAIN : *RESULT_CORRELATION);
-      if (shift < 24 && order >> (shift + 8) != prefix) continue;
-      __local uint *bin = bins + (order >> shift & (DIGITS - 1));
-      if (items == 1) ++*bin;
-      else atomic_inc(bin);
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (first == 0) {
-      if (shift == 24) {
-        int all = is_grain ? FEW : 0;
-        for (uint b = 0; b < DIGITS; ++b) all += bins[b];
-        rank = all > 0 ? (all - 1) / 2 - (is_grain ? FEW : 0) : -1;
-        prefix = 0;
-      }
-      uint b = 0;
-      for (; b < DIGITS - 1 && (int)bins[b] <= rank; ++b) rank -= bins[b];
-      prefix = prefix << 8 | b;
+    if (get_local_id(0) == 0) {
+      const int all = few + sum_of(bins);
+      if (shift == 24) rank = all > 0 ? (all - 1) / 2 - few : -1;
+      found = found << 8 | byte_of(bins, &rank);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     if (rank < 0) break;
   }
-  if (first == 0)
+  if (get_local_id(0) == 0)
     typical[(p * LEVELS + octave) * MEDIANS + is_grain] =
-        rank < 0 ? (is_grain ? 0 : -INFINITY) : number_of(prefix);
+        rank < 0 ? (is_grain ? 0 : -INFINITY) : number_of(found);
 }
 
 /* The variance of a position, with what the residuals tell, and whether the corner is doubtful: its

@@ -44,13 +44,13 @@ LEFT_OUT = {  # a configuration, one that has more, and its kernels and buffers
         rings(FULL, contrast=None),
         FULL,
         ("noise", *GATE),
-        ("contrast", "noise", "bins", "found", "bounds", "passed"),
+        ("contrast", "noise", "bounds", "passed"),
     ),
     "a refinement": (FULL.replace(refinement=None), FULL, (STEP,), ()),
     "the other refinement": (DetectorConfig(refinement=EdgeLines()), HARMONIC, (STEP,), ()),
     "lines for the step": (HARMONIC, DetectorConfig(refinement=EdgeLines()), (LINES,), ()),
     "the rapid criteria": (SPECTRAL, rings(), ("rapid_criteria",), ()),
-    "the binary rule": (HARMONIC, FULL, ("binarize", *GATE), ("binary", "candidates", "bins")),
+    "the binary rule": (HARMONIC, FULL, ("binarize", *GATE), ("binary", "candidates", "bounds")),
     "the grey rule": (FULL, HARMONIC, (), ("lists",)),
 }
 
