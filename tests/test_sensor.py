@@ -1,6 +1,7 @@
 """A sensor for robots: frames from a thread, as a script for PyTac3D takes them."""
 
 import contextlib
+import dataclasses
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -13,7 +14,7 @@ from videos import write_video
 from cmp_cl import ConfigError, FieldError, GridError, ImageError
 from cmp_cl.measure import Sensor, TwoViews, pytac3d
 from cmp_cl.measure.sensor import Frames
-from cmp_cl.media import read_frames
+from cmp_cl.media import read_frames, write_image
 from cmp_cl.media.ahead import Ahead
 from cmp_cl.series import SeriesWriter, read_series
 
@@ -97,6 +98,29 @@ def test_a_replay_begins_at_once_and_is_closed_in_a_pause(tmp_path):
         replayed.waitForFrame(timeout=20)
         start = time.monotonic()
     assert time.monotonic() - start < 5
+
+
+def test_frames_tell_whether_they_may_be_wrong(tmp_path, monkeypatch):
+    """The right camera is knocked; the numbers are as if no border were in view."""
+    frames = [pressed(0.0).frame, pressed(0.0).frame.copy()]
+    width = frames[0].shape[1] // 2
+    frames[1][:, width:] = np.roll(frames[1][:, width:], 3, axis=0)
+    for number, frame in enumerate(frames):
+        write_image(tmp_path / f"{number}.png", frame)
+    measured = TwoViews.__call__
+    monkeypatch.setattr(
+        TwoViews,
+        "__call__",
+        lambda view, frame: dataclasses.replace(measured(view, frame), ambiguous=True),
+    )
+    with Sensor(str(tmp_path), RIG, shape=NODES) as sensor:
+        sensor.record(tmp_path / "press.npz")
+        live = all_frames(sensor)
+    with Sensor.replay(tmp_path / "press.npz") as replayed:
+        again = all_frames(replayed)
+    for frames in (live, again):
+        assert [frame["ambiguous"] for frame in frames] == [False, True]  # rest has its own numbers
+        assert [frame["misfit"] for frame in frames] == [False, True]
 
 
 def test_a_new_rest_is_taken_while_running(video):

@@ -25,6 +25,8 @@ from cmp_cl.space import BinocularSplit, StereoRig
 Frame = dict[str, Any]
 Callback = Callable[[Frame, Any], object]
 
+_WARNINGS = "ambiguous", "misfit"  # of a frame: all of it may be wrong
+
 
 class Frames(Closing):
     """Frames of a thread, of which the newest few wait to be taken, with the calls of PyTac3D.
@@ -56,7 +58,9 @@ class Frames(Closing):
     def getFrame(self, SN: str = "") -> Frame | None:
         """Return the oldest frame that waits, None if none does; raise what ended the loop.
 
-        The dictionary is that of `DisplacementField.as_pytac3d`. SN: ignored; a sensor is one.
+        The dictionary is that of `DisplacementField.as_pytac3d`, with `ambiguous` and `misfit`,
+        bool, of `Measured`: if one is True, all of the frame may be wrong, by whole cells. A replay
+        has those that the series has. SN: ignored; a sensor is one.
         """
         del SN
         return self._newest.take(0)
@@ -93,7 +97,9 @@ class Sensor(Frames):
 
         with Sensor("0", "rig.yaml", shape=(40, 40)) as sensor:
             sensor.waitForFrame()
-            moved = sensor.getFrame()["3D_Displacements"]
+            frame = sensor.getFrame()
+            if frame and not (frame["ambiguous"] or frame["misfit"]):
+                moved = frame["3D_Displacements"]
     """
 
     def __init__(
@@ -154,7 +160,7 @@ class Sensor(Frames):
         series in space.
         """
         needed = "rest", "displacement", "time_ms", "unit"
-        series = read_series(path, needed)
+        series = read_series(path, (*needed, *_WARNINGS))
         if not series.keys() >= set(needed) or series["rest"].shape[2] != 3:
             raise FieldError(
                 f"{str(path)!r}: a sensor replays a series in space, of two views, with its unit"
@@ -182,19 +188,23 @@ class Sensor(Frames):
                         frame.image, self._rig, split, shape=self._shape, device=self._device
                     )
                     opened.enter_context(measure)
+                    at_rest = frame.index
                 measured = measure(frame.image)
-                self._keep(measure, measured, frame.index, frame.time_ms)
-                yield measured.field.as_pytac3d(
+                ambiguous = measured.ambiguous and frame.index != at_rest  # it has its own numbers
+                self._keep(measure, measured, frame.index, frame.time_ms, ambiguous=ambiguous)
+                field = measured.field.as_pytac3d(
                     serial=self._serial, index=frame.index, time_s=frame.time_ms / 1e3
                 )
+                yield {**field, "ambiguous": ambiguous, "misfit": measured.misfit}
 
-    def _keep(self, measure: TwoViews, measured: Measured, index: int, time_ms: float) -> None:
+    def _keep(
+        self, measure: TwoViews, measured: Measured, index: int, time_ms: float, *, ambiguous: bool
+    ) -> None:
         with self._lock:
             if self._path is not None and not self._new_rest:  # else measure has the old one
                 self._series = SeriesWriter(self._path, settings=None, **measure.constants)
                 self._path = None
             if self._series is not None:
-                ambiguous = measured.ambiguous
                 self._series.append(
                     index=index, time_ms=time_ms, ambiguous=ambiguous, **measured.arrays
                 )
@@ -217,8 +227,8 @@ class _Replay(Frames):
         self, series: Mapping[str, NDArray[Any]], serial: str
     ) -> Generator[Frame, None, None]:
         start = math.nan  # of the clock of the series
-        for index, time_ms, moved in zip(
-            series["index"], series["time_ms"], series["displacement"], strict=True
+        for number, (index, time_ms, moved) in enumerate(
+            zip(series["index"], series["time_ms"], series["displacement"], strict=True)
         ):
             time_s = float(time_ms) / 1e3
             if math.isnan(start):
@@ -226,7 +236,7 @@ class _Replay(Frames):
             pause = start + time_s - time.monotonic()
             if pause > 0 and self._closing.wait(min(pause, threading.TIMEOUT_MAX)):
                 return
-            yield frame_of_pytac3d(
+            frame = frame_of_pytac3d(
                 series["rest"],
                 moved,
                 str(series["unit"]),
@@ -234,6 +244,8 @@ class _Replay(Frames):
                 index=int(index),
                 time_s=time_s,
             )
+            known = [name for name in _WARNINGS if name in series]
+            yield {**frame, **{name: bool(series[name][number]) for name in known}}
 
     def close(self) -> None:
         """End the loop, also in a pause, and wait for it."""

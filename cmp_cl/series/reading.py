@@ -20,12 +20,18 @@ _LONGEST = 40  # characters of a unit
 _AXES: dict[str, tuple[str, ...]] = {
     "index": ("F",),
     "time_ms": ("F",),
+    "ambiguous": ("F",),
+    "misfit": ("F",),
     "rest": ("R", "C", "K"),
     "displacement": ("F", "R", "C", "K"),
     "sigma": ("F", "R", "C"),
     "unit": (),
 }
-_KINDS = {"index": ("iu", "whole numbers"), "unit": ("USO", "text")}
+_KINDS = {
+    "index": ("iu", "whole numbers"),
+    "unit": ("USO", "text"),
+    **dict.fromkeys(("ambiguous", "misfit"), ("b", "True or False")),
+}
 
 _Found = dict[str, NDArray[Any]]
 
