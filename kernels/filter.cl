@@ -1,4 +1,5 @@
 #include "field.clh"
+#include "surface.clh"
 
 /* The adaptive filter of a lattice: cmp_cl/reference/field/filter.py has its equations.
  *
@@ -16,6 +17,7 @@
 #define SUMS (ESTIMATES * PRODUCTS + 1)
 #define NOISE_REACH 10
 #define RISK_REACH 8
+#define LEAST_VOTES 8     /* through which a surface goes */
 #define REJECTED_AT 36.0f /* the square of 6 standard deviations */
 #define ROUGH_COUNTS 4    /* a residual of a rough corner counts twice: 3 standard deviations */
 #define IS_ROUGH(i) (measured[i] > DETECTED)
@@ -47,9 +49,8 @@ int is_supported(const int row, const int column, __global const uchar *votes) {
   return LEAST_SUPPORTED(count, (2 * PILOT_DOWN + 1) * (2 * PILOT_ALONG + 1));
 }
 
-/* The value of node i, or what fills its hole: the quadratic surface through the votes around, with
- * weights that fall with the distance and a ridge towards a constant; 0 if there are fewer than 8
- * votes. Its vote: 0, 1, or 2 if the pilot's window holds enough of them. It is a number, since
+/* The value of node i, or what fills its hole: the surface through the votes around; 0 if there are
+ * too few. Its vote: 0, 1, or 2 if the pilot's window holds enough of them. It is a number, since
  * NVIDIA's compiler (580.159) made others of bytes in the loops over a row of 33 to 40 nodes. */
 void fill_node(const int i, __global const float *moved, __global const uchar *votes,
                __global const int *counts, __global float *data, __global float *vote) {
@@ -61,34 +62,19 @@ void fill_node(const int i, __global const float *moved, __global const uchar *v
   }
   vote[at] = 0;
   for (int reach = 3; reach <= 6; reach += 3) {
-    float normal[6][6 + K], origin[K];
-    int found = 0;
-    for (int a = 0; a < 6; ++a)
-      for (int b = 0; b < 6 + K; ++b) normal[a][b] = 0;
-    for (int r = max(row - reach, 0); r <= min(row + reach, ROWS - 1); ++r)
-      for (int c = max(column - reach, 0); c <= min(column + reach, COLUMNS - 1); ++c) {
-        const int j = r * COLUMNS + c;
-        if (!votes[j]) continue;
-        if (found++ == 0)
-          for (int k = 0; k < K; ++k) origin[k] = moved[k * NODES + j];
-        const float y = (float)(r - row), x = (float)(c - column);
-        const float term[6] = {1, y, x, y * y, y * x, x * x};
-        const float weight = exp(-2 * (x * x + y * y) / (float)(reach * reach));
-        for (int a = 0; a < 6; ++a) {
-          for (int b = 0; b < 6; ++b) normal[a][b] += weight * term[a] * term[b];
-          for (int k = 0; k < K; ++k)
-            normal[a][6 + k] += weight * term[a] * (moved[k * NODES + j] - origin[k]);
-        }
-      }
-    if (found < 8) continue;
-    for (int a = 1; a < 6; ++a) normal[a][a] += a < 3 ? 1e-3f : 1e-2f;
-    for (int pivot = 5; pivot > 0; --pivot) /* from the last term, so that the first is left */
-      for (int a = 0; a < pivot; ++a) {
-        const float share = normal[a][pivot] / normal[pivot][pivot];
-        for (int b = 0; b < pivot; ++b) normal[a][b] -= share * normal[pivot][b];
-        for (int k = 0; k < K; ++k) normal[a][6 + k] -= share * normal[pivot][6 + k];
-      }
-    for (int k = 0; k < K; ++k) data[k * PLANE + at] = origin[k] + normal[0][6 + k] / normal[0][0];
+    Surface around;
+    begin_surface(&around);
+    EACH_NODE_WITHIN(reach, row, column, r, c) {
+      const int j = r * COLUMNS + c;
+      if (!votes[j]) continue;
+      float value[K];
+      for (int k = 0; k < K; ++k) value[k] = moved[k * NODES + j];
+      add_to_surface(&around, reach, r - row, c - column, value);
+    }
+    if (around.nodes < LEAST_VOTES) continue;
+    float filled[K];
+    solve_surface(&around, filled);
+    for (int k = 0; k < K; ++k) data[k * PLANE + at] = filled[k];
     return;
   }
 }

@@ -1,4 +1,5 @@
 #include "field.clh"
+#include "surface.clh"
 
 /* The nodes of a frame from those of the frame before. A check can only make a node fail, never
  * give it another number. A corner is (x, y, angle, sigma): px of the view; its first boundary,
@@ -26,6 +27,7 @@
 #define STRAY_TORN_CELLS 0.07f
 #define STRAY_PX 1.0f
 #define STENCIL 24 /* at most so many nodes predict a node */
+#define LEAST_AROUND 16 /* nodes that say where one without a corner is */
 #define ADRIFT_CELLS 0.75f /* a free corner so near to a lost node may be its own */
 #define ATTACHED 2
 #define SECOND_LOOK 3
@@ -223,12 +225,34 @@ __kernel void agree(__global const float4 *corners, __global const float2 *last,
  * the weights of nodes around, and how far away they are in the list of nodes, for each of 16 x 16
  * distances from the sides, 0 to 3 above, below, before and behind; a weight of 0 ends them, and is
  * the first where too few nodes predict. One work-item a node. */
+
+/* Where a node without a corner is: it moved from rest as the surface through the nodes around that
+ * have one. What lost nodes are taken to have done counts for nothing: they would drift away. */
+float2 moved_as_others(const int i, __global const float2 *at, __global const float2 *rest,
+                       __global const int *kept) {
+  const int row = i / COLUMNS, column = i % COLUMNS;
+  for (int reach = 3;; reach *= 2) {
+    Surface around;
+    begin_surface(&around);
+    EACH_NODE_WITHIN(reach, row, column, r, c) {
+      const int j = r * COLUMNS + c;
+      const float value[K] = {at[j].x - rest[j].x, at[j].y - rest[j].y};
+      if (kept[j] >= 0) add_to_surface(&around, reach, r - row, c - column, value);
+    }
+    if (around.nodes < LEAST_AROUND && reach < max(ROWS, COLUMNS)) continue;
+    if (around.nodes == 0) return at[i];
+    float moved[K];
+    solve_surface(&around, moved);
+    return rest[i] + (float2)(moved[0], moved[1]);
+  }
+}
 __kernel void check(__global const float4 *corners, const float bins_per_px, const int bin_rows,
                     const int bin_columns, __global const int *first_of_bin,
                     __global const int *next, __global const int *claims,
                     __global const int *nearest, __global const int *kept,
                     __global const float2 *nodes, __global const uchar *torn,
-                    __global const float2 *stencils, __global float2 *expected,
+                    __global const float2 *stencils, __global const float2 *rest,
+                    const int image_rows, const int image_columns, __global float2 *expected,
                     __global int *look, __global int *looks, const uint look_length,
                     __global uint *look_counts, const uint first_count, __global int *tracked) {
   VIEW
@@ -239,13 +263,17 @@ __kernel void check(__global const float4 *corners, const float bins_per_px, con
   const int rows_around = 4 * min(row, 3) + min(ROWS - 1 - row, 3);
   const int columns_around = 4 * min(column, 3) + min(COLUMNS - 1 - column, 3);
   __global const float2 *stencil = stencils + STENCIL * (16 * rows_around + columns_around);
+  __global const int *kept_here = kept + view * NODES;
   float2 mean = 0;
   float sum = 0;
+  int all_kept = 1;
   for (int k = 0; k < STENCIL; ++k) {
     const float weight = stencil[k].x;
     if (weight == 0) break;
-    mean += weight * at[i + (int)stencil[k].y];
+    const int j = i + (int)stencil[k].y;
+    mean += weight * at[j];
     sum += weight;
+    all_kept &= kept_here[j] >= 0;
   }
   const float cell = (length(along) + length(down)) / 2, off = length(at[i] - mean);
   const float most = torn[OF_NODE] ? STRAY_TORN_CELLS : STRAY_CELLS;
@@ -257,10 +285,13 @@ __kernel void check(__global const float4 *corners, const float bins_per_px, con
     if (best >= 0 || nearest[OF_NODE] != NONE) atomic_inc(own + ADRIFT);
   }
   if (lost || astray) {
-    const float2 place = between ? mean : at[i];
+    const float2 place = astray || (between && all_kept)
+                             ? mean
+                             : moved_as_others(i, at, rest + view * NODES, kept_here);
     expected[OF_NODE] = place;
     NEAREST(place, NEAR_CELLS * cell, claims[CORNERS + j] == 0)
-    const float2 start = best >= 0 ? corners[CORNERS + best].xy : place;
+    const float2 last_pixel = (float2)(image_columns - 1, image_rows - 1);
+    const float2 start = clamp(best >= 0 ? corners[CORNERS + best].xy : place, 0.0f, last_pixel);
     const int slot = (int)atomic_inc(look_counts + first_count + view);
     look[OF_NODE] = slot;
     __global int *entry = looks + view * LOOKS + slot;
@@ -279,16 +310,17 @@ __kernel void check(__global const float4 *corners, const float bins_per_px, con
   }
 }
 
-/* A node takes what its second look has found, if it is near the expected place and has the right
- * colour. A corner there that is free, or was its own, is its corner. A node that nothing is found
+/* A node takes what its second look has found, if it is near the expected place, has the right
+ * colour, and no other node claims it. A corner there is its corner. A node that nothing is found
  * for keeps a corner that is not too far; else it stays at that place, INTERPOLATED between two
  * neighbours. One work-item a node. */
 __kernel void enter(__global const float *look_result, const uint look_stride,
                     __global const float4 *corners, const float bins_per_px,
                     const int bin_rows, const int bin_columns,
                     __global const int *first_of_bin, __global const int *next,
-                    __global const int *claims, __global const int *kept,
-                    __global const int *look, __global const float2 *expected,
+                    __global const int *claims, __global const int *nearest,
+                    __global const int *kept, __global const int *look,
+                    __global const float2 *expected,
                     __global const float2 *last, __global const int *colour,
                     __global float2 *nodes, __global uchar *seen_status,
                     __global float *seen_sigma, __global int *owner) {
@@ -305,9 +337,10 @@ __kernel void enter(__global const float *look_result, const uint look_stride,
     const float2 found = (float2)(fields[2 * n], fields[2 * n + 1]);
     const float deviation = sqrt(variances[n]), off = length(found - place);
     const float most = deviation < TORN_PX ? NEAR_CELLS : STRAY_TORN_CELLS;
-    if ((off < most * cell || off < STRAY_PX) &&
+    NEAREST(found, SAME_PX, 1)
+    const int others = best < 0 ? 0 : claims[CORNERS + best] - (nearest[OF_NODE] == best);
+    if ((off < most * cell || off < STRAY_PX) && others == 0 &&
         has_colour(edges[4 * n], along, down, i, colour[view])) {
-      NEAREST(found, SAME_PX, claims[CORNERS + j] == 0 || j == before_look)
       owner[OF_NODE] = best;
       nodes[OF_NODE] = best >= 0 ? corners[CORNERS + best].xy : found;
       seen_status[OF_NODE] = best < 0 ? SECOND_LOOK : STATUS_OF(corners[CORNERS + best]);

@@ -155,7 +155,7 @@ class Measurement(Closing):
                     self._detector.queue,
                     programs,
                     views=[(view.rest, view.corners) for view in self._views],
-                    sizes=[self._detector.shape] * len(self._views),
+                    size=self._detector.shape,
                     frame=self._plan.frame,
                 )
                 stack.callback(self._tracker.release)

@@ -12,10 +12,15 @@ from cmp_cl.fits import completed
 from cmp_cl.grid.grid import Grid, NodeStatus
 
 
+def whole(xy: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the positions of a grid, (R, C, 2) px, with predictions in its holes."""
+    return np.nan_to_num(completed(xy.astype(np.float64)))
+
+
 def put(arrays: dict[str, NDArray[Any]], view: int, grid: Grid, corners: Corners) -> None:
     """Write the nodes of a grid of these corners into the inputs of a plan, with predictions in its
     holes."""
-    arrays["nodes"][view] = np.nan_to_num(completed(grid.xy.astype(np.float64)))
+    arrays["nodes"][view] = whole(grid.xy)
     arrays["seen_status"][view] = grid.status
     known = grid.index[:, 0] >= 0
     sigma = np.full(grid.shape, np.nan, np.float32)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners
 from cmp_cl.grid.grid import NO_SIDES, Grid
+from cmp_cl.motion.nodes import whole
 from cmp_cl.opencl.launches import GROUP, Launch, bound, constant, multiple
 from cmp_cl.opencl.memory import Layout, Memory, copy
 from cmp_cl.opencl.program import Programs
@@ -82,8 +83,8 @@ def can_track(rest: Grid, *, slow: bool) -> bool:
 class Tracker:
     """Follows the nodes of some views from frame to frame.
 
-    views: the grids at rest, and their corners. sizes: (H, W) of each view. frame: the memory of a
-    plan that has the arrays of `layout`; a frame writes them on the device.
+    views: the grids at rest, and their corners. size: (H, W) of a view. frame: the memory of a plan
+    that has the arrays of `layout`; a frame writes them on the device.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class Tracker:
         programs: Programs,
         *,
         views: Sequence[tuple[Grid, Corners]],
-        sizes: Sequence[tuple[int, int]],
+        size: tuple[int, int],
         frame: Memory,
     ) -> None:
         self._queue = queue
@@ -102,12 +103,13 @@ class Tracker:
         )
         self.shape = rows, columns = views[0][0].shape
         self._count = len(views)
+        self._size = size
         self.capacity = multiple(max(LEAST_ROOM, 2 * rows * columns), GROUP)
         self._usual: list[tuple[int, ...]] = [(0, 0, 0, 0)] * len(views)
         self.room = multiple(rows * columns, GROUP)  # of second looks
         self._first_count = len(views) * LISTS
         self._bin = max(_LEAST_BIN, _BIN * min(_step(grid) for grid, _ in views))
-        self._bins = tuple(int(max(size) / self._bin) + 1 for size in zip(*sizes, strict=True))
+        self._bins = tuple(int(length / self._bin) + 1 for length in size)
         nodes, corners = (self._count, rows, columns), (self._count, self.capacity)
         self._work = Memory(
             queue,
@@ -130,11 +132,13 @@ class Tracker:
             },
         )
         colour = np.array([colour_of(*view) for view in views], np.int32)
+        rest = np.array([whole(grid.xy) for grid, _ in views], np.float32)
         self._parts = {
             **frame.parts,
             **self._work.parts,
             "colour": constant(queue.context, colour),
             "stencils": constant(queue.context, stencils(columns)),
+            "rest": constant(queue.context, rest),
         }
         self._kernels = programs.kernels(
             ["track"],
@@ -148,6 +152,7 @@ class Tracker:
                 "EDGES_FIELD": EDGES.start,
                 "METHOD_FIELD": METHOD,
                 "VARIANCE_FIELD": VARIANCE,
+                "K": 2,
             },
         )
 
@@ -199,6 +204,8 @@ class Tracker:
             "bins_per_px": np.float32(1 / self._bin),
             "bin_rows": np.int32(self._bins[0]),
             "bin_columns": np.int32(self._bins[1]),
+            "image_rows": np.int32(self._size[0]),
+            "image_columns": np.int32(self._size[1]),
             "first_count": np.uint32(self._first_count),
             "look_length": np.uint32(self._count * self.room),
             "look_stride": np.uint32(_stride(self.room)),

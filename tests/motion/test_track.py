@@ -89,7 +89,7 @@ def tracker_of(device):
             queue,
             programs,
             views=views,
-            sizes=[SIZE] * len(rests),
+            size=SIZE,
             frame=frame,
         )
         made.append(tracker)
@@ -144,7 +144,7 @@ def test_nodes_are_those_of_the_oracle(tracker_of):
             found.append(keep(corners, rng.random(len(corners)) > 0.02))
         numbers, arrays = follow(*found)
         for view in range(2):
-            expected = oracle.track(before[view], nodes[view], records(found[view]), colour)
+            expected = oracle.track(rest, before[view], nodes[view], records(found[view]), colour)
             assert expected.margin > 1e-4
             np.testing.assert_array_equal(arrays["owner"][view], expected.owner)
             np.testing.assert_array_equal(arrays["seen_status"][view], expected.status)
@@ -178,6 +178,34 @@ def test_numbers_do_not_hold_where_most_of_a_side_is_hidden(tracker_of, hidden, 
     (found,), _ = follow(keep(board_at(rest), seen.ravel()))
     assert found.gone == (hidden, 0, 0, 0)
     assert found.holds(SHAPE) is holds
+
+
+HIDDEN = {
+    "a corner of the lattice": np.s_[:1, :1],
+    "three by three at a corner": np.s_[:3, -3:],
+    "six by six inside": np.s_[6:12, 8:14],
+    "part of a side": np.s_[:2, 6:14],
+    "five by five at a corner": np.s_[:5, :5],
+}
+
+
+@pytest.mark.parametrize("part", HIDDEN)
+def test_hidden_nodes_stay_where_the_others_are(tracker_of, part):
+    """While the pattern moves and turns to and fro, and nodes beside them come and go."""
+    rest, rng = lattice(*SHAPE), np.random.default_rng(4)
+    follow, _ = tracker_of(rest)
+    middle = rest.mean(axis=(0, 1))
+    hidden = np.zeros(SHAPE, np.bool_)
+    hidden[HIDDEN[part]] = True
+    for frame in range(80):
+        turn = 0.1 * np.sin(frame / 12)
+        rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+        xy = (rest - middle) @ rotation + middle + 8 * np.sin(frame / 9)
+        noisy = xy + rng.normal(0, 0.05, xy.shape)
+        gone = (hidden if frame else False) | (rng.random(SHAPE) < 0.03)
+        _, arrays = follow(keep(board_at(noisy, turn=0.05 - turn), ~gone.ravel()))
+        off = np.linalg.norm(arrays["nodes"][0] - xy, axis=2)
+        assert off[hidden].max() < 0.1 * CELL, frame
 
 
 def pushed(xy, at, push, width):

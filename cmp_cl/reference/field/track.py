@@ -14,8 +14,10 @@
 7. Free corners within .3 step of where the next line beyond a side would be are counted, and so are
    failed nodes with a corner at the expected place, or a free one within .75 cell.
 8. A node that fails or is astray is looked at again. If that finds nothing, it keeps a corner
-   within .3 cell of the prediction; else it takes the prediction, or if there is none stays where
-   5 moved it, and is interpolated if both neighbours along a line have corners and are not astray.
+   within .3 cell of the prediction; else it takes the prediction. A node that fails takes it only
+   if all nodes that predict have corners; else it has moved from rest as the quadratic surface
+   through the nodes around that have one: 16 of them, within 3 nodes, 6, 12, .... It is
+   interpolated if both neighbours along a line have corners and are not astray.
 """
 
 import dataclasses
@@ -48,10 +50,10 @@ class Found:
     margin: float
 
 
-def track(before: Floats, nodes: Floats, corners: Floats, colour: int) -> Found:
-    """Follow the nodes (R, C, 2) of a frame, `before` those of the frame before it, to the corners
-    (N, 4): x, y, angle, sigma, negative for torn ones. colour: 1 if corners of even row + column
-    have their first boundary along the row, else -1."""
+def track(rest: Floats, before: Floats, nodes: Floats, corners: Floats, colour: int) -> Found:
+    """Follow the nodes (R, C, 2) of a frame, `before` those of the frame before it and `rest` those
+    at rest, to the corners (N, 4): x, y, angle, sigma, negative for torn ones. colour: 1 if corners
+    of even row + column have their first boundary along the row, else -1."""
     shape = nodes.shape[0], nodes.shape[1]
     expected = 2 * nodes - before
     before_step = along, down = _steps(nodes)
@@ -142,6 +144,8 @@ def track(before: Floats, nodes: Floats, corners: Floats, colour: int) -> Found:
     for node in zip(*np.nonzero(~good), strict=True):
         prediction = predictions[node]
         place = moved[node] if prediction is None else prediction
+        if lost[node] and (prediction is None or any(lost[n] for n in _around(node, shape))):
+            place = rest[node] + _surface(node, moved - rest, ~lost)
         apart = float(np.linalg.norm(moved[node] - place))
         if not lost[node]:
             margins.append(abs(apart - 0.3 * step[node]))
@@ -175,12 +179,28 @@ def _cross(one: Floats, two: Floats) -> float:
     return float(one[0] * two[1] - one[1] * two[0])
 
 
-def _inside(node: tuple[int, int], shape: tuple[int, int]) -> bool:
+def _inside(node: tuple[int, int], shape: tuple[int, ...]) -> bool:
     return 0 <= node[0] < shape[0] and 0 <= node[1] < shape[1]
 
 
 def _predicted(nodes: Floats, node: tuple[int, int]) -> Floats | None:
-    """Return the prediction of a node from those around; None if its weight is below 8.
+    """Return the prediction of a node from those around; None if its weight is below 8."""
+    total, mean = 0.0, np.zeros(2)
+    for weight, form in _forms(node, nodes.shape[:2]):
+        total += weight
+        mean += weight * sum(factor * nodes[place] for place, factor in form.items())
+    return mean / total if total >= 8 else None
+
+
+def _around(node: tuple[int, int], shape: tuple[int, ...]) -> set[tuple[int, int]]:
+    """Return the nodes that predict a node."""
+    return {place for _, form in _forms(node, shape) for place in form}
+
+
+def _forms(
+    node: tuple[int, int], shape: tuple[int, ...]
+) -> list[tuple[float, dict[tuple[int, int], float]]]:
+    """Return the weights of the predictions of a node, and the factors of the nodes in each.
 
     Along a line (4 (L + R) - (LL + RR)) / 6 has the weight 12 and (L + R) / 2 has 4, a
     parallelogram 1.5, extrapolation from two and from three nodes .7 each.
@@ -195,13 +215,34 @@ def _predicted(nodes: Floats, node: tuple[int, int]) -> Floats | None:
             (0.7, _turned({(0, 1): 2, (0, 2): -1}, turn)),
             (0.7, _turned({(0, 1): 3, (0, 2): -3, (0, 3): 1}, turn)),
         ]
-    total, mean = 0.0, np.zeros(2)
-    for weight, form in forms:
-        places = {(node[0] + r, node[1] + c): factor for (r, c), factor in form.items()}
-        if all(_inside(place, nodes.shape[:2]) for place in places):
-            total += weight
-            mean += weight * sum(factor * nodes[place] for place, factor in places.items())
-    return mean / total if total >= 8 else None
+    placed = [
+        (weight, {(node[0] + r, node[1] + c): factor for (r, c), factor in form.items()})
+        for weight, form in forms
+    ]
+    return [each for each in placed if all(_inside(place, shape) for place in each[1])]
+
+
+def _surface(node: tuple[int, int], values: Floats, known: NDArray[np.bool_]) -> Floats:
+    """Return the value at a node of the quadratic surface through the known ones around.
+
+    Weights are Gaussian, with half the reach as sigma; a ridge of .001 and .01 draws the slopes and
+    the second derivatives to 0.
+    """
+    row, column = (np.arange(n) - at for n, at in zip(known.shape, node, strict=True))
+    y, x = np.meshgrid(row, column, indexing="ij")
+    reach = 3
+    while True:
+        near = known & (np.abs(y) <= reach) & (np.abs(x) <= reach)
+        if np.count_nonzero(near) >= 16 or reach >= max(known.shape):
+            break
+        reach *= 2
+    dy, dx = y[near].astype(np.float64), x[near].astype(np.float64)
+    terms = np.stack([np.ones_like(dx), dy, dx, dy * dy, dy * dx, dx * dx], axis=1)
+    weight = np.exp(-2 * (dx * dx + dy * dy) / reach**2)[:, None]
+    normal = terms.T @ (weight * terms) + np.diag([0, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2])
+    first = values[near][0]
+    found: Floats = first + np.linalg.solve(normal, terms.T @ (weight * (values[near] - first)))[0]
+    return found
 
 
 def _turned(form: dict[tuple[int, int], float], turns: int) -> dict[tuple[int, int], float]:
