@@ -73,7 +73,7 @@ def clouds(path):
     with open(path, "rb") as file:
         reader = reading.make_reader(file, decoder_factories=[decoding.DecoderFactory()])
         assert next(reader.iter_metadata()).metadata["unit of rest"] == "mm"
-        messages = [cloud for _, _, _, cloud in reader.iter_decoded_messages()]
+        messages = [cloud for _, _, _, cloud in reader.iter_decoded_messages(["/cmp_cl/nodes"])]
     assert {cloud.header.frame_id for cloud in messages} <= {"camera"}
     return [np.frombuffer(cloud.data, "<f4").reshape(*SHAPE, 9) for cloud in messages]
 
@@ -104,14 +104,17 @@ def test_rosbags_reads_an_mcap(tmp_path):
     pytest.importorskip("mcap_ros2", reason="mcap is not installed")
     bags = pytest.importorskip("rosbags.highlevel", reason="rosbags is not installed")
     path = write(tmp_path / "press.mcap")
+    found = {}
     with bags.AnyReader([path]) as bag:
-        found = [
-            (stamp, bag.deserialize(raw, connection.msgtype))
-            for connection, stamp, raw in bag.messages()
-        ]
-    assert [stamp for stamp, _ in found] == [0, 20_000_000, 40_000_000]  # ns
-    for (_, cloud), points in zip(found, clouds(path), strict=True):
-        assert cloud.data.tobytes() == points.tobytes()
+        for connection, stamp, raw in bag.messages():
+            message = bag.deserialize(raw, connection.msgtype)
+            found.setdefault(connection.topic, []).append((stamp, message.data))
+    stamps = 0, 20_000_000, 40_000_000  # ns
+    assert found.pop("/cmp_cl/ambiguous") == [*zip(stamps, (False, True, False), strict=True)]
+    read = [(stamp, data.tobytes()) for stamp, data in found.pop("/cmp_cl/nodes")]
+    points = [each.tobytes() for each in clouds(path)]
+    assert read == [*zip(stamps, points, strict=True)]
+    assert not found
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
@@ -195,9 +198,12 @@ def test_vtk_reads_what_the_pvd_lists(tmp_path):
     io = importlib.import_module("vtkmodules.vtkIOXML")
     numbers = importlib.import_module("vtkmodules.util.numpy_support")
     reader = io.vtkXMLPolyDataReader()
-    reader.SetFileName(str(tmp_path / sets[2].get("file")))
-    reader.Update()
-    surface = reader.GetOutput()
+    for entry, ambiguous in zip(sets, (0, 1, 0), strict=True):
+        reader.SetFileName(str(tmp_path / entry.get("file")))
+        reader.Update()
+        surface = reader.GetOutput()
+        whole = surface.GetFieldData().GetArray("ambiguous")
+        assert numbers.vtk_to_numpy(whole).tolist() == [ambiguous]
     shift = numbers.vtk_to_numpy(surface.GetPointData().GetArray("displacement"))
     np.testing.assert_array_equal(shift, frame(2)["displacement"].reshape(-1, 3)[1:])
     place = numbers.vtk_to_numpy(surface.GetPoints().GetData())

@@ -59,7 +59,8 @@ def surface(rest: NDArray[Any], shift: NDArray[Any], arrays: Arrays, *, comment:
     """Return a .vtp file: VTK's PolyData of the valid nodes and the quadrilaterals between them.
 
     rest, shift: positions at rest and displacements, (R, C, 2 or 3); a plane lies at z = 0. arrays:
-    values of the nodes by name; those of another shape than (R, C) or (R, C, K) are left out.
+    values by name: (R, C) or (R, C, K) of the nodes, or one number, which becomes field data;
+    others are left out.
     "Warp By Vector" shows the surface as it is now.
     """
     valid = np.isfinite(rest + shift).all(axis=2)
@@ -69,11 +70,18 @@ def surface(rest: NDArray[Any], shift: NDArray[Any], arrays: Arrays, *, comment:
         if value.shape[:2] == valid.shape and value.ndim in (2, 3):
             values.setdefault(name, value[valid])
     data = "".join(_data_array(name, value) for name, value in values.items())
+    whole = "".join(
+        _data_array(name, value.reshape(1), "Tuples")
+        for name, value in arrays.items()
+        if not value.ndim
+    )
     quads = quadrilaterals(valid)
     ends = np.arange(4, 4 * len(quads) + 1, 4)
     return f"""<?xml version="1.0"?>
 {comment}<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">
 <PolyData>
+<FieldData>
+{whole}</FieldData>
 <Piece NumberOfPoints="{len(row)}" NumberOfVerts="0" NumberOfLines="0" NumberOfStrips="0" \
 NumberOfPolys="{len(quads)}">
 <PointData Vectors="displacement">
@@ -93,12 +101,12 @@ def _in_space(points: NDArray[Any]) -> NDArray[np.float64]:
     return np.pad(points.astype(np.float64), ((0, 0), (0, 3 - points.shape[1])))
 
 
-def _data_array(name: str, values: NDArray[Any]) -> str:
+def _data_array(name: str, values: NDArray[Any], counted: str = "Components") -> str:
     kind, dtype = ("Float64", "<f8") if values.dtype.kind == "f" else ("Int32", "<i4")
     width = values.shape[1] if values.ndim == 2 else 1
     raw = values.astype(dtype).tobytes()
     body = base64.b64encode(struct.pack("<Q", len(raw)) + raw).decode("ascii")
     return (
-        f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{width}" format="binary">'
+        f'<DataArray type="{kind}" Name="{name}" NumberOf{counted}="{width}" format="binary">'
         f"\n{body}\n</DataArray>\n"
     )

@@ -11,6 +11,7 @@ from cmp_cl.series.formats import moved_by
 from cmp_cl.series.part import Stored
 
 TOPIC = "/cmp_cl/nodes"
+_FLAGS = "ambiguous", "misfit"  # of a frame, each on a topic of its name
 POINT_FIELDS = ("x", "y", "z", "dx", "dy", "dz", "sigma", "row", "column")
 
 _LATEST = 2**31 - 1  # s, of ROS's 32 bits with a sign; MCAP has none for the sign
@@ -99,6 +100,7 @@ def stamp_ns(index: int, time_ms: float) -> int:
 def write_mcap(series: Stored, path: Path, _target: Path) -> None:
     """MCAP with one PointCloud2 per frame on /cmp_cl/nodes, for ROS 2, Foxglove and rosbags.
 
+    Before it, with its log time, come /cmp_cl/ambiguous and /cmp_cl/misfit, std_msgs/Bool.
     Lengths are in the series' unit, not in m. Stamps are the times of the frames; that of a frame
     without a time is its number in ms. The description is the metadata record `cmp_cl`.
     """
@@ -110,16 +112,20 @@ def write_mcap(series: Stored, path: Path, _target: Path) -> None:
         writer: Any = Writer(file)
         writer.add_metadata("cmp_cl", texts)
         schema = writer.register_msgdef("sensor_msgs/msg/PointCloud2", _POINT_CLOUD)
+        flag = writer.register_msgdef("std_msgs/msg/Bool", "bool data\n")
         for index, time_ms, frame in series.frames():
             rest, shift = moved_by(series.constants, frame)
             sigma = frame.get("sigma", np.full(rest.shape[:2], np.nan))
             stamp = stamp_ns(index, time_ms)
             frame_id = "camera" if rest.shape[2] == 3 else "image"
-            writer.write_message(
-                topic=TOPIC,
-                schema=schema,
-                message=point_cloud(rest, shift, sigma, stamp, frame_id),
-                log_time=stamp,
-                publish_time=stamp,
-            )
+            messages = [
+                (f"/cmp_cl/{name}", flag, {"data": bool(frame[name])})
+                for name in _FLAGS
+                if name in frame
+            ]
+            messages += [(TOPIC, schema, point_cloud(rest, shift, sigma, stamp, frame_id))]
+            for topic, kind, message in messages:
+                writer.write_message(
+                    topic=topic, schema=kind, message=message, log_time=stamp, publish_time=stamp
+                )
         writer.finish()

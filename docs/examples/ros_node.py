@@ -8,6 +8,8 @@ the image. The fields are x y z dx dy dz sigma row column, in px; with one view,
 If the parameter `stereo` names the file of a rig, an image holds both views, and lengths are in
 the rig's unit. The parameter `shape` gives the pattern's rows and columns, such as 40x40.
 
+An image whose displacements may all be wrong gives a warning and no message.
+
 It was tested with a stand-in for rclpy, not within ROS.
 """
 
@@ -50,16 +52,17 @@ class Deformation(Node):
         except cmp_cl.CmpClError as error:
             self.get_logger().error(str(error))
             return
-        rest = self._measure.constants["rest"]
-        field = measured.field
-        nodes = point_cloud(rest, field.displacement, field.sigma, 0, "")
-        self._publisher.publish(cloud(message.header, nodes))
         for doubtful, reason in (
             (measured.ambiguous, "its numbers may be wrong by whole cells"),
             (measured.misfit, "the rig no longer fits as it did at rest"),
         ):
             if doubtful:
-                self.get_logger().warning(f"a frame is doubtful: {reason}")
+                self.get_logger().warning(f"a frame is not published: {reason}")
+                return
+        rest = self._measure.constants["rest"]
+        field = measured.field
+        nodes = point_cloud(rest, field.displacement, field.sigma, 0, "")
+        self._publisher.publish(cloud(message.header, nodes))
 
     def _at_rest(self, frame: np.ndarray) -> OneView | TwoViews:
         search: dict = {}
