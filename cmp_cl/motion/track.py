@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners
 from cmp_cl.grid.grid import NO_SIDES, Grid
+from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.motion.nodes import whole
 from cmp_cl.opencl.launches import GROUP, Launch, bound, constant, multiple
 from cmp_cl.opencl.memory import Layout, Memory, copy
@@ -325,13 +326,14 @@ def stencils(row: int) -> NDArray[np.float32]:
 
 def _predictors() -> list[tuple[float, dict[tuple[int, int], float]]]:
     """Return the predictions of a node from those around, each with its weight."""
+    of_cubic, of_middle, of_cell, of_beyond = LatticeConstants().prediction_weights
     found: list[tuple[float, dict[tuple[int, int], float]]] = []
     for r, c in ((0, 1), (1, 0)):
         line = {(-r, -c): 4 / 6, (r, c): 4 / 6, (-2 * r, -2 * c): -1 / 6, (2 * r, 2 * c): -1 / 6}
-        found += [(12, line), (4, {(-r, -c): 0.5, (r, c): 0.5})]
+        found += [(of_cubic, line), (of_middle, {(-r, -c): 0.5, (r, c): 0.5})]
     for r, c in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        found.append((1.5, {(r, 0): 1, (0, c): 1, (r, c): -1}))
+        found.append((of_cell, {(r, 0): 1, (0, c): 1, (r, c): -1}))
     for r, c in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-        found.append((0.7, {(r, c): 2, (2 * r, 2 * c): -1}))
-        found.append((0.7, {(r, c): 3, (2 * r, 2 * c): -3, (3 * r, 3 * c): 1}))
+        found.append((of_beyond, {(r, c): 2, (2 * r, 2 * c): -1}))
+        found.append((of_beyond, {(r, c): 3, (2 * r, 2 * c): -3, (3 * r, 3 * c): 1}))
     return found

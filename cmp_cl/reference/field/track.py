@@ -25,10 +25,13 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.lattice.constants import LatticeConstants
+from cmp_cl.reference.lattice.nodes import FOUR, predictors
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-_LINE = {(0, -1): 4 / 6, (0, 1): 4 / 6, (0, -2): -1 / 6, (0, 2): -1 / 6}
+_K = LatticeConstants()
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -202,19 +205,12 @@ def _forms(
 ) -> list[tuple[float, dict[tuple[int, int], float]]]:
     """Return the weights of the predictions of a node, and the factors of the nodes in each.
 
-    Along a line (4 (L + R) - (LL + RR)) / 6 has the weight 12 and (L + R) / 2 has 4, a
-    parallelogram 1.5, extrapolation from two and from three nodes .7 each.
+    They are those of a lattice's nodes, and extrapolation from three nodes, which weighs as much as
+    that from two.
     """
-    forms: list[tuple[float, dict[tuple[int, int], float]]] = []
-    for turn in range(2):
-        line = _turned(_LINE, turn)
-        forms += [(12, line), (4, _turned({(0, -1): 0.5, (0, 1): 0.5}, turn))]
-    for turn in range(4):
-        forms += [
-            (1.5, _turned({(0, 1): 1, (1, 0): 1, (1, 1): -1}, turn)),
-            (0.7, _turned({(0, 1): 2, (0, 2): -1}, turn)),
-            (0.7, _turned({(0, 1): 3, (0, 2): -3, (0, 3): 1}, turn)),
-        ]
+    forms = predictors(_K)
+    for r, c in FOUR:
+        forms.append((_K.prediction_weights[3], {(r, c): 3, (2 * r, 2 * c): -3, (3 * r, 3 * c): 1}))
     placed = [
         (weight, {(node[0] + r, node[1] + c): factor for (r, c), factor in form.items()})
         for weight, form in forms
@@ -243,10 +239,3 @@ def _surface(node: tuple[int, int], values: Floats, known: NDArray[np.bool_]) ->
     first = values[near][0]
     found: Floats = first + np.linalg.solve(normal, terms.T @ (weight * (values[near] - first)))[0]
     return found
-
-
-def _turned(form: dict[tuple[int, int], float], turns: int) -> dict[tuple[int, int], float]:
-    """Return a form turned by quarter turns."""
-    for _ in range(turns):
-        form = {(c, -r): factor for (r, c), factor in form.items()}
-    return form

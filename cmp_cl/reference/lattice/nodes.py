@@ -57,33 +57,35 @@ def inverse(x: Real) -> Real:
     return root * root
 
 
-def predictors(k: LatticeConstants) -> list[tuple[Any, list[tuple[int, int, Any]]]]:
-    """Return weights and the nodes (row, column, factor) that each prediction is a sum of."""
-    of_cubic, of_middle, of_cell, of_beyond = map(F, k.prediction_weights)
-    found = []
+def predictors(k: LatticeConstants) -> list[tuple[float, dict[tuple[int, int], float]]]:
+    """Return the weight of each prediction, and the factors of the nodes (row, column) around that
+    it is a sum of."""
+    of_cubic, of_middle, of_cell, of_beyond = k.prediction_weights
+    found: list[tuple[float, dict[tuple[int, int], float]]] = []
     for r, c in ((0, 1), (1, 0)):
-        a, b = F(4 / 6), F(-1 / 6)
-        cubic = [(-r, -c, a), (r, c, a), (-2 * r, -2 * c, b), (2 * r, 2 * c, b)]
-        found += [(of_cubic, cubic), (of_middle, [(-r, -c, F(0.5)), (r, c, F(0.5))])]
+        a, b = 4 / 6, -1 / 6
+        cubic = {(-r, -c): a, (r, c): a, (-2 * r, -2 * c): b, (2 * r, 2 * c): b}
+        found += [(of_cubic, cubic), (of_middle, {(-r, -c): 0.5, (r, c): 0.5})]
     for r, c in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        found.append((of_cell, [(r, 0, F(1)), (0, c, F(1)), (r, c, F(-1))]))
+        found.append((of_cell, {(r, 0): 1, (0, c): 1, (r, c): -1}))
     for r, c in FOUR:
-        found.append((of_beyond, [(r, c, F(2)), (2 * r, 2 * c, F(-1))]))
+        found.append((of_beyond, {(r, c): 2, (2 * r, 2 * c): -1}))
     return found
 
 
 def predicted(x: Real, y: Real, k: LatticeConstants) -> tuple[Real, Real, Real]:
     """Return where the neighbours predict each node, and the weight of that; 0 where unknown."""
     total_x, total_y, weight = (np.zeros(x.shape, np.float32) for _ in range(3))
-    for w, terms in predictors(k):
+    for w, factors in predictors(k):
         px, py = np.zeros(x.shape, np.float32), np.zeros(x.shape, np.float32)
-        for r, c, factor in terms:
-            px = px + factor * shifted(x, r, c, np.nan)
-            py = py + factor * shifted(y, r, c, np.nan)
+        for (r, c), factor in factors.items():
+            by: Any = F(factor)
+            px = px + by * shifted(x, r, c, np.nan)
+            py = py + by * shifted(y, r, c, np.nan)
         seen = ~np.isnan(px)
-        total_x = np.where(seen, total_x + w * px, total_x)
-        total_y = np.where(seen, total_y + w * py, total_y)
-        weight = np.where(seen, weight + w, weight)
+        total_x = np.where(seen, total_x + F(w) * px, total_x)
+        total_y = np.where(seen, total_y + F(w) * py, total_y)
+        weight = np.where(seen, weight + F(w), weight)
     share = inverse(np.maximum(weight, F(0.5)))
     return total_x * share, total_y * share, weight
 
