@@ -181,6 +181,32 @@ def test_the_frame_that_moves_most_is_on_the_sheet_with_the_curves_of_all(record
     assert (tmp_path / "a sheet.svg").read_bytes().startswith(b"<?xml")
 
 
+def test_a_frame_that_may_be_wrong_is_marked_and_not_what_a_series_shows(tmp_path, capsys):
+    path, out = tmp_path / "press.npz", tmp_path / "press.png"
+    whole = read_series(record(path, views=2))
+    whole["ambiguous"] = np.array([False, True, False, False, False])
+    whole["misfit"] = np.array([False, False, False, False, True])
+    np.savez(path, **whole)
+    moments = moments_of(read_series(path))
+    summary = Summary(moments)
+    assert summary.moment.index == 6
+    assert summary.top == pytest.approx(summary.curves[3][2])
+    figure = sheet_figure(summary.moment, summary)
+    assert figure.get_suptitle() == "frame 6; 2 of 5 frames may be wrong"
+    (curve,) = (axes for axes in figure.axes if "over time" in axes.get_title())
+    assert np.isnan(curve.lines[0].get_ydata()).tolist() == [False, True, False, False, True]
+    np.testing.assert_allclose(curve.lines[1].get_xdata(), [0.04, 0.16])
+    assert curve.lines[1].get_markerfacecolor() == "none"
+    assert "largest, where all may be wrong" in curve.get_legend_handles_labels()[1]
+    title = map_figure(moments[4], Quantity.DISPLACEMENT).get_suptitle()
+    assert title == "frame 7: all of it may be wrong"
+    assert Summary(moments[4:]).moment.index == 7  # there is no other
+    assert main(["plot", str(path), "--out", str(out)]) == 0
+    said = capsys.readouterr()
+    assert "frame 6 of 5 frames" in said.out
+    assert "in 2 frames all displacements may be wrong" in said.err
+
+
 def test_a_frame_without_the_pattern_has_no_map(recorded):
     first = recorded[0]
     none = dataclasses.replace(first, rest=np.full_like(first.rest, np.nan))

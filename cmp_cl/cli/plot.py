@@ -3,7 +3,7 @@
 import argparse
 
 from cmp_cl.cli.arguments import add, check_files, check_suffix
-from cmp_cl.cli.messages import counted, progress, shown
+from cmp_cl.cli.messages import counted, progress, shown, tell
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.series import read_series
 from cmp_cl.viz import Quantity, map_figure, save_figure, sheet_figure
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "animation: displacement"
     )
     add(parser, "--what", what, choices=[quantity.value for quantity in Quantity])
-    what = "number of the frame; default: that of the largest displacement"
+    what = "number of the frame; default: that of the largest displacement that is not in doubt"
     add(parser, "--frame N", what, type=int)
 
 
@@ -39,13 +39,18 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError("an animation shows all frames: leave out --frame, or name a .png")
     moments = moments_of(read_series(arguments.series, NEEDED))
     frames = counted(len(moments), "frame")
+    summary = Summary(moments)
+    if any(summary.doubtful):
+        tell(
+            f"in {counted(sum(summary.doubtful), 'frame')} all displacements may be wrong (the "
+            "arrays `ambiguous` and `misfit` say which): cmp-cl run says why"
+        )
     if moving:
         with progress(None, "frames") as bar:
             quantity = Quantity(arguments.what or Quantity.DISPLACEMENT.value)
             count = animate(arguments.out, moments, quantity, step=bar.update)
         print(f"wrote {shown(arguments.out)}: {count} of {frames}")
         return 0
-    summary = Summary(moments)
     moment = summary.moment
     if arguments.frame is not None:
         moment = next((each for each in moments if each.index == arguments.frame), None)

@@ -17,7 +17,8 @@ from cmp_cl.points import of_cells
 
 Array = NDArray[np.float64]
 
-NEEDED = "index", "time_ms", "rest", "displacement", "sigma", "unit"  # arrays of a series
+# arrays of a series
+NEEDED = "index", "time_ms", "rest", "displacement", "sigma", "unit", "ambiguous", "misfit"
 _NARROWEST = 1e-5  # area of a mean cell over the squares of its sides; a narrower one is a line
 
 
@@ -55,7 +56,8 @@ class Moment:
     """What is drawn of one frame.
 
     rest: (R, C, 2) or (R, C, 3) in `unit`. shift: the displacement, of the same shape. sigma:
-    (R, C), NaN where unknown. index, time_ms: the number and the time of the frame.
+    (R, C), NaN where unknown. index, time_ms: the number and the time of the frame. doubtful:
+    whether all of it may be wrong, `ambiguous` or `misfit` of `measure.Measured`.
     """
 
     rest: Array
@@ -64,9 +66,17 @@ class Moment:
     unit: str
     index: int
     time_ms: float
+    doubtful: bool = False
 
     @classmethod
-    def of(cls, field: DisplacementField, index: int = 0, time_ms: float = math.nan) -> "Moment":
+    def of(
+        cls,
+        field: DisplacementField,
+        index: int = 0,
+        time_ms: float = math.nan,
+        *,
+        doubtful: bool = False,
+    ) -> "Moment":
         """Return what is drawn of a field; raises FieldError if it is of another type."""
         check_kind("field", field, DisplacementField, FieldError)
         return cls(
@@ -76,6 +86,7 @@ class Moment:
             unit=field.unit,
             index=index,
             time_ms=time_ms,
+            doubtful=doubtful,
         )
 
     @functools.cached_property
@@ -130,14 +141,17 @@ class Moment:
 class Summary:
     """What the sheet of a series shows: its frame of the largest displacement, and two curves.
 
-    moment: that frame, None before the first one; top: that displacement. curves: of each frame its
-    number, its time, ms, and the largest and the median displacement of its nodes, NaN without any.
+    moment: that frame, None before the first one; top: that displacement. Doubtful frames are it
+    only if there are no others. curves: of each frame its number, its time, ms, and the largest and
+    the median displacement of its nodes, NaN without any. doubtful: for each, whether it is.
     """
 
     def __init__(self, moments: Iterable[Moment] = ()) -> None:
         self.moment: Moment | None = None
         self.top = 0.0
         self.curves: list[tuple[int, float, float, float]] = []
+        self.doubtful: list[bool] = []
+        self._best: tuple[bool, bool, float] = False, False, 0.0
         for moment in moments:
             self.add(moment)
 
@@ -145,8 +159,12 @@ class Summary:
         """Add a frame."""
         known = moment.moved[~np.isnan(moment.moved)]
         largest, median = (known.max(), np.median(known)) if len(known) else (math.nan, math.nan)
-        if self.moment is None or largest > self.top:
-            self.moment, self.top = moment, float(np.nan_to_num(largest))
+        seen = len(known) > 0
+        top = float(largest) if seen else 0.0
+        best = seen, not moment.doubtful, top
+        if self.moment is None or best > self._best:
+            self.moment, self.top, self._best = moment, top, best
+        self.doubtful.append(moment.doubtful and seen)
         self.curves.append((moment.index, moment.time_ms, float(largest), float(median)))
 
 
@@ -163,10 +181,13 @@ def moments_of(series: Mapping[str, NDArray[Any]]) -> list[Moment]:
     rest, shift = np.asarray(series["rest"], np.float64), series["displacement"]
     sigma = series.get("sigma", np.broadcast_to(np.nan, shift.shape[:3]))
     unit = str(series.get("unit", "px"))
+    doubtful = np.zeros(len(shift), np.bool_)
+    for name in ("ambiguous", "misfit"):
+        doubtful |= series.get(name, False)
     return [
         Moment(
             rest=rest, shift=shift[n], sigma=sigma[n], unit=unit, index=int(index),
-            time_ms=float(series["time_ms"][n]),
+            time_ms=float(series["time_ms"][n]), doubtful=bool(doubtful[n]),
         )
         for n, index in enumerate(series["index"])
     ]  # fmt: skip

@@ -86,7 +86,10 @@ def _page(
     down = -(-count // across)
     heights = [_PANEL[1]] * down + [_CURVE] * (curves is not None)
     figure = new_figure((_PANEL[0] * across, sum(heights) + 0.4))
-    figure.suptitle(title or f"frame {moment.index}")
+    doubt = ": all of it may be wrong" if moment.doubtful else ""
+    if curves is not None and any(curves.doubtful):
+        doubt += f"; {sum(curves.doubtful)} of {len(curves.doubtful)} frames may be wrong"
+    figure.suptitle(title or f"frame {moment.index}{doubt}")
     grid = figure.add_gridspec(len(heights), across, height_ratios=heights)
     for number, (shown, largest) in enumerate(maps):
         axes = figure.add_subplot(grid[divmod(number, across)])
@@ -188,8 +191,18 @@ def _draw_curves(axes: "Axes", summary: Summary, unit: str) -> None:
     time, label = time_ms / 1e3, "time / s"
     if not np.isfinite(time).all():
         time, label = index, "frame"
-    axes.plot(time, largest, ".-", lw=1, ms=3, label="largest of all nodes")
-    axes.plot(time, median, ".-", lw=1, ms=3, label="median of all nodes")
+    doubtful = np.array(summary.doubtful)
+    for values, label_of_curve in ((largest, "largest"), (median, "median")):
+        (curve,) = axes.plot(
+            time, np.where(doubtful, np.nan, values), ".-", lw=1, ms=3,
+            label=f"{label_of_curve} of all nodes",
+        )  # fmt: skip
+        if doubtful.any():
+            what = f"{label_of_curve}, where all may be wrong"
+            axes.plot(
+                time[doubtful], values[doubtful], "o", ms=5, mfc="none",
+                color=curve.get_color(), label=what,
+            )  # fmt: skip
     axes.set_ylim(bottom=0)
     axes.set(xlabel=label, ylabel=f"displacement / {unit}", title="displacement over time")
     axes.grid(alpha=0.3)

@@ -342,6 +342,15 @@ def test_the_numbers_of_the_frame_at_rest_are_not_ambiguous(run, tmp_path):
     assert np.load("press.npz")["ambiguous"].tolist() == [False, True]
 
 
+def test_the_largest_displacement_is_not_of_a_frame_whose_numbers_may_be_wrong(run, tmp_path):
+    board = np.kron(np.indices((13, 13)).sum(0) % 2, np.full((12, 12), 180)).astype(np.uint8) + 30
+    for number, shift in enumerate((0, 4)):  # no border of the pattern is in view
+        cv2.imwrite(str(tmp_path / f"{number}.png"), board[6:150, 6 - shift : 150 - shift])
+    _, out, _ = run("run", tmp_path, "--out", "press.npz")
+    assert "1 whose numbers may be wrong" in out
+    assert re.search(r"moved by up to \S+ px \(frame 0\)", out)
+
+
 def test_a_calibration_that_does_not_fit_or_is_missing_is_noticed_at_rest(run, recording, press):
     swapped = StereoRig(RIG.K2, RIG.D2, RIG.K1, RIG.D1, RIG.R.T, -RIG.R.T @ RIG.T)
     swapped.save("rig.yaml")

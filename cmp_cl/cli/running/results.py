@@ -81,7 +81,9 @@ class Results(Closing):
         self._nodes.append(measured.nodes)
         self.ambiguous += ambiguous and measured.nodes > 0
         self.misfit += measured.misfit
-        moment = Moment.of(measured.field, frame.index, frame.time_ms)
+        moment = Moment.of(
+            measured.field, frame.index, frame.time_ms, doubtful=ambiguous or measured.misfit
+        )
         self._summary.add(moment)
         self._draw(measured, moment)
 
@@ -91,6 +93,7 @@ class Results(Closing):
         top = self._summary.top
         clock = "" if math.isnan(moment.time_ms) else f"  {moment.time_ms / 1e3:.3f} s"
         text = f"frame {moment.index}{clock}  {measured.nodes} nodes"
+        text += ", all may be wrong" if moment.doubtful else ""
 
         def picture(text: str = text) -> Any:
             return moved_overlay(
@@ -141,7 +144,8 @@ class Results(Closing):
         if seen and self._summary.moment is not None:
             mean = f"{statistics.fmean(seen):.1f} of {self._of_pattern}"
             parts.append(f"{mean} nodes on average, at least {min(seen)}")
-            where = f"(frame {self._summary.moment.index})"
+            doubt = ", all of which may be wrong" if self._summary.moment.doubtful else ""
+            where = f"(frame {self._summary.moment.index}{doubt})"
             parts.append(f"moved by up to {self._summary.top:.3g} {self._unit} {where}{lengths}")
         for count, what in (
             (self.frames - len(seen), "without the pattern"),
