@@ -33,9 +33,10 @@ def build_grid(
     """Number the corners of a checkerboard by row and column (section 4.3 of the paper).
 
     image: the view, (H, W) uint8 or uint16.
-    shape: rows and columns of the pattern's inner corners. The grid then has this shape. If fewer
-        are seen, borders and the edge of the image decide which part it is. If more are seen, see
-        `Grid.seen_shape`. Without it, the grid has the rows and columns that are seen.
+    shape: rows and columns of the pattern's inner corners. The grid then has this shape; if the
+        pattern lies the other way, its rows run up or down the image. If fewer are seen, borders
+        and the edge of the image decide which part it is. If more are seen, see `Grid.seen_shape`.
+        Without it, the grid has the rows and columns that are seen.
     like: a grid of the same pattern, usually at rest. The result has its orientation and
         numbers, and at least its rows and columns: nodes beyond a side on which that grid
         shows no border are kept, see `Grid.origin`. Without it row 0 is at the top and column
