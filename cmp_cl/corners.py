@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from cmp_cl.image import GreyImage, check_image
+from cmp_cl.image import AnyImage, GreyImage, check_image
 
 BLOCK = 4  # px, over which edges are looked for
 EDGE = 1 / 5  # of the brightest block: a strong edge
@@ -90,7 +90,7 @@ class Corners:
         """Return the positions as OpenCV's functions take them: (N, 1, 2) float32, px."""
         return self.xy.reshape(-1, 1, 2).copy()
 
-    def advice(self, image: GreyImage, full_scale: int | None = None) -> str:
+    def advice(self, image: AnyImage, full_scale: int | None = None) -> str:
         """Return in one line why these seem not to be the corners of a pattern, and what to try.
 
         The line is empty if nothing speaks against them. It says that grey levels do not fit the

@@ -23,7 +23,7 @@ from cmp_cl.errors import (
 )
 from cmp_cl.grid.build import asked_of, grid_of
 from cmp_cl.grid.grid import Grid
-from cmp_cl.image import GreyImage, check_dtype, check_image, check_mask
+from cmp_cl.image import AnyImage, GreyImage, check_dtype, check_image, check_mask
 from cmp_cl.lattice.boards import boards
 from cmp_cl.lattice.plan import LatticePlan
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
@@ -123,7 +123,7 @@ class Detector(Closing):
         timed = self.queue.properties & cl.command_queue_properties.PROFILING_ENABLE
         return sum_times(self._last.events if self._last and timed else (), {})
 
-    def __call__(self, frame: GreyImage) -> Corners:
+    def __call__(self, frame: AnyImage) -> Corners:
         """Find the corners of one frame, (H, W), of the shape and dtype of this detector.
 
         Raises ImageError if the frame does not fit, CapacityError if the device is full,
@@ -131,7 +131,7 @@ class Detector(Closing):
         """
         return self.batch([frame])[0]
 
-    def stream(self, frames: Iterable[GreyImage]) -> Iterator[Corners]:
+    def stream(self, frames: Iterable[AnyImage]) -> Iterator[Corners]:
         """Yield the corners of each frame, in order.
 
         The next frame is uploaded while the kernels of this one run. A frame may be overwritten as
@@ -161,7 +161,7 @@ class Detector(Closing):
         """Return the plan that has the layout of its frames on the device."""
         return self._plans.lend()
 
-    def begin(self, frames: Sequence[GreyImage], *, read: bool = True) -> Plan:
+    def begin(self, frames: Sequence[AnyImage], *, read: bool = True) -> Plan:
         """Upload frames and enqueue their kernels, without waiting; return the plan that has them.
 
         Launches that are enqueued in `queue` next find the corners of the frames on the device, see
@@ -188,7 +188,7 @@ class Detector(Closing):
             found = self._found(plan, listed)
             return found, self.regrown == before
 
-    def batch(self, stack: NDArray[Any] | Sequence[GreyImage]) -> list[Corners]:
+    def batch(self, stack: NDArray[Any] | Sequence[AnyImage]) -> list[Corners]:
         """Find the corners of each frame of a stack, with one launch per stage for all of them.
 
         stack: (B, H, W), or a sequence of frames. The results share one block of memory: copy a
@@ -203,7 +203,7 @@ class Detector(Closing):
             self._start(plan, frames, self.queue)
             return self._found(plan).corners
 
-    def maps(self, frame: GreyImage) -> Maps | HarmonicMaps:
+    def maps(self, frame: AnyImage) -> Maps | HarmonicMaps:
         """Return every intermediate image of a frame. Raises the errors of a call."""
         from cmp_cl.stages.maps import read_maps
 
@@ -220,7 +220,7 @@ class Detector(Closing):
 
     def grid(
         self,
-        frame: GreyImage,
+        frame: AnyImage,
         *,
         shape: tuple[int, int] | None = None,
         like: Grid | None = None,
@@ -285,7 +285,7 @@ class Detector(Closing):
             raise
         plan.launch(plan.launches)
 
-    def _checked(self, frame: GreyImage) -> GreyImage:
+    def _checked(self, frame: AnyImage) -> GreyImage:
         """Return the frame as an image of this detector."""
         check_process()
         image = check_image(frame)
@@ -310,7 +310,7 @@ def kept_detector(
 
 
 def detect(
-    image: GreyImage,
+    image: AnyImage,
     config: DetectorConfig | None = None,
     device: Device | str | None = None,
 ) -> Corners:

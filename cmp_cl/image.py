@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import ImageError
 
 GreyImage: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+AnyImage: TypeAlias = NDArray[Any]  # what a user gives, such as cv2.imread's; `check_image` looks
 _PIXELS = frozenset({np.dtype(np.uint8), np.dtype(np.uint16)})
 
 

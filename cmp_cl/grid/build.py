@@ -10,7 +10,7 @@ from cmp_cl.errors import GridError, ImageError, check_kind, check_shape
 from cmp_cl.grid.choice import Asked, by_size, chosen_of, found_in
 from cmp_cl.grid.grid import Grid, check_size, empty_grid
 from cmp_cl.grid.placing import placed
-from cmp_cl.image import GreyImage, check_image
+from cmp_cl.image import AnyImage, GreyImage, check_image
 from cmp_cl.lattice.arrays import Board
 from cmp_cl.lattice.boards import boards
 from cmp_cl.lattice.plan import lattice_plan
@@ -22,7 +22,7 @@ FARTHEST = 1e6  # px, of any corner
 
 def build_grid(
     corners: Corners,
-    image: GreyImage,
+    image: AnyImage,
     shape: tuple[int, int] | None = None,
     like: Grid | None = None,
     *,
@@ -92,7 +92,7 @@ def grid_of(
 
 def build_grids(
     corners: Corners,
-    image: GreyImage,
+    image: AnyImage,
     shape: tuple[int, int] | None = None,
     *,
     device: Device | str | None = None,
@@ -114,7 +114,7 @@ def build_grids(
 
 @contextlib.contextmanager
 def _boards_of(
-    corners: Corners, image: GreyImage, device: Device | str | None
+    corners: Corners, image: AnyImage, device: Device | str | None
 ) -> Iterator[Iterable[Board]]:
     """Give the boards that corners form, the largest part's first, one after the other."""
     frame = check_image(image)

@@ -10,7 +10,7 @@ from cmp_cl.corners import Corners, Method, Refusal
 from cmp_cl.errors import GridError, as_numbers
 from cmp_cl.grid.build import build_grid
 from cmp_cl.grid.grid import Grid, NodeStatus
-from cmp_cl.image import GreyImage, check_image
+from cmp_cl.image import AnyImage, GreyImage, check_image
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.opencl.device import Device, select_device
 
@@ -20,7 +20,7 @@ SMOOTHINGS, AXIS, DIAGONAL = 2, 4, 3  # px, the ring of levels around a corner
 
 def number(
     xy: ArrayLike,
-    image: GreyImage,
+    image: AnyImage,
     shape: tuple[int, int] | None = None,
     like: Grid | None = None,
     *,
@@ -70,7 +70,7 @@ def number(
     return dataclasses.replace(grid, xy=xy, status=status)
 
 
-def _checked(xy: ArrayLike, image: GreyImage) -> NDArray[np.float32]:
+def _checked(xy: ArrayLike, image: AnyImage) -> NDArray[np.float32]:
     at = as_numbers("xy", xy, GridError)
     if at.ndim != 2 or at.shape[1] != 2:
         raise GridError(

@@ -17,7 +17,7 @@ from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, DeviceError, FieldError, ImageError, check_kind, errors_last
 from cmp_cl.grid import Grid
-from cmp_cl.image import GreyImage, check_image
+from cmp_cl.image import AnyImage, GreyImage, check_image
 from cmp_cl.measure.fit import Fit
 from cmp_cl.measure.measured import Measured, Tally
 from cmp_cl.measure.patterns import find_pattern
@@ -95,7 +95,7 @@ class Measurement(Closing):
 
     def __init__(
         self,
-        at_rest: GreyImage,
+        at_rest: AnyImage,
         views_of: Callable[[GreyImage], tuple[GreyImage, ...]],
         *,
         shape: tuple[int, int] | None = None,
@@ -212,7 +212,7 @@ class Measurement(Closing):
         tracking = [] if self._tracker is None else self._tracker.launches(layout)
         return len(layout.launches) + len(tracking) + len(self._plan.launches)
 
-    def __call__(self, frame: GreyImage) -> Measured:
+    def __call__(self, frame: AnyImage) -> Measured:
         """Measure one frame, of the size and the type of the frame at rest.
 
         frame: (H, W). Nodes that are not found are NaN; in a frame without the pattern all are.
@@ -225,7 +225,7 @@ class Measurement(Closing):
             self._follow(begun)
             return _with_field(self._settled(begun))
 
-    def stream(self, frames: Iterable[GreyImage | None]) -> Iterator[Measured | None]:
+    def stream(self, frames: Iterable[AnyImage | None]) -> Iterator[Measured | None]:
         """Measure each frame, in order; a frame that is missing is None, and so is its result.
 
         The kernels of a frame run while the one before it becomes a result, so a frame must not
@@ -263,7 +263,7 @@ class Measurement(Closing):
                     self._follows = False  # nobody has checked the nodes that it tracks
                     self._detector.finish(waiting.plan)
 
-    def _begun(self, frame: GreyImage | None) -> _Begun | None:
+    def _begun(self, frame: AnyImage | None) -> _Begun | None:
         """Enqueue the kernels that find the corners of a frame; None is a missing one."""
         with self._lock:
             return None if frame is None else self._begin(self._checked(frame))
@@ -291,7 +291,7 @@ class Measurement(Closing):
         """Return the nodes at rest, and how the views show them."""
         raise NotImplementedError
 
-    def _checked(self, frame: GreyImage) -> tuple[GreyImage, ...]:
+    def _checked(self, frame: AnyImage) -> tuple[GreyImage, ...]:
         """Return the views of a frame; raises ImageError unless it is like that at rest."""
         kind = _kind_of(frame)
         if kind != self._kind:
@@ -409,7 +409,7 @@ class Measurement(Closing):
         self._follows = self._tracker is not None and self._tracker.begin(grids)
 
 
-def _kind_of(frame: GreyImage) -> str:
+def _kind_of(frame: AnyImage) -> str:
     """Return the shape and the type of an image, as text; raises ImageError for anything else."""
     image = check_image(frame)
     return f"{image.shape} of {image.dtype}"

@@ -2,7 +2,7 @@
 
 from typing import Unpack
 
-from cmp_cl.image import GreyImage
+from cmp_cl.image import AnyImage
 from cmp_cl.measure.measurement import Measurement, Settings
 from cmp_cl.motion import PlaneScale
 from cmp_cl.motion.geometry import InPlane
@@ -26,7 +26,7 @@ class OneView(Measurement):
     """
 
     def __init__(
-        self, rest: GreyImage, *, cell: float | None = None, **settings: Unpack[Settings]
+        self, rest: AnyImage, *, cell: float | None = None, **settings: Unpack[Settings]
     ) -> None:
         self._cell = cell
         super().__init__(rest, lambda frame: (frame,), **settings)

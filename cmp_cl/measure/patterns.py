@@ -10,7 +10,7 @@ from cmp_cl.detector import Detector
 from cmp_cl.errors import GridError, check_shape
 from cmp_cl.grid import Grid, NodeStatus, align
 from cmp_cl.grid.align import row_direction
-from cmp_cl.image import GreyImage, check_image
+from cmp_cl.image import AnyImage, check_image
 from cmp_cl.motion import filter_positions
 from cmp_cl.opencl.device import Device
 from cmp_cl.points import sides
@@ -20,7 +20,7 @@ _MOST_ROTATED = np.pi / 3  # rad between the rows of one pattern in two views
 
 
 def find_pattern(
-    view: GreyImage,
+    view: AnyImage,
     *,
     shape: tuple[int, int] | None = None,
     full_scale: int | None = None,
@@ -55,7 +55,7 @@ def find_pattern(
 
 
 def find_board(
-    view: GreyImage,
+    view: AnyImage,
     shape: tuple[int, int],
     *,
     full_scale: int | None = None,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import ConfigError, GridError, check_kind
 from cmp_cl.grid import Grid
 from cmp_cl.grid.grid import NO_SIDES
-from cmp_cl.image import GreyImage
+from cmp_cl.image import AnyImage
 from cmp_cl.measure.fit import LEAST_FITTING
 from cmp_cl.measure.measurement import Measurement, Settings
 from cmp_cl.measure.patterns import align_views
@@ -45,7 +45,7 @@ class TwoViews(Measurement):
 
     def __init__(
         self,
-        rest: GreyImage,
+        rest: AnyImage,
         rig: StereoRig,
         split: BinocularSplit,
         **settings: Unpack[Settings],

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import ImageError, check_kind
 from cmp_cl.files import check_path, suffix_of, write_bytes
-from cmp_cl.image import GreyImage
+from cmp_cl.image import AnyImage, GreyImage
 
 IMAGE_SUFFIXES = frozenset(
     {".bmp", ".jp2", ".jpeg", ".jpg", ".pbm", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff"}
@@ -33,7 +33,7 @@ _BLOCK = 1 << 26  # px of the pages that are decoded at once: OpenCV repeats all
 _MOST_OVER_WHITE = 10**9 // 9  # bytes of a grey image: OpenCV has all four channels twice beside it
 
 
-def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+def write_image(path: str | PathLike[str], image: AnyImage) -> None:
     """Write an image in the format of the suffix, whole or not at all.
 
     image: (H, W) or (H, W, 3) BGR. Raises ImageError if the suffix is not that of an image format,

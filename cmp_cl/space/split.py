@@ -5,7 +5,7 @@ from numbers import Integral
 from typing import Self
 
 from cmp_cl.errors import ConfigError, ImageError, check_kind
-from cmp_cl.image import GreyImage, check_image
+from cmp_cl.image import AnyImage, GreyImage, check_image
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,7 +56,7 @@ class BinocularSplit:
         half = width // 2
         return cls((0, 0, half, height), (width - half, 0, half, height))
 
-    def __call__(self, frame: GreyImage) -> tuple[GreyImage, GreyImage]:
+    def __call__(self, frame: AnyImage) -> tuple[GreyImage, GreyImage]:
         """Return the two views of a frame (H, W): slices of it, or copies where mirrored.
 
         Raises ImageError if the frame is none, or a rectangle extends past it.

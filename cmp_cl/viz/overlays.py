@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cmp_cl.corners import Corners, Method
 from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.grid.grid import Grid, NodeStatus
-from cmp_cl.image import GreyImage, check_image
+from cmp_cl.image import AnyImage, check_image
 
 Colour = tuple[int, int, int]  # BGR
 
@@ -44,7 +44,7 @@ _FRACTION_BITS = 4
 _UNIT = 1 << _FRACTION_BITS
 
 
-def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
+def corner_overlay(image: AnyImage, corners: Corners) -> NDArray[np.uint8]:
     """Draw a mark on each of the corners, coloured by its method, and a legend.
 
     image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR. The image is enlarged by a whole
@@ -64,7 +64,7 @@ def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
 
 
 def grid_overlay(
-    image: GreyImage, grid: Grid, *, corners: Corners | None = None
+    image: AnyImage, grid: Grid, *, corners: Corners | None = None
 ) -> NDArray[np.uint8]:
     """Draw the lines of the grid, a dot on every node by status, and a legend.
 
@@ -95,7 +95,7 @@ def grid_overlay(
 
 
 def moved_overlay(
-    image: GreyImage,
+    image: AnyImage,
     grid: Grid,
     moved: NDArray[np.floating[Any]],
     *,
@@ -133,7 +133,7 @@ class _Canvas:
     factor: by which it is enlarged or reduced, so that its longer side has `least` to `most` px.
     """
 
-    def __init__(self, image: GreyImage, least: int, most: float = math.inf) -> None:
+    def __init__(self, image: AnyImage, least: int, most: float = math.inf) -> None:
         longest = max(image.shape)
         self.factor: float = 1 / -(-longest // most) if longest > most else -(-least // longest)
         rows, columns = (round(side * self.factor) for side in image.shape)
