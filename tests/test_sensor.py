@@ -6,10 +6,11 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
+import cv2
 import numpy as np
 import pytest
 from gels import NODES, RIG, SPLIT, pressed
-from videos import write_video
+from videos import camera_of, write_video
 
 from cmp_cl import ConfigError, FieldError, GridError, ImageError
 from cmp_cl.measure import Sensor, TwoViews, pytac3d
@@ -121,6 +122,13 @@ def test_frames_tell_whether_they_may_be_wrong(tmp_path, monkeypatch):
     for frames in (live, again):
         assert [frame["ambiguous"] for frame in frames] == [False, True]  # rest has its own numbers
         assert [frame["misfit"] for frame in frames] == [False, True]
+
+
+def test_the_number_of_a_camera_may_be_an_int(monkeypatch):
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of([pressed(0.0).frame] * 2))
+    with Sensor(0, RIG, shape=NODES) as sensor:
+        sensor.waitForFrame(timeout=60)
+        assert sensor.getFrame()["index"] == 0
 
 
 def test_a_new_rest_is_taken_while_running(video):

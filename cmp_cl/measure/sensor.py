@@ -84,8 +84,8 @@ class Frames(Closing):
 class Sensor(Frames):
     """Measures the frames of a source in a thread, against its first frame or a later one.
 
-    source: a camera's number, a device, an address or a video, see `cmp_cl.media.cameras.Source`,
-        whose frames hold two views. The gel is at rest in the first one.
+    source: a camera's number, also as an int, a device, an address or a video, whose frames hold
+        two views, see `cmp_cl.media.cameras.Source`. The gel is at rest in the first one.
     rig: the cameras, or the path of their file. split: the two views in a frame; None is halves.
     shape: (rows, columns) of the pattern's corners; None takes what is seen at rest.
     serial: the name of the sensor in its frames.
@@ -104,7 +104,7 @@ class Sensor(Frames):
 
     def __init__(
         self,
-        source: str,
+        source: str | int,
         rig: StereoRig | str | PathLike[str],
         *,
         split: BinocularSplit | None = None,
@@ -115,7 +115,7 @@ class Sensor(Frames):
         callbackParam: Any = None,
         device: str | None = None,
     ) -> None:
-        self._source = Source(source)
+        self._source = Source(str(source) if isinstance(source, int) else source)
         self._rig = rig if isinstance(rig, StereoRig) else StereoRig.load(rig)
         self._split, self._shape, self._device = split, shape, device
         self._serial = serial
@@ -253,7 +253,9 @@ class _Replay(Frames):
         super().close()
 
 
-def pytac3d(source: str, rig: StereoRig | str | PathLike[str], **settings: Any) -> SimpleNamespace:
+def pytac3d(
+    source: str | int, rig: StereoRig | str | PathLike[str], **settings: Any
+) -> SimpleNamespace:
     """Return what stands for the module PyTac3D in a script that was written for it.
 
     source, rig, settings: of `Sensor`. In the script only the import changes:

@@ -76,7 +76,8 @@ def read_pages(path: str | PathLike[str]) -> Iterator[GreyImage]:
     """
     check_path(path, ImageError)
     if os.path.exists(path) and not os.path.isfile(path):
-        raise ImageError(f"{str(path)!r} is not a file")
+        folder = "; Source(folder).frames() of cmp_cl.media.cameras reads a folder"
+        raise ImageError(f"{str(path)!r} is not a file{folder if os.path.isdir(path) else ''}")
     try:
         if os.path.getsize(path) > _MOST_BYTES:
             raise ImageError(f"{str(path)!r} has over {_MOST_BYTES} bytes, too many for an image")
