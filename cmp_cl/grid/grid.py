@@ -114,7 +114,8 @@ class Grid:
         bottom, left, right, NaN where it is not seen.
     seen_shape: the rows and columns that are seen, if they contradict a known shape, else None.
     confidence: by how much the numbers are more probable than the second best, nats (the logarithm
-        of the ratio); inf if no others are possible, 0 if others are as probable. See `ambiguous`.
+        of the ratio); inf if no others are possible, 0 if others are as probable or there is no
+        node. See `ambiguous`.
     rival: the second best numbering, None if there is no other.
     others: how many corners, places or nodes speak for other numbers, 0 if none or few do;
         others_are says what they are.
@@ -165,9 +166,10 @@ class Grid:
     def ambiguous(self) -> bool:
         """Return whether another numbering explains the frame too: `confidence` is under 5 nats.
 
-        The numbers are then those of the least motion, and may be wrong by `rival`.
+        The numbers are then those of the least motion, and may be wrong by `rival`. A grid without
+        a node has none.
         """
-        return not self.confidence >= SURE
+        return not self.confidence >= SURE and bool(self.valid.any())
 
     @property
     def doubts(self) -> list[str]:
@@ -373,4 +375,5 @@ def empty_grid(corners: int, shape: tuple[int, ...] | None, like: Grid | None = 
         image_sigma=np.full((rows, columns), np.nan, np.float32),
         index=np.full((corners, 2), -1, np.int32),
         origin=(0, 0) if like is None else like.origin,
+        confidence=0.0,
     )

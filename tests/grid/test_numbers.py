@@ -663,6 +663,10 @@ def test_few_corners_give_an_empty_grid_or_that_of_the_known_size():
         known = build_grid(some, view.image, shape=BOARD)
         assert known.shape == BOARD
         assert not known.valid.any()
+        for nothing in (grid, known):
+            assert nothing.confidence == 0
+            assert not nothing.ambiguous  # there is no number
+            assert [said.partition(":")[0] for said in nothing.doubts] == ["no board is seen"]
 
 
 def test_requests_that_make_no_sense_are_refused_in_one_line():
