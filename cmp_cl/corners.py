@@ -11,6 +11,7 @@ from cmp_cl.image import AnyImage, GreyImage, check_image
 
 BLOCK = 4  # px, over which edges are looked for
 EDGE = 1 / 5  # of the brightest block: a strong edge
+DARK = 1 / 16  # of white: no block of a darker image is bright
 EDGES = 0.01  # share of the blocks that such edges cross
 FACE = 4  # corners, the fewest of a pattern
 GRAIN = 1 / 100  # of the brightest pixel: weaker second differences are no texture
@@ -90,7 +91,9 @@ class Corners:
         """Return the positions as OpenCV's functions take them: (N, 1, 2) float32, px."""
         return self.xy.reshape(-1, 1, 2).copy()
 
-    def advice(self, image: AnyImage, full_scale: int | None = None) -> str:
+    def advice(
+        self, image: AnyImage, full_scale: int | None = None, *, numbered: bool = False
+    ) -> str:
         """Return in one line why these seem not to be the corners of a pattern, and what to try.
 
         The line is empty if nothing speaks against them. It says that grey levels do not fit the
@@ -99,6 +102,7 @@ class Corners:
         corners do not alternate as those of a checkerboard do: most are then noise or texture.
 
         image: (H, W), which they are of. full_scale: its largest grey level, if that was given.
+        numbered: whether a grid without doubts was found: then only grey levels are spoken of.
         Raises ImageError for anything else.
         """
         image = check_image(image)
@@ -109,7 +113,9 @@ class Corners:
                 "every other row and column is darker, as in the raw image of a colour camera: "
                 "convert it first, for example by cv2.cvtColor(image, cv2.COLOR_BayerRG2GRAY)"
             )
-        if not len(self) and _has_edges(image):
+        if numbered:
+            return ""
+        if not len(self) and _has_edges(image, full_scale or np.iinfo(image.dtype).max):
             return (
                 "no corner, although there are strong edges: those of noise or texture, or of "
                 "cells under 5 px; enlarge these, and do not leave out octaves"
@@ -172,10 +178,11 @@ def _means(image: GreyImage) -> NDArray[np.float64]:
     return means
 
 
-def _has_edges(image: GreyImage) -> bool:
+def _has_edges(image: GreyImage, white: int) -> bool:
     """Return whether strong edges cross the image. Noise fades in the means of blocks."""
     grey = _means(image)
-    steps = [np.abs(np.diff(grey, axis=axis)) > EDGE * grey.max(initial=0) for axis in (0, 1)]
+    strong = EDGE * max(grey.max(initial=0), DARK * white)
+    steps = [np.abs(np.diff(grey, axis=axis)) > strong for axis in (0, 1)]
     return bool(sum(int(step.sum()) for step in steps) > EDGES * grey.size)
 
 

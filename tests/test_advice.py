@@ -66,6 +66,20 @@ def test_nothing_is_said_of_a_pattern_or_of_an_image_without_edges(name):
     assert advice(QUIET[name]()) == ""
 
 
+def test_a_black_image_with_faint_noise_has_no_strong_edges():
+    image = np.clip(np.random.default_rng(1).normal(0, 2, SHAPE), 0, 255).astype(np.uint8)
+    assert advice(image) == ""
+
+
+def test_the_markers_of_a_board_that_is_numbered_for_sure_are_no_noise(tmp_path, capsys):
+    markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    sheet = cv2.aruco.CharucoBoard((9, 7), 60, 45, markers).generateImage((580, 460), marginSize=20)
+    assert "noise" in advice(sheet)
+    cv2.imwrite(str(tmp_path / "sheet.png"), sheet)
+    assert main(["detect", str(tmp_path / "sheet.png"), "--grid", "6x8"]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_the_command_line_and_a_search_for_a_board_say_it(tmp_path, capsys):
     image = grey(1.5)
     cv2.imwrite(str(tmp_path / "noise.png"), image)

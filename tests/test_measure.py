@@ -422,6 +422,15 @@ def test_a_known_size_pairs_views_that_see_opposite_borders():
         np.testing.assert_allclose(against_rest.rest.xyz[..., 2], 60, atol=1)
 
 
+def test_a_size_that_was_not_asked_for_is_said_to_be_the_left_view_s():
+    shot = pressed(0.0)
+    _, grid = measure.find_pattern(shot.left.image)
+    left = shot.left.image.copy()
+    left[:, round(float(np.nanmax(grid.xy[:, -3, 0]))) + 4 :] = 115
+    with pytest.raises(GridError, match=r"right view: .* 12 x 12 corners, in the left view like 1"):
+        measure.TwoViews(np.hstack([left, shot.right.image]), RIG, SPLIT)
+
+
 def test_a_frame_of_one_view_is_refused_as_one_of_two():
     view = pressed(0.0).left.image
     with pytest.raises(GridError, match="no node in common; check the split"):

@@ -149,7 +149,8 @@ def _searched(
                 said += "" if grid is None else f", {nodes} of {grid.valid.size} nodes"
                 print(f"{name}: {said} in {ms:.2f} ms on {device}", flush=True)
             if not advice and (len(counts) == 1 or not len(corners)):
-                advice = corners.advice(image, config.full_scale)
+                sure = nodes > 0 and not doubts
+                advice = corners.advice(image, config.full_scale, numbered=sure)
                 doubts += [advice] if advice else []
             if not (video and doubtful):
                 bar.clear()

@@ -169,11 +169,12 @@ def run(arguments: argparse.Namespace) -> int:
     for picture in pictures:
         print(f"wrote {shown(picture)}", file=report)
     if found.ambiguous:
+        track = ", or give --track if it moves by less than half a cell from frame to frame"
         tell(
             f"in {counted(found.ambiguous, 'frame')} no border of the pattern decides which node "
             "is which: all displacements of such a frame may be wrong by whole cells, trust none "
             "of them (the array `ambiguous` says which frames); show a border of the pattern in "
-            "every frame, or give --track if it moves by less than half a cell from frame to frame"
+            f"every frame{'' if arguments.track else track}"
         )
     if found.misfit:
         tell(

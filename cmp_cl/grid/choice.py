@@ -352,8 +352,11 @@ def _alone(found: list[Found]) -> tuple[Found, int]:
 
 
 def _two(one: Found, other: Found) -> GridError:
-    boxes = [f"({', '.join(f'{value:.0f}' for value in each.box)})" for each in (one, other)]
+    places = []
+    for each in (one, other):
+        x, y, right, bottom = map(round, each.box)
+        places.append(f"{x},{y},{right - x},{bottom - y}")
     return GridError(
-        f"two patterns are seen, of {one.size} and {other.size} corners, within {boxes[0]} and "
-        f"{boxes[1]}; give a cut-out of the image with one of them"
+        f"two patterns are seen, of {one.size} and {other.size} corners, within "
+        f"{' and '.join(places)} (X,Y,WIDTH,HEIGHT); give a cut-out of the image with one of them"
     )

@@ -133,9 +133,12 @@ class Measurement(Closing):
             )
             self._views: list[View] = []
             for number, image in enumerate(images):
+                of_left = number > 0 and shape is None
+                size = self._views[0].rest.shape if number else shape
                 with named(number, images):
-                    self._views.append(View(self._detector, image, shape, track=track))
-                shape = self._views[0].rest.shape
+                    self._views.append(
+                        View(self._detector, image, size, track=track, of_left=of_left)
+                    )
             rest, geometry = self._at_rest()
             programs = programs_of(chosen.handle)
             most = max(len(view.corners) for view in self._views)

@@ -22,6 +22,7 @@ class View:
     """The pattern at rest in one view.
 
     rest: its grid. corners: those at rest. sure: the grid with numbers that are beyond doubt.
+    of_left: whether the shape is that which the left view shows.
 
     Raises GridError if the view shows no pattern.
     """
@@ -33,9 +34,16 @@ class View:
         shape: tuple[int, int] | None,
         *,
         track: bool,
+        of_left: bool = False,
     ) -> None:
         self.corners, rest = detector.grid(view, shape=shape)
         self._device = detector.device
+        if of_left and rest.seen_shape is not None:
+            here, left = (" x ".join(map(str, each)) for each in (rest.seen_shape, rest.shape))
+            raise GridError(
+                f"the board looks like {here} corners, in the left view like {left}; give its rows "
+                "and columns, or show all of it in both"
+            )
         check_board(rest)
         self.rest = _as_seen(rest, self.corners)
         self.sure = dataclasses.replace(self.rest, confidence=math.inf, rival=None)

@@ -342,6 +342,16 @@ def test_the_numbers_of_the_frame_at_rest_are_not_ambiguous(run, tmp_path):
     assert np.load("press.npz")["ambiguous"].tolist() == [False, True]
 
 
+def test_tracking_that_was_asked_for_is_not_advised(run, tmp_path):
+    board = np.kron(np.indices((13, 13)).sum(0) % 2, np.full((12, 12), 180)).astype(np.uint8) + 30
+    for number, missing in enumerate((False, True, True, False)):
+        view = np.full_like(board, 90) if missing else board
+        cv2.imwrite(str(tmp_path / f"{number}.png"), view[6:150, 6:150])
+    _, out, err = run("run", tmp_path, "--track", "--out", "press.npz")
+    assert "1 whose numbers may be wrong" in out
+    assert err.splitlines()[-1].endswith("show a border of the pattern in every frame")
+
+
 def test_the_largest_displacement_is_not_of_a_frame_whose_numbers_may_be_wrong(run, tmp_path):
     board = np.kron(np.indices((13, 13)).sum(0) % 2, np.full((12, 12), 180)).astype(np.uint8) + 30
     for number, shift in enumerate((0, 4)):  # no border of the pattern is in view
