@@ -180,6 +180,9 @@ def test_an_impossible_rig_is_refused(name, value, words):
         ("window_index", "window_distance: 2\nwindow_index", "window_distance is given twice"),
         ("cols: 5\n   dt: d", "cols: 5\n   dt: i", "D1 must have dt: d or f, not 'i'"),
         ("cols: 3", "cmls: 3", "K1 must be a small matrix"),
+        ("rows: 3\n   cols: 3", "rows: -3\n   cols: -3", "K1 must be a small matrix, not -3 x -3"),
+        ("rows: 3\n   cols: 3", "sizes: [ 3, x ]", "K1 must be a small matrix"),
+        ("rows: 3\n   cols: 3", "sizes: [ ]", "K1 must be a small matrix"),
         ("1260.", "x", "K1 has an entry that is no number"),
         ("1260.", "1e308", "K1 must be finite and at most"),
         ("-0.12", ".inf", "D1 must be finite"),
@@ -201,6 +204,25 @@ def test_a_rig_file_with_a_wrong_entry_is_refused_in_one_line(tmp_path, old, new
     with pytest.raises(CalibrationError, match=rf"rig\.yaml: {words}") as refusal:
         StereoRig.load(path)
     assert "\n" not in str(refusal.value)
+
+
+def test_vectors_are_read_as_opencv_5_writes_them(tmp_path):
+    rig = toed_in_rig()
+    rig.save(tmp_path / "rig.yaml")
+    text = (tmp_path / "rig.yaml").read_text()
+    for old, size in (("rows: 1\n   cols: 5", 5), ("rows: 1\n   cols: 3", 3)):
+        assert f"!!opencv-matrix\n   {old}" in text
+        new = f"!!opencv-nd-matrix\n   sizes: [ {size} ]"
+        text = text.replace(f"!!opencv-matrix\n   {old}", new)
+    (tmp_path / "rig.yaml").write_text(text)
+    again = StereoRig.load(tmp_path / "rig.yaml")
+    for name in ("D1", "D2", "T", "K1"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(rig, name))
+
+
+def test_a_rig_is_printed_in_a_few_lines():
+    rig = dataclasses.replace(toed_in_rig(), covariance=np.eye(22))
+    assert repr(rig).count("\n") < 12
 
 
 def test_a_frame_is_split_into_views_of_itself():

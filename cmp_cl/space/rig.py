@@ -60,7 +60,7 @@ class StereoRig:
     R: Array
     T: Array
     unit: str = "mm"
-    covariance: Array | None = None
+    covariance: Array | None = dataclasses.field(default=None, repr=False)
     window: Window | None = None
 
     def __post_init__(self) -> None:

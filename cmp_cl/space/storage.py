@@ -1,6 +1,7 @@
 """Rigs in files of OpenCV's FileStorage: read with a limit on their size, written whole."""
 
 import itertools
+import math
 import re
 import warnings
 from collections.abc import Mapping
@@ -115,27 +116,40 @@ def _read_matrix(
 ) -> NDArray[np.float64] | None:
     """Read a matrix of at most _MAX_NUMBERS entries; None if the key is missing.
 
+    OpenCV 5 writes a vector as !!opencv-nd-matrix, which has `sizes` in place of rows and cols.
+
     storage: the open file. path: its name, for messages. Raises CalibrationError if the entry is
         damaged, larger, not a matrix, or not of type d or f: OpenCV cuts the numbers of others.
     """
     node = storage.getNode(key)
     if node.empty():
         return None
-    if not node.isMap() or not all(node.getNode(name).isInt() for name in ("rows", "cols")):
+    sizes = _sizes_of(node) if node.isMap() else []
+    if not sizes or not all(size.isInt() for size in sizes):
         raise CalibrationError(f"{path}: {key} must be a small matrix (!!opencv-matrix)")
     kind = node.getNode("dt").string() if node.getNode("dt").isString() else ""
     if kind not in ("d", "f"):
         raise CalibrationError(f"{path}: {key} must have dt: d or f, not {kind!r}")
     # node.mat() of OpenCV 5.0 writes past its memory where an entry of the map is damaged.
-    rows, cols = (int(node.getNode(name).real()) for name in ("rows", "cols"))
-    data = node.getNode("data")
-    if not 0 < rows * cols <= _MAX_NUMBERS or not data.isSeq() or data.size() != rows * cols:
-        what = f"{rows} x {cols}, with {data.size()} entries"
+    shape = [int(size.real()) for size in sizes]
+    count, data = math.prod(shape), node.getNode("data")
+    fits = min(shape) > 0 and count <= _MAX_NUMBERS
+    if not fits or not data.isSeq() or data.size() != count:
+        what = f"{' x '.join(map(str, shape))}, with {data.size()} entries"
         raise CalibrationError(f"{path}: {key} must be a small matrix, not {what}")
-    entries = [data.at(i) for i in range(rows * cols)]
+    entries = [data.at(i) for i in range(count)]
     if not all(entry.isReal() or entry.isInt() for entry in entries):
         raise CalibrationError(f"{path}: {key} has an entry that is no number")
-    return np.array([entry.real() for entry in entries]).reshape(rows, cols)
+    return np.array([entry.real() for entry in entries]).reshape(shape)
+
+
+def _sizes_of(node: cv2.FileNode) -> list[cv2.FileNode]:
+    several = node.getNode("sizes")
+    if several.isInt():  # a single one in XML
+        return [several]
+    if several.isSeq():
+        return [several.at(i) for i in range(several.size())]
+    return [node.getNode(name) for name in ("rows", "cols")]
 
 
 def last_entries(
