@@ -257,7 +257,7 @@ void measure(LEVELS_OF_IMAGE, PLACES_OF_BOARD, const int width, const int place,
 
 __kernel void measure_nodes(LEVELS_OF_IMAGE, __global const int *restrict layout,
                             PLACES_OF_BOARD) {
-  FOR_PLACES(1) {
+  FOR_PLACES(0) {
     PLACE_OF_WORK_ITEM
     measure(LEVELS, PLACES, width, place, PARITY_OF(row, column));
   }

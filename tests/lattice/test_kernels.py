@@ -3,8 +3,8 @@ bit."""
 
 import numpy as np
 import pytest
-from lattice_plans import K, gel, started
-from lattices import corners_at, keep
+from lattice_plans import K, gel, plan_for, started
+from lattices import corners_at, drawn, keep
 from scenes import SCENES
 
 from cmp_cl import detect
@@ -228,6 +228,28 @@ def test_corners_of_another_board_are_no_nodes(device):
     _, board = assert_equal_to_the_oracle(device, image, corners, change=change)
     assert not np.isin(board.owner[board.owner >= 0], np.flatnonzero(taken)).any()
     assert np.isin(np.flatnonzero(none & ~taken), board.owner).mean() > 0.9
+
+
+def test_a_board_that_grows_to_the_last_round_ignores_the_frame_before(device):
+    """A dim one after a bright one: contrasts that this left at the edge of the array counted."""
+    bright, _ = drawn(18, 36)
+    dim = bright // 10 + 120
+
+    def settled(plan, image, kept):
+        corners = detect(image)
+        plan.take(image, corners.xy, corners.edges, corners.refusal)
+        plan.enqueue(plan.launches)  # the board of a frame of several parts waits
+        numbers = plan.read("numbers", np.int32).reshape(-1, 4)[: len(corners)].copy()
+        place = numbers[:, :2] - numbers[:, :2].min(axis=0)
+        numbers[(place >= kept).any(axis=1), 3] = 0
+        return plan.settle(numbers)
+
+    used = plan_for(device, bright, 18 * 36)
+    settled(used, bright, 36)
+    wanted = settled(plan_for(device, dim, 18 * 36), dim, 4)
+    assert wanted.there.shape == (4 + ROUNDS, 4 + ROUNDS)
+    found = settled(used, dim, 4)
+    np.testing.assert_array_equal(found.owner, wanted.owner)
 
 
 def test_places_without_a_corner(device):
