@@ -20,7 +20,7 @@ from cmp_cl.cli.arguments import (
 )
 from cmp_cl.cli.messages import counted, one_line, progress, shown, tell
 from cmp_cl.cli.running.pace import Pace
-from cmp_cl.cli.running.recording import Recording
+from cmp_cl.cli.running.recording import Recording, missing_numbers
 from cmp_cl.cli.running.results import Results
 from cmp_cl.cli.running.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
@@ -123,6 +123,12 @@ def run(arguments: argparse.Namespace) -> int:
     series = [] if arguments.out == "-" else [arguments.out]
     check_files([*source.paths, arguments.config, arguments.stereo], [*series, *pictures])
     recording = Recording(source, arguments.rest_frame)
+    for each in sources:
+        if missing := missing_numbers(each.paths):
+            tell(
+                f"{counted(missing, 'number')} missing between {shown(each.paths[0].name)} and "
+                f"{shown(each.paths[-1].name)}: frames and their `index` count the files"
+            )
     settings = {
         "source": source.name,
         "rest_frame": str(arguments.rest_frame),

@@ -3,11 +3,13 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -20,6 +22,7 @@ from messages import fails_in_one_line
 from videos import camera_of, write_deep_video, write_video
 
 from cmp_cl import Detector, DetectorConfig, DeviceError, EdgeLines, StereoRig, select_device
+from cmp_cl.cli.running.recording import missing_numbers
 from cmp_cl.measure.views import View
 from cmp_cl.media import Frame, read_image
 from cmp_cl.series import SeriesWriter, read_series
@@ -340,6 +343,33 @@ def test_the_numbers_of_the_frame_at_rest_are_not_ambiguous(run, tmp_path):
     assert "trust none of them" in err
     assert "--track" in err
     assert np.load("press.npz")["ambiguous"].tolist() == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("names", "missing"),
+    [
+        (["a-8", "a-9", "a-10", "a-11", "a-14", "a-16"], 3),
+        (["0", "10", "20"], 0),
+        (["1700000123", "1700000124", "1700000190"], 0),
+        (["1", "2", "2b", "5"], 0),
+        (["rest", "pressed"], 0),
+        (["1" * 400, "2" * 400], 0),
+        (["5"], 0),
+        ([], 0),
+    ],
+)
+def test_numbers_that_are_missing_between_files_are_counted(names, missing):
+    assert missing_numbers([Path("frames 1") / f"{name}.png" for name in names]) == missing
+
+
+def test_files_that_are_missing_from_a_recording_are_told(run, recording):
+    os.rename("frames/2.png", "frames/4.png")
+    shutil.copy("frames/1.png", "frames/2.png")
+    status, _, err = run("run", recording, *STEREO)
+    assert status == 0
+    assert err.splitlines()[0] == (
+        "cmp-cl: 1 number missing between 0.png and 4.png: frames and their `index` count the files"
+    )
 
 
 def test_tracking_that_was_asked_for_is_not_advised(run, tmp_path):

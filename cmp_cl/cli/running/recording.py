@@ -1,7 +1,11 @@
 """The frame at rest of what `cmp-cl run` measures, its frames, and those that are left out."""
 
 import contextlib
-from collections.abc import Generator
+import re
+from collections.abc import Generator, Sequence
+from pathlib import Path
+
+import numpy as np
 
 from cmp_cl.cli.messages import counted, shown
 from cmp_cl.errors import ConfigError
@@ -61,6 +65,17 @@ class Recording:
             f"frame {frame.index} is {image.shape[1]} x {image.shape[0]} px of {image.dtype}, the "
             f"frame at rest is {rest.shape[1]} x {rest.shape[0]} of {rest.dtype}; it is left out"
         )
+
+
+def missing_numbers(paths: Sequence[Path]) -> int:
+    """Return how many numbers are missing between files that are numbered one by one; 0 for files
+    of other names, such as those of times."""
+    named = [re.fullmatch(r"(.*?)(\d+)(\D*)", path.stem) for path in paths]
+    if len({each and (each[1], each[3]) for each in named}) != 1:
+        return 0
+    steps = np.diff([int(each[2]) for each in named if each])
+    consecutive = (steps > 0).all() and 2 * (steps == 1).sum() > len(steps)
+    return int((steps - 1).sum()) if consecutive else 0
 
 
 def _because(frame: Frame) -> str:
