@@ -263,7 +263,7 @@ class Measurement(Closing):
             with self._lock, contextlib.suppress(DeviceError):  # closed
                 self._streams = False
                 if waiting is not None:
-                    self._follows = False  # nobody has checked the nodes that it tracks
+                    self._give_up()
                     self._detector.finish(waiting.plan)
 
     def _begun(self, frame: AnyImage | None) -> _Begun | None:
@@ -289,6 +289,11 @@ class Measurement(Closing):
         for view in self._views:
             view.lost()
             self._follows &= view.continues
+
+    def _give_up(self) -> None:
+        """Note that a frame is missing that has been begun."""
+        self._skip()
+        self._follows = False  # nobody has checked the nodes that it tracks
 
     def _at_rest(self) -> tuple[Moment, InSpace | InPlane]:
         """Return the nodes at rest, and how the views show them."""
@@ -328,7 +333,7 @@ class Measurement(Closing):
         try:
             return self._settle(begun)
         except BaseException:
-            self._follows = False  # nobody has checked the nodes that it tracks
+            self._give_up()
             raise
 
     def _settle(self, begun: _Begun) -> Measured:

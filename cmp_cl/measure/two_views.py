@@ -14,6 +14,7 @@ from cmp_cl.image import AnyImage
 from cmp_cl.measure.fit import LEAST_FITTING
 from cmp_cl.measure.measurement import Measurement, Settings
 from cmp_cl.measure.patterns import align_views
+from cmp_cl.measure.views import SHIFTS
 from cmp_cl.motion.geometry import InSpace
 from cmp_cl.motion.moments import Moment
 from cmp_cl.space import Bias, BinocularSplit, Points3D, PointStatus, StereoRig
@@ -21,8 +22,6 @@ from cmp_cl.space import Bias, BinocularSplit, Points3D, PointStatus, StereoRig
 Ends = tuple[bool, bool]  # whether the first and the last line are seen to be the pattern's
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
 _FLIP = np.array([-1, 1], np.float32)
-# Rows and columns to the nearest nodes of the same colours
-_SHIFTS = (0, 2), (0, -2), (2, 0), (-2, 0), (1, 1), (-1, -1), (1, -1), (-1, 1)
 _BETTER = 0.25  # share of the reprojection error that is left if the views were swapped or mirrored
 
 
@@ -103,7 +102,7 @@ class TwoViews(Measurement):
         sides = left.border or NO_SIDES, right.border or NO_SIDES
         rows_known = self._decided(*(view[:2] for view in sides))
         columns_known = self._decided(*(view[2:] for view in sides))
-        for rows, columns in _SHIFTS:
+        for rows, columns in SHIFTS.tolist():
             if (rows and rows_known) or (columns and columns_known):
                 continue
             other = dataclasses.replace(right, origin=(rows, columns)).cut_to(left)

@@ -5,6 +5,9 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import GridError
@@ -16,6 +19,10 @@ from cmp_cl.measure.patterns import check_board
 # Frames without a grid over which numbers are continued. After more of them, a motion of half a
 # cell per frame could reach the next position that looks the same.
 BRIDGED = 1
+MOST_CELLS = 0.5  # from frame to frame
+_KNOWN_CELLS = 0.01  # so well is a motion known
+# Rows and columns to the nearest nodes of the same colours
+SHIFTS = np.array([(0, 2), (0, -2), (2, 0), (-2, 0), (1, 1), (-1, -1), (1, -1), (-1, 1)])
 
 
 class View:
@@ -58,22 +65,29 @@ class View:
         displacement.
         """
         before = self._before() if self.track else None
-        try:
-            whole = build_grid(
-                corners,
-                view,
-                like=self.rest,
-                previous=before,
-                device=self._device,
-            )
-        except GridError:
-            whole = None
-        if whole is None or not whole.valid.any():
+        whole = self._numbered(corners, view, before)
+        if before is not None and 0 < self._lost <= BRIDGED and self._may_slip(whole, before):
+            whole = self._numbered(corners, view, _doubtful(before))
+        if not whole.valid.any():
             self.lost()
             return empty_grid(len(corners), self.rest.shape, self.rest)
         whole = _as_seen(whole, corners)
         self.go_on(lambda: whole)
         return whole.cut_to(self.rest)
+
+    def _numbered(self, corners: Corners, view: GreyImage, before: Grid | None) -> Grid:
+        """Return the grid of a frame after another one, empty if it shows no pattern."""
+        try:
+            return build_grid(corners, view, like=self.rest, previous=before, device=self._device)
+        except GridError:
+            return empty_grid(len(corners), self.rest.shape, self.rest)
+
+    def _may_slip(self, grid: Grid, before: Grid) -> bool:
+        """Return whether the pattern may have come to another position that looks the same, in the
+        frames since the one before."""
+        most = MOST_CELLS * (self._lost + 1) - _KNOWN_CELLS
+        off = np.linalg.norm(SHIFTS - _motion(grid, before), axis=1)
+        return bool(grid.valid.any() and not off.min() >= most)
 
     def go_on(self, grid: Callable[[], Grid]) -> None:
         """Continue the numbers of a grid, which is made when needed, in the frames that follow."""
@@ -83,16 +97,35 @@ class View:
         """Note that a frame is missing; numbers are continued over BRIDGED of them at most."""
         self._lost += 1
         if self._lost > BRIDGED:
-            doubtful = dataclasses.replace(self._before(), confidence=0.0)
+            doubtful = _doubtful(self._before())
             self._previous = lambda: doubtful
 
     @property
     def continues(self) -> bool:
-        """Return whether few frames are missing since the last one with a grid."""
-        return self._lost <= BRIDGED
+        """Return whether a tracker may go on: few frames are missing since the last one with a
+        grid, and none of a pattern that may slip by whole cells."""
+        return self._lost <= (0 if self.track else BRIDGED)
 
     def _before(self) -> Grid:
         return self.rest if self._previous is None else self._previous()
+
+
+def _doubtful(grid: Grid) -> Grid:
+    """Return a grid whose numbers are not sure."""
+    return dataclasses.replace(grid, confidence=0.0)
+
+
+def _motion(grid: Grid, before: Grid) -> NDArray[np.float64]:
+    """Return the mean motion of the nodes of two frames, (rows, columns), NaN without any."""
+    moved = grid.cut_to(before).xy.astype(np.float64) - before.xy
+    steps = [_mean(np.diff(before.xy.astype(np.float64), axis=axis)) for axis in (0, 1)]
+    return np.asarray(np.linalg.solve(np.transpose(steps), _mean(moved)), np.float64)
+
+
+def _mean(ways: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean of the known ones of ways (R, C, 2), NaN without any."""
+    known = ways[np.isfinite(ways).all(axis=2)]
+    return np.asarray(known.mean(axis=0)) if len(known) else np.full(2, np.nan)
 
 
 def _as_seen(grid: Grid, corners: Corners) -> Grid:
