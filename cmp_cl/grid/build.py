@@ -7,7 +7,7 @@ import numpy as np
 
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError, ImageError, check_kind, check_shape
-from cmp_cl.grid.choice import Asked, by_size, chosen_of, found_in
+from cmp_cl.grid.choice import Asked, by_size, chosen_of, found_in, reference_of
 from cmp_cl.grid.grid import Grid, check_size, empty_grid
 from cmp_cl.grid.placing import placed
 from cmp_cl.image import AnyImage, GreyImage, check_image
@@ -149,6 +149,11 @@ def asked_of(shape: tuple[int, int] | None, like: Grid | None, previous: Grid | 
         if not given.valid.any():
             raise GridError(
                 f"the grid given as `{name}` has no nodes; give one that has been found"
+            )
+        if not reference_of(given).board.steps[0]:
+            raise GridError(
+                f"the grid given as `{name}` has no two measured nodes side by side, which show "
+                "its steps; give one that shows more of the pattern"
             )
     if shape is not None:
         check_shape(shape, GridError)

@@ -235,7 +235,7 @@ def in_shape(now: Board, shape: tuple[int, int], k: LatticeConstants) -> Decisio
 def _places(
     begin: int, end: int, size: int, sides: list[tuple[bool, ...]], k: LatticeConstants
 ) -> list[tuple[int, float]]:
-    """Return numbers for the first line of a board, and their nats.
+    """Return the best two numbers for the first line of a board, and their nats.
 
     begin, end: the first and the last line that it has. size: the lines of the pattern. sides:
     whether the pattern ends before the first and after the last line, follows, and has room there.
@@ -255,7 +255,8 @@ def _places(
             elif further == 0 and room and not ends:
                 total -= k.bare_nats
         places.append((start - begin, total))
-    return places
+    best = sorted(places, key=lambda each: (-each[1], abs(each[0])))
+    return sorted(best[:2])
 
 
 def seen_lines(now: Board) -> tuple[int, int]:

@@ -1,6 +1,7 @@
 """What a grid promises: every number is right or the grid says so, in any orientation and order."""
 
 import contextlib
+import dataclasses
 import functools
 import json
 import time
@@ -669,10 +670,20 @@ def test_few_corners_give_an_empty_grid_or_that_of_the_known_size():
             assert [said.partition(":")[0] for said in nothing.doubts] == ["no board is seen"]
 
 
+def test_a_board_finds_its_place_in_a_size_of_millions():
+    view, corners = seen("board")
+    start = time.perf_counter()
+    grid = build_grid(corners, view.image, shape=(2000, 2000))
+    assert time.perf_counter() - start < 5
+    assert grid.ambiguous or grid.seen_shape
+
+
 def test_requests_that_make_no_sense_are_refused_in_one_line():
     view, corners = seen("board")
     rest = build_grid(corners, view.image)
     empty = build_grid(reordered(corners, np.arange(2)), view.image)
+    alone = rest.within((2, 3), (1, 1))
+    between = dataclasses.replace(rest, status=np.full(BOARD, NodeStatus.INTERPOLATED))
     nan, blind = (reordered(corners, np.arange(len(corners))) for _ in range(2))
     nan.xy[3, 1] = np.nan
     blind.edges[:] = np.nan
@@ -682,6 +693,9 @@ def test_requests_that_make_no_sense_are_refused_in_one_line():
         ("has (6, 9)", GridError, {"shape": (5, 6), "like": rest}),
         ("like must be of type Grid", GridError, {"like": corners}),
         ("no nodes", GridError, {"like": empty}),
+        ("no two measured nodes", GridError, {"like": alone}),
+        ("no two measured nodes", GridError, {"like": between}),
+        ("no two measured nodes", GridError, {"like": rest, "previous": alone}),
         ("needs the grid at rest", GridError, {"previous": rest}),
         ("no edge angles", GridError, {"corners": blind}),
         ("finite", GridError, {"corners": nan}),
