@@ -316,6 +316,17 @@ def test_a_camera_of_the_rig_may_be_rolled(degrees):
     assert np.sqrt(np.mean(off**2)) < 0.05
 
 
+def test_the_tracked_view_of_a_rolled_camera_has_the_ends_of_its_rest():
+    roll = cv2.Rodrigues(np.array([0.0, 0.0, np.pi / 2]))[0]
+    rolled = dataclasses.replace(RIG, R=roll @ RIG.R, T=roll @ RIG.T)
+    rest = Shot(*render_stereo(GEL.at_rest(), rolled)).frame
+    with measure.TwoViews(rest, rolled, SPLIT, shape=NODES) as against_rest:
+        tracked = list(against_rest.stream([rest, rest]))[1]
+        assert tracked.tracked
+        for grid, at_rest in zip(tracked.grids, against_rest.rest_grids, strict=True):
+            assert grid.reach == at_rest.reach
+
+
 AHEAD = [[600, 0, 120], [0, 600, 150], [0, 0, 1]]
 BESIDE = StereoRig(AHEAD, [], AHEAD, [], np.eye(3), np.array([-4.0, 0, 0]))  # parallel cameras
 

@@ -28,7 +28,7 @@ SHIFTS = np.array([(0, 2), (0, -2), (2, 0), (-2, 0), (1, 1), (-1, -1), (1, -1), 
 class View:
     """The pattern at rest in one view.
 
-    rest: its grid. corners: those at rest. sure: the grid with numbers that are beyond doubt.
+    rest: its grid, which may get the numbers of another view. corners: those at rest.
     of_left: whether the shape is that which the left view shows.
 
     Raises GridError if the view shows no pattern.
@@ -53,10 +53,14 @@ class View:
             )
         check_board(rest)
         self.rest = _as_seen(rest, self.corners)
-        self.sure = dataclasses.replace(self.rest, confidence=math.inf, rival=None)
         self.track = track
         self._previous: Callable[[], Grid] | None = None
         self._lost = 0  # frames since the last one with a grid
+
+    @property
+    def sure(self) -> Grid:
+        """Return the grid at rest with numbers that are beyond doubt."""
+        return dataclasses.replace(self.rest, confidence=math.inf, rival=None)
 
     def number(self, corners: Corners, view: GreyImage) -> Grid:
         """Number the corners of another frame; without a pattern the grid is empty.
