@@ -206,6 +206,23 @@ def test_an_audit_tells_the_nodes_that_tracking_numbered_otherwise(film, monkeyp
         assert following.tally == measure.Tally(tracked=5, numbered=3, audited=2, differing=4)
 
 
+def test_an_audit_finds_nodes_that_tracking_has_lost(monkeypatch):
+    """A hand hides them while they move by more than a third of a cell, and the others do not."""
+    monkeypatch.setattr("cmp_cl.measure.measurement.AUDITED", 4)
+    rest, nodes = drawn(30, 30)
+    y, x = np.indices(rest.shape, np.float32)
+    middle = nodes[14:16, 14:16].mean(axis=(0, 1))
+    far = (x - middle[0]) ** 2 + (y - middle[1]) ** 2
+    hidden = np.where(far < 44**2, np.uint8(120), rest)
+    bump = 13 * np.exp(-far / (2 * 16**2)).astype(np.float32)
+    moved = cv2.remap(rest, x - bump, y - bump, cv2.INTER_LINEAR)
+    with OneView(rest, shape=(30, 30)) as following:
+        found = [following(each) for each in (rest, hidden, moved, moved, moved, moved)]
+    assert [each.tracked for each in found[1:]] == [True, True, True, False, True]
+    assert [each.nodes for each in found[3:]] == [897, 900, 900]
+    assert found[4].differing == 0
+
+
 def test_a_tracked_frame_says_what_its_kernels_took(film):
     with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES, profile=True) as following:
         following(film[0])

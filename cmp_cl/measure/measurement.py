@@ -26,7 +26,7 @@ from cmp_cl.motion.geometry import InPlane, InSpace
 from cmp_cl.motion.moments import Moment
 from cmp_cl.motion.nodes import grid_of
 from cmp_cl.motion.plan import FieldPlan
-from cmp_cl.motion.track import Tracker, can_track, differing
+from cmp_cl.motion.track import Tracker, can_track, differing, lost
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.opencl.launches import enqueue, sum_times
 from cmp_cl.opencl.program import programs_of
@@ -87,8 +87,8 @@ class Measurement(Closing):
 
     A frame gets its numbers from the frame before, if its nodes are found where they were expected;
     else they are found anew. Of one frame in AUDITED that were tracked a view is numbered anew all
-    the same, each in its turn. If a node then has another corner, that counts, all views are
-    numbered anew, and these numbers hold.
+    the same, each in its turn. If a node then has another corner, that counts; then, and if one
+    has a corner that tracking had lost, all views are numbered anew, and these numbers hold.
     """
 
     _bias: Bias | None = None
@@ -362,7 +362,7 @@ class Measurement(Closing):
 
     def _numbered_anew(self, settled: Measured, plan: Plan) -> Measured:
         """Return a frame with the numbers that are found without the frame before; as it is if
-        tracking has the same corners.
+        tracking has the same corners, and has lost none.
 
         Its nodes are those that tracking finds from these numbers in the same frame, if it holds:
         torn nodes get their second look however a frame got its numbers.
@@ -371,8 +371,9 @@ class Measurement(Closing):
         count, known = len(self._views), {}
         if settled.tracked:
             audited = self.tally.audited % count
-            known[audited] = self._number(settled, audited)
-            if not differing(settled.grids[audited], known[audited]):
+            found = known[audited] = self._number(settled, audited)
+            before = settled.grids[audited]
+            if not differing(before, found) and not lost(before, found):
                 return settled
         anew = [known.get(view) or self._number(settled, view) for view in range(count)]
         if settled.tracked:

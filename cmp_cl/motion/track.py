@@ -11,7 +11,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners
-from cmp_cl.grid.grid import NO_SIDES, Grid
+from cmp_cl.grid.grid import MEASURED, NO_SIDES, Grid
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.motion.nodes import whole
 from cmp_cl.opencl.launches import GROUP, Launch, bound, constant, multiple
@@ -268,6 +268,15 @@ def differing(one: Grid, other: Grid) -> int:
     both = (one.index[:, 0] >= 0) & (other.index[:, 0] >= 0)
     moved = both & (one.index != other.index).any(axis=1)
     return int(np.count_nonzero(moved))
+
+
+def lost(tracked: Grid, other: Grid) -> int:
+    """Return the number of nodes of a grid that are not measured, but are in another one."""
+    return int(np.count_nonzero(~_measured(tracked) & _measured(other)))
+
+
+def _measured(grid: Grid) -> NDArray[np.bool_]:
+    return np.isin(grid.status, MEASURED)
 
 
 def colour_of(rest: Grid, corners: Corners) -> int:
