@@ -144,7 +144,7 @@ class RingHarmonic(Settings):
     The rule has no binary image and needs no cell size.
 
     noise: least response of a corner, standard deviations of the noise, 0 to 100; cells
-        squeezed under 6 px need twice that. With 0, frames of nothing but noise have corners too.
+        squeezed under 6 px need twice that.
     relative: least response of a corner as a share of the reference response of the frame, 0 to 1.
         Half of it is enough if the response is at least 3/4 of the length of the second harmonic,
         a quarter if it is a fifth of the grey levels on the ring; the share for squeezed cells is

@@ -14,13 +14,9 @@ EDGE = 1 / 5  # of the brightest block: a strong edge
 DARK = 1 / 16  # of white: no block of a darker image is bright
 EDGES = 0.01  # share of the blocks that such edges cross
 FACE = 4  # corners, the fewest of a pattern
-GRAIN = 1 / 100  # of the brightest pixel: weaker second differences are no texture
 ASKED = 300  # corners, at most, whose neighbour is looked for
 FEW_BITS = 2**14  # a grey level that an image of 16 bits reaches, unless it is very dark
 MOSAIC = 0.75  # least share of the brightest mean that the darkest of the four pixels of 2 x 2 has
-MORE_LIGHT = (
-    "give more light, the mean of some frames, or the part of the image that shows the pattern"
-)
 ALTERNATE = -0.6  # mean cosine of twice the turn to the neighbour; noise has -.24 to -.6
 
 
@@ -98,8 +94,8 @@ class Corners:
 
         The line is empty if nothing speaks against them. It says that grey levels do not fit the
         full scale, that the image is the raw mosaic of a colour camera, that there is no corner
-        although there are strong edges, that there are but noise and texture, or that neighbouring
-        corners do not alternate as those of a checkerboard do: most are then noise or texture.
+        although there are strong edges, or that neighbouring corners do not alternate as those of a
+        checkerboard do: most are then noise or texture.
 
         image: (H, W), which they are of. full_scale: its largest grey level, if that was given.
         numbered: whether a grid without doubts was found: then only grey levels are spoken of.
@@ -120,12 +116,11 @@ class Corners:
                 "no corner, although there are strong edges: those of noise or texture, or of "
                 "cells under 5 px; enlarge these, and do not leave out octaves"
             )
-        if len(self) < FACE and _has_grain(image):
-            return f"no pattern, but noise or texture: {MORE_LIGHT}"
         if self._alternation() > ALTERNATE:
             return (
                 f"most of the {len(self)} corners are noise or texture, because neighbours do not "
-                f"alternate as in a checkerboard: {MORE_LIGHT}"
+                "alternate as in a checkerboard: give more light, the mean of some frames, or the "
+                "part of the image that shows the pattern"
             )
         return ""
 
@@ -170,32 +165,14 @@ def _is_mosaic(image: GreyImage) -> bool:
     return bool(means.min() < MOSAIC * means.max())
 
 
-def _means(image: GreyImage) -> NDArray[np.float64]:
-    """Return the means of blocks."""
-    rows, columns = (length // BLOCK * BLOCK for length in image.shape)
-    blocks = image[:rows, :columns].reshape(rows // BLOCK, BLOCK, columns // BLOCK, BLOCK)
-    means: NDArray[np.float64] = blocks.mean(axis=(1, 3))
-    return means
-
-
 def _has_edges(image: GreyImage, white: int) -> bool:
     """Return whether strong edges cross the image. Noise fades in the means of blocks."""
-    grey = _means(image)
+    rows, columns = (length // BLOCK * BLOCK for length in image.shape)
+    blocks = image[:rows, :columns].reshape(rows // BLOCK, BLOCK, columns // BLOCK, BLOCK)
+    grey = blocks.mean(axis=(1, 3))
     strong = EDGE * max(grey.max(initial=0), DARK * white)
     steps = [np.abs(np.diff(grey, axis=axis)) > strong for axis in (0, 1)]
     return bool(sum(int(step.sum()) for step in steps) > EDGES * grey.size)
-
-
-def _has_grain(image: GreyImage) -> bool:
-    """Return whether an image has noise or texture of some pixels: as seen by second differences
-    along both axes, noise of one falls to a quarter in the means of blocks."""
-    if min(image.shape) < 3 * BLOCK:
-        return False
-    fine, coarse = (
-        np.abs(np.diff(np.diff(grey, 2, axis=0), 2, axis=1)).mean()
-        for grey in (image.astype(float), _means(image))
-    )
-    return bool(coarse > max(fine / 2, GRAIN * image.max()))
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

@@ -15,14 +15,13 @@ __kernel void find_reference(__global const ulong *restrict noise, const uint ba
 /* Decide which maxima of a frame are corners. One work-group per frame. */
 __kernel void decide(const uint octaves, __global const Level *restrict levels,
                      __global int *strong, const uint rows, const uint step, const uint capacity,
-                     const uint coarse_noise, const int coarse_share, const int fine_share,
-                     const int nms_radius, const uint corner_capacity, const uint count_offset,
-                     const uint length, const uint counters_of_frame, __global uint *counters,
+                     const int coarse_share, const int fine_share, const int nms_radius,
+                     const uint corner_capacity, const uint count_offset, const uint length,
+                     const uint counters_of_frame, __global uint *counters,
                      __global int *lists, __global uint *maxima, __global uint *row_counts,
                      __global int *row_columns, __global int *corners, __global uint *counts) {
   __local ulong sums[DECIDING];
-  decide_frame(get_group_id(0), octaves, levels, strong, rows, step, capacity, coarse_noise,
-               coarse_share, fine_share, nms_radius, counters_of_frame, corner_capacity,
-               count_offset, length, counters, lists, maxima, row_counts, row_columns, corners,
-               counts, sums);
+  decide_frame(get_group_id(0), octaves, levels, strong, rows, step, capacity, coarse_share,
+               fine_share, nms_radius, counters_of_frame, corner_capacity, count_offset, length,
+               counters, lists, maxima, row_counts, row_columns, corners, counts, sums);
 }

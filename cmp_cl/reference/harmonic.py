@@ -41,9 +41,6 @@ NEIGHBOURS = 32  # px of the octave, x and y: corners of narrower cells have nei
 ALIGNED = 8  # of them suffice, and two more for each that is askew
 MOSTLY = 3  # times as many aligned neighbours as askew ones or more: the latter are few
 SEEN = 1.5  # px of the next octave
-BOARD = 8  # sure maxima within NEIGHBOURS of one of them: a board before noise
-SURELY = 32  # more neighbours of maxima of noise are askew than aligned: fewer may be chance
-FIRST_ASKED, ASKED = 16, 128  # maxima, about, whose neighbours show whether a frame is noise
 UNIT = 15  # of a direction, about
 
 
@@ -261,8 +258,6 @@ def decided(
         for each in octaves
     ]
     every = [[each for each in strong if not each.halvings], *([each] for each in enough[1:])]
-    if rule.noise and len(every) > 1 and is_noise(every, nms_radius):
-        return greatest, [each.of(np.zeros(len(each.x), np.bool_)) for each in layers]
     kept: list[Maxima] = []
     for each in strong:
         n, reach = each.halvings, OCTAVE_APART if each.halvings else nms_radius
@@ -275,35 +270,6 @@ def decided(
             )
         kept.append(each.of(corner))
     return greatest, kept
-
-
-def is_noise(octaves: Sequence[Sequence[Maxima]], nms_radius: int) -> bool:
-    """Return whether a frame shows nothing but noise: its maxima are askew, and nowhere are
-    BOARD sure maxima near one of them, as on a board before noise."""
-    if not are_askew(octaves, nms_radius):
-        return False
-    for every in octaves:
-        sure = [each.of(are_sure(*around(each, every, nms_radius))) for each in every]
-        if any((number_near(each, sure, NEIGHBOURS) >= BOARD).any() for each in sure):
-            return False
-    return True
-
-
-def are_askew(octaves: Sequence[Sequence[Maxima]], nms_radius: int) -> bool:
-    """Return whether more neighbours of the maxima of a frame are askew than aligned, in all
-    octaves together by SURELY or more, and in none as many aligned as those of a sure maximum.
-
-    The maxima of one row in so many are asked: about 16 of the frame, then 128 of each octave.
-    """
-    aligned = askew = 0
-    for count, n in [(FIRST_ASKED, 0), *((ASKED, n) for n in range(len(octaves)))]:
-        every = sum(len(each.x) for each in octaves[n]) // count | 1
-        asked = [each.of(each.y % every == every // 2) for each in octaves[n]]
-        found = sum(around(each, octaves[n], nms_radius).sum(axis=1) for each in asked)
-        if are_sure(*found):
-            return False
-        aligned, askew = np.add((aligned, askew), found)
-    return bool(askew >= SURELY + aligned)
 
 
 def strong_enough(found: Maxima, rule: RingHarmonic, level: int) -> Maxima:
@@ -346,24 +312,14 @@ def is_lone(
     aligned, askew = around(asked, every, nms_radius)
     seen = is_near(asked, [following], SEEN)
     if_weak, if_not = (askew > 0) | ~seen, (MOSTLY * askew > aligned) & ~seen
-    lone: NDArray[np.bool_] = np.where(weak, if_weak, if_not) & ~are_sure(aligned, askew)
+    lone: NDArray[np.bool_] = np.where(weak, if_weak, if_not) & (aligned < ALIGNED + 2 * askew)
     return lone
 
 
-def are_sure(aligned: Whole, askew: Whole) -> NDArray[np.bool_]:
-    """Return which maxima with so many neighbours are sure."""
-    return aligned >= ALIGNED + 2 * askew
-
-
 def is_near(found: Maxima, others: Sequence[Maxima], reach: float) -> NDArray[np.bool_]:
-    """Return (N,): whether one of the others is within reach, as `number_near`."""
-    return number_near(found, others, reach) > 0
-
-
-def number_near(found: Maxima, others: Sequence[Maxima], reach: float) -> Whole:
-    """Return (N,): how many of the others are within reach in x and in y, px of the smaller of the
-    two frames."""
-    near = np.zeros(len(found.x), np.int64)
+    """Return (N,): whether one of the others is within reach in x and in y, px of the smaller of
+    the two frames."""
+    near = np.zeros(len(found.x), np.bool_)
     for other in others:
         size, others_size = 2**found.halvings, 2**other.halvings
         x, y = ((2 * at + 1) * others_size for at in (other.x, other.y))  # twice the place, and 1
@@ -371,7 +327,7 @@ def number_near(found: Maxima, others: Sequence[Maxima], reach: float) -> Whole:
         for n in range(len(near)):
             apart_x = np.abs(x - (2 * found.x[n] + 1) * size)
             apart_y = np.abs(y - (2 * found.y[n] + 1) * size)
-            near[n] += np.count_nonzero(np.maximum(apart_x, apart_y) <= furthest)
+            near[n] |= (np.maximum(apart_x, apart_y) <= furthest).any()
     return near
 
 

@@ -464,7 +464,7 @@ __kernel void harmonic_band(__global PIXEL *image, __global PIXEL *halves, const
   for (uint kind = 0; kind < KINDS; ++kind)
     find_level(kind, p, frames, noise, bands, rows, columns, full_scale, coarse_noise, capacity,
                counters_of_frame, counters, lists, levels, 0);
-  decide_frame(p, octaves, levels, strong, rows, step, capacity, coarse_noise, coarse_share,
-               fine_share, NMS_RADIUS, counters_of_frame, corner_capacity, count_offset, length,
-               counters, lists, maxima, row_counts, row_columns, corners, counts, sums);
+  decide_frame(p, octaves, levels, strong, rows, step, capacity, coarse_share, fine_share,
+               NMS_RADIUS, counters_of_frame, corner_capacity, count_offset, length, counters,
+               lists, maxima, row_counts, row_columns, corners, counts, sums);
 }
