@@ -177,10 +177,11 @@ def run(arguments: argparse.Namespace) -> int:
     if found.ambiguous:
         track = ", or give --track if it moves by less than half a cell from frame to frame"
         tell(
-            f"in {counted(found.ambiguous, 'frame')} no border of the pattern decides which node "
-            "is which: all displacements of such a frame may be wrong by whole cells, trust none "
-            "of them (the array `ambiguous` says which frames); show a border of the pattern in "
-            f"every frame{'' if arguments.track else track}"
+            f"in {counted(found.ambiguous, 'frame')} nothing decides which node is which: all "
+            "displacements of such a frame may be wrong by whole cells, trust none of them (the "
+            "array `ambiguous` says which frames). A pattern without a border in view, or that "
+            "jumped by cells and looks the same turned by half, leaves this open: show a border of "
+            f"the pattern in every frame{'' if arguments.track else track}"
         )
     if found.misfit:
         tell(
