@@ -46,6 +46,8 @@
 /* The status of a node with this corner. */
 #define STATUS_OF(corner) (isnan((corner).w) ? ATTACHED : DETECTED)
 
+#define IS_SEEN(status) ((status) != MISSING && (status) != INTERPOLATED)
+
 #define VIEW const int view = get_global_id(1), i = get_global_id(0);
 #define OF_NODE (view * NODES + i)
 #define CORNERS (view * CAPACITY)
@@ -96,10 +98,12 @@ int has_colour(const float angle, const float2 along, const float2 down, const i
   return !(sign * (SIZE(off_down) - SIZE(off_along)) <= 0);
 }
 
-/* Predict the nodes: they move on as they moved last. Empty what is counted and the bins. One
+/* Predict the nodes: they move on as they moved last. From where a node is taken to be to its corner,
+ * or back, is no motion: it keeps the one that it had. Empty what is counted and the bins. One
  * work-item a node or a bin. */
 __kernel void predict(const int bin_rows, const int bin_columns,
-                      __global const float2 *nodes, __global float2 *last,
+                      __global const float2 *nodes, __global const uchar *seen_status,
+                      __global uchar *last_status, __global float2 *last,
                       __global float2 *predicted, __global int *first_of_bin,
                       __global uint *look_counts, const uint first_count,
                       __global int *tracked) {
@@ -109,8 +113,10 @@ __kernel void predict(const int bin_rows, const int bin_columns,
   if (i < bin_rows * bin_columns) first_of_bin[BINS + i] = NONE;
   if (i >= NODES) return;
   const float2 here = nodes[OF_NODE];
-  predicted[OF_NODE] = here + (here - last[OF_NODE]);
+  const int alike = IS_SEEN(seen_status[OF_NODE]) == IS_SEEN(last_status[OF_NODE]);
+  predicted[OF_NODE] = here + ((alike ? here : predicted[OF_NODE]) - last[OF_NODE]);
   last[OF_NODE] = here;
+  last_status[OF_NODE] = seen_status[OF_NODE];
 }
 
 /* Chain the corners of each bin. One work-item a corner. */

@@ -117,6 +117,7 @@ class Tracker:
             {
                 "corners": ((*corners, 4), np.float32),
                 "last": ((*nodes, 2), np.float32),
+                "last_status": (nodes, np.uint8),
                 "predicted": ((*nodes, 2), np.float32),
                 "residual": ((*nodes, 2), np.float32),
                 "nearest": (nodes, np.int32),
@@ -226,8 +227,9 @@ class Tracker:
 
     def begin(self, grids: Sequence[Grid]) -> bool:
         """Go on from the nodes of these grids, which are on the device; return whether they are
-        enough. Enqueues a copy: they do not move."""
+        enough. Enqueues copies: they do not move."""
         copy(self._queue, self._parts["last"], self._parts["nodes"])
+        copy(self._queue, self._parts["last_status"], self._parts["seen_status"])
         return all(not grid.ambiguous and grid.valid.mean() >= 1 - LOST for grid in grids)
 
     def holds(self, arrays: Mapping[str, NDArray[Any]], corners: Sequence[int]) -> bool:

@@ -1,7 +1,8 @@
 """The nodes of a frame from those of the frame before, node by node, in float64.
 
-1. A node is expected where it moves on to as it moved last. It takes the corner within .3 of the
-   smaller local step there, if no other is within .5.
+1. A node is expected where it moves on to as it moved last: from corner to corner, or from one
+   place where it was taken to be to the next; between the two it keeps the motion that it had. It
+   takes the corner within .3 of the smaller local step there, if no other is within .5.
 2. The colour of the corner must be that of the node: the sine of the angle between its first
    boundary and the lattice's step along the row is smaller than that with the step down the column
    (times their lengths) for one of the two, and larger for the other. An unknown boundary fits.
@@ -30,19 +31,22 @@ from cmp_cl.reference.lattice.nodes import FOUR, predictors
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+Bools = NDArray[np.bool_]
 
 _K = LatticeConstants()
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Found:
-    """nodes: (R, C, 2). owner: (R, C), the corner, -1 without one. status: (R, C), 0 missing, 1
-    with a corner, 2 with a rough one, whose sigma is unknown, 4 interpolated. crossed, lost,
-    adrift: numbers of nodes with a corner of another colour, that failed, and that failed beside
-    a corner. beyond, gone: (4,), free corners and failed nodes of each side,
-    top, bottom, left, right. margin: the least distance of a quantity from its bound, px."""
+    """nodes, motion: (R, C, 2), and how they move on. owner: (R, C), the corner, -1 without one.
+    status: (R, C), 0 missing, 1 with a corner, 2 with a rough one, whose sigma is unknown, 4
+    interpolated. crossed, lost, adrift: numbers of nodes with a corner of another colour, that
+    failed, and that failed beside a corner. beyond, gone: (4,), free corners and failed nodes of
+    each side, top, bottom, left, right. margin: the least distance of a quantity from its bound,
+    px."""
 
     nodes: Floats
+    motion: Floats
     owner: Ints
     status: Ints
     crossed: int
@@ -53,12 +57,15 @@ class Found:
     margin: float
 
 
-def track(rest: Floats, before: Floats, nodes: Floats, corners: Floats, colour: int) -> Found:
-    """Follow the nodes (R, C, 2) of a frame, `before` those of the frame before it and `rest` those
-    at rest, to the corners (N, 4): x, y, angle, sigma, negative for torn ones. colour: 1 if corners
-    of even row + column have their first boundary along the row, else -1."""
+def track(
+    rest: Floats, nodes: Floats, motion: Floats, seen: Bools, corners: Floats, colour: int
+) -> Found:
+    """Follow the nodes (R, C, 2) of a frame, `rest` those at rest, to the corners (N, 4): x, y,
+    angle, sigma, negative for torn ones. motion: (R, C, 2), how they move on. seen: (R, C), those
+    that have corners. colour: 1 if corners of even row + column have their first boundary along the
+    row, else -1."""
     shape = nodes.shape[0], nodes.shape[1]
-    expected = 2 * nodes - before
+    expected = nodes + motion
     before_step = along, down = _steps(nodes)
     step = np.minimum(np.linalg.norm(along, axis=2), np.linalg.norm(down, axis=2))
     owner = np.full(shape, -1, np.int32)
@@ -160,8 +167,10 @@ def track(rest: Floats, before: Floats, nodes: Floats, corners: Floats, colour: 
             for n in ((r, c - 1), (r, c + 1), (r - 1, c), (r + 1, c))
         ]
         status[node] = 4 if all(sides[:2]) or all(sides[2:]) else 0
+    alike = np.isin(status, (1, 2)) == seen
     return Found(
         nodes=final,
+        motion=np.where(alike[..., None], final - nodes, motion),
         owner=owner,
         status=status,
         crossed=crossed,
