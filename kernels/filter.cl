@@ -64,13 +64,14 @@ void fill_node(const int i, __global const float *moved, __global const uchar *v
   for (int reach = 3; reach <= 6; reach += 3) {
     Surface around;
     begin_surface(&around);
-    EACH_NODE_WITHIN(reach, row, column, r, c) {
-      const int j = r * COLUMNS + c;
-      if (!votes[j]) continue;
-      float value[K];
-      for (int k = 0; k < K; ++k) value[k] = moved[k * NODES + j];
-      add_to_surface(&around, reach, r - row, c - column, value);
-    }
+    for (int r = max(row - reach, 0); r <= min(row + reach, ROWS - 1); ++r)
+      for (int c = max(column - reach, 0); c <= min(column + reach, COLUMNS - 1); ++c) {
+        const int j = r * COLUMNS + c;
+        if (!votes[j]) continue;
+        float value[K];
+        for (int k = 0; k < K; ++k) value[k] = moved[k * NODES + j];
+        add_to_surface(&around, reach, r - row, c - column, value);
+      }
     if (around.nodes < LEAST_VOTES) continue;
     float filled[K];
     solve_surface(&around, filled);

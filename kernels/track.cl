@@ -233,19 +233,23 @@ __kernel void agree(__global const float4 *corners, __global const float2 *last,
  * the first where too few nodes predict. One work-item a node. */
 
 /* Where a node without a corner is: it moved from rest as the surface through the nodes around that
- * have one. What lost nodes are taken to have done counts for nothing: they would drift away. */
+ * have one, those within 3 nodes, 6, 12 and so on until there are enough; far ones are taken at
+ * steps. What lost nodes are taken to have done counts for nothing: they would drift away. */
 float2 moved_as_others(const int i, __global const float2 *at, __global const float2 *rest,
                        __global const int *kept) {
   const int row = i / COLUMNS, column = i % COLUMNS;
-  for (int reach = 3;; reach *= 2) {
+  for (int size = 1;; size *= 2) {
+    const int step = max(size / 2, 1);
     Surface around;
     begin_surface(&around);
-    EACH_NODE_WITHIN(reach, row, column, r, c) {
-      const int j = r * COLUMNS + c;
-      const float value[K] = {at[j].x - rest[j].x, at[j].y - rest[j].y};
-      if (kept[j] >= 0) add_to_surface(&around, reach, r - row, c - column, value);
-    }
-    if (around.nodes < LEAST_AROUND && reach < max(ROWS, COLUMNS)) continue;
+    for (int y = -3 * size; y <= 3 * size; y += step)
+      for (int x = -3 * size; x <= 3 * size; x += step) {
+        const int r = row + y, c = column + x, j = r * COLUMNS + c;
+        if (r < 0 || c < 0 || r >= ROWS || c >= COLUMNS || kept[j] < 0) continue;
+        const float value[K] = {at[j].x - rest[j].x, at[j].y - rest[j].y};
+        add_to_surface(&around, 3, (float)y / size, (float)x / size, value);
+      }
+    if (around.nodes < LEAST_AROUND && 3 * size < max(ROWS, COLUMNS)) continue;
     if (around.nodes == 0) return at[i];
     float moved[K];
     solve_surface(&around, moved);
@@ -297,7 +301,8 @@ __kernel void check(__global const float4 *corners, const float bins_per_px, con
     expected[OF_NODE] = place;
     NEAREST(place, NEAR_CELLS * cell, claims[CORNERS + j] == 0)
     const float2 last_pixel = (float2)(image_columns - 1, image_rows - 1);
-    const float2 start = clamp(best >= 0 ? corners[CORNERS + best].xy : place, 0.0f, last_pixel);
+    const float2 from = best >= 0 ? corners[CORNERS + best].xy : place;
+    const float2 start = fmin(fmax(from, 0.0f), last_pixel); /* NaN becomes 0 */
     const int slot = (int)atomic_inc(look_counts + first_count + view);
     look[OF_NODE] = slot;
     __global int *entry = looks + view * LOOKS + slot;

@@ -17,8 +17,8 @@
 8. A node that fails or is astray is looked at again. If that finds nothing, it keeps a corner
    within .3 cell of the prediction; else it takes the prediction. A node that fails takes it only
    if all nodes that predict have corners; else it has moved from rest as the quadratic surface
-   through the nodes around that have one: 16 of them, within 3 nodes, 6, 12, .... It is
-   interpolated if both neighbours along a line have corners and are not astray.
+   through 16 nodes around, or more, that have one. It is interpolated if both neighbours along a
+   line have corners and are not astray.
 """
 
 import dataclasses
@@ -230,20 +230,23 @@ def _forms(
 def _surface(node: tuple[int, int], values: Floats, known: NDArray[np.bool_]) -> Floats:
     """Return the value at a node of the quadratic surface through the known ones around.
 
-    Weights are Gaussian, with half the reach as sigma; a ridge of .001 and .01 draws the slopes and
-    the second derivatives to 0.
+    Those within 3 nodes, in steps of 1; 6, 1; 12, 2; 24, 4; ... until there are 16. Distances are
+    in thirds of that reach. Weights are Gaussian, with half the reach as sigma; a ridge of .001 and
+    .01 draws the slopes and the second derivatives to 0.
     """
     row, column = (np.arange(n) - at for n, at in zip(known.shape, node, strict=True))
     y, x = np.meshgrid(row, column, indexing="ij")
-    reach = 3
+    size = 1
     while True:
-        near = known & (np.abs(y) <= reach) & (np.abs(x) <= reach)
-        if np.count_nonzero(near) >= 16 or reach >= max(known.shape):
+        step = max(size // 2, 1)
+        near = known & (np.abs(y) <= 3 * size) & (np.abs(x) <= 3 * size)
+        near &= (y % step == 0) & (x % step == 0)
+        if np.count_nonzero(near) >= 16 or 3 * size >= max(known.shape):
             break
-        reach *= 2
-    dy, dx = y[near].astype(np.float64), x[near].astype(np.float64)
+        size *= 2
+    dy, dx = y[near] / size, x[near] / size
     terms = np.stack([np.ones_like(dx), dy, dx, dy * dy, dy * dx, dx * dx], axis=1)
-    weight = np.exp(-2 * (dx * dx + dy * dy) / reach**2)[:, None]
+    weight = np.exp(-2 * (dx * dx + dy * dy) / 9)[:, None]
     normal = terms.T @ (weight * terms) + np.diag([0, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2])
     first = values[near][0]
     found: Floats = first + np.linalg.solve(normal, terms.T @ (weight * (values[near] - first)))[0]
