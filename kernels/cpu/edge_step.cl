@@ -13,7 +13,7 @@
 #define BEHIND 32 /* elements behind the last pixel, which vector stores overwrite */
 #define BEFORE 8 /* residuals before the first pixel, all 0, as those behind the last */
 
-#define ROUNDED(v) ((int)((v) + (1024 + HALF)) - 1024) /* near 0; floor is a call */
+#define ROUNDED(v) ((int)((v) + (8 + HALF)) - 8) /* near 0; floor is a call */
 
 /* A row of the list begins with a pixel that is always outside the disc, so that the row before
  * ends there. The columns -most to most from the middle pixel follow. So the pixel opposite to

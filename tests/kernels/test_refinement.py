@@ -137,6 +137,16 @@ def test_the_forms_agree_to_the_bit(device):
         assert_same_bytes(*results)
 
 
+def test_a_disc_whose_middle_lies_between_two_pixels_equals_the_oracle(detector_in_form):
+    """Nearly: rounding near 1024 in float32 took the other one; sigma was 0.05, not 1.24 px."""
+    rng = np.random.default_rng(1199)
+    noisy = board(400, 400, 9)[0] // 2 + rng.normal(60, 25, (400, 400))
+    image = np.clip(noisy[88:169, 260:341], 0, 255).astype(np.uint8)
+    assert_corners_equal(
+        detector_in_form(image, DetectorConfig(refinement=EdgeStep(cell=8))), image
+    )
+
+
 @pytest.mark.parametrize("cell", [8.0, 12.0])
 def test_discs_that_leave_the_image_equal_the_oracle(detector_in_form, cell):
     """Discs have a radius of .75 cells."""
