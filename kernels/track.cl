@@ -221,17 +221,6 @@ __kernel void agree(__global const float4 *corners, __global const float2 *last,
   if (column == COLUMNS - 1) atomic_inc(own + GONE + 3);
 }
 
-/* A node that failed, or that is far from what the nodes around predict, is looked at a second
- * time: refinement starts at a free corner near the place where it is expected, or there. For that
- * it is listed in `looks` as kernels/result.clh lists corners; `look` is its place in that list,
- * NONE for the others.
- *
- * Free corners where a line beyond a side would be are counted, and failed nodes that have a corner
- * near: where corners moved too far they have one, where they are torn they have none. `stencils`:
- * the weights of nodes around, and how far away they are in the list of nodes, for each of 16 x 16
- * distances from the sides, 0 to 3 above, below, before and behind; a weight of 0 ends them, and is
- * the first where too few nodes predict. One work-item a node. */
-
 /* Where a node without a corner is: it moved from rest as the surface through the nodes around that
  * have one, those within 3 nodes, 6, 12 and so on until there are enough; far ones are taken at
  * steps. What lost nodes are taken to have done counts for nothing: they would drift away. */
@@ -256,6 +245,17 @@ float2 moved_as_others(const int i, __global const float2 *at, __global const fl
     return rest[i] + (float2)(moved[0], moved[1]);
   }
 }
+
+/* A node that failed, or that is far from what the nodes around predict, is looked at a second
+ * time: refinement starts at a free corner near the place where it is expected, or there. For that
+ * it is listed in `looks` as kernels/result.clh lists corners; `look` is its place in that list,
+ * NONE for the others.
+ *
+ * Free corners where a line beyond a side would be are counted, and failed nodes that have a corner
+ * near: where corners moved too far they have one, where they are torn they have none. `stencils`:
+ * the weights of nodes around, and how far away they are in the list of nodes, for each of 16 x 16
+ * distances from the sides, 0 to 3 above, below, before and behind; a weight of 0 ends them, and is
+ * the first where too few nodes predict. One work-item a node. */
 __kernel void check(__global const float4 *corners, const float bins_per_px, const int bin_rows,
                     const int bin_columns, __global const int *first_of_bin,
                     __global const int *next, __global const int *claims,
