@@ -507,8 +507,7 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
     if (!counts[CHANGED]) return;
     list_around(OF_PLACES, CHANGED, NEAR, 2, BLENDED, true, width, seen);
     FOR_LISTED(BLENDED)
-      if (blend(PLACES, width, place))
-        list_place(OF_PLACES, MOVED, place);
+      if (blend(PLACES, width, place)) list_place(OF_PLACES, MOVED, place);
     ALL_TOGETHER;
     list_around(OF_PLACES, MOVED, NEAR, 1, MEASURED, true, width, seen);
     FOR_LISTED(MEASURED)
@@ -517,8 +516,7 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
     FOR_LISTED(BLENDED) list_place(OF_PLACES, SCORED, place);
     ALL_TOGETHER;
     list_around(OF_PLACES, MEASURED, NEAR, 3, SCORED, true, width, seen);
-    FOR_LISTED(SCORED)
-      score_node(PLACES, width, place);
+    FOR_LISTED(SCORED) score_node(PLACES, width, place);
     ALL_TOGETHER;
     list_around(OF_PLACES, SCORED, 1, 2, JUDGED, false, width, seen);
     for (int kind = CHANGED; kind <= SCORED; ++kind) empty_list(OF_PLACES, kind);

@@ -321,17 +321,16 @@ __kernel void check(__global const float4 *corners, const float bins_per_px, con
   }
 }
 
-/* A node takes what its second look has found, if it is near the expected place, has the right
- * colour, and no other node claims it. A corner there is its corner. A node that nothing is found
+/* A node takes what its second look has found, if it is near the expected place and has the right
+ * colour. A corner there that is free, or was its own, is its corner. A node that nothing is found
  * for keeps a corner that is not too far; else it stays at that place, INTERPOLATED between two
  * neighbours. One work-item a node. */
 __kernel void enter(__global const float *look_result, const uint look_stride,
                     __global const float4 *corners, const float bins_per_px,
                     const int bin_rows, const int bin_columns,
                     __global const int *first_of_bin, __global const int *next,
-                    __global const int *claims, __global const int *nearest,
-                    __global const int *kept, __global const int *look,
-                    __global const float2 *expected,
+                    __global const int *claims, __global const int *kept,
+                    __global const int *look, __global const float2 *expected,
                     __global const float2 *last, __global const int *colour,
                     __global float2 *nodes, __global uchar *seen_status,
                     __global float *seen_sigma, __global int *owner) {
@@ -348,10 +347,9 @@ __kernel void enter(__global const float *look_result, const uint look_stride,
     const float2 found = (float2)(fields[2 * n], fields[2 * n + 1]);
     const float deviation = sqrt(variances[n]), off = length(found - place);
     const float most = deviation < TORN_PX ? NEAR_CELLS : STRAY_TORN_CELLS;
-    NEAREST(found, SAME_PX, 1)
-    const int others = best < 0 ? 0 : claims[CORNERS + best] - (nearest[OF_NODE] == best);
-    if ((off < most * cell || off < STRAY_PX) && others == 0 &&
+    if ((off < most * cell || off < STRAY_PX) &&
         has_colour(edges[4 * n], along, down, i, colour[view])) {
+      NEAREST(found, SAME_PX, claims[CORNERS + j] == 0 || j == before_look)
       owner[OF_NODE] = best;
       nodes[OF_NODE] = best >= 0 ? corners[CORNERS + best].xy : found;
       seen_status[OF_NODE] = best < 0 ? SECOND_LOOK : STATUS_OF(corners[CORNERS + best]);
