@@ -104,10 +104,13 @@ def _of_rings(
     outer = ring.ring_bits(binary, ring.OUTER[rings.outer_radius])
     maps: dict[str, Any] = dict.fromkeys(field.name for field in dataclasses.fields(Maps))
     if isinstance(rings.criteria, RapidCriteria):
-        maps |= criteria.rapid(binary, inner, outer, rings.criteria)
+        maps |= criteria.rapid(inner, outer, rings.criteria)
     else:
-        maps |= spectral.spectral(binary, inner, outer, rings.criteria)
+        maps |= spectral.spectral(inner, outer, rings.criteria)
     candidate = maps["candidate"] & mask
+    if rings.criteria.corrosion_threshold is not None:
+        maps["corrosion"] = criteria.corrosion(binary, outer)
+        candidate &= maps["corrosion"] < rings.criteria.corrosion_threshold
     response = np.where(candidate, maps["response"], 0)
     score = nms.score(response)
     maximum = nms.maxima(response, score, nms_radius)

@@ -130,25 +130,19 @@ def corners(
     coarse = [each for each in layers if not each.maxima.fine]
     level, kept = decided([each.maxima for each in layers], rule, nms_radius)
     maximum = np.zeros(image.shape, np.bool_)
-    parts = []
+    parts: list[dict[str, NDArray[Any]]] = []
     for layer, found in zip(layers, kept, strict=True):
         centroid, rounded = nms.centroids(np.maximum(layer.response, 0), found.x, found.y)
-        alike = (np.full(len(found.x), of) for of in (found.fine, found.halvings))
-        parts.append((found.x, found.y, *alike, found.response, centroid, rounded))
-        maximum[in_frame(found.y, found.halvings), in_frame(found.x, found.halvings)] = True
-    x, y, fine, halvings, response, centroid, rounded = map(
-        np.concatenate, zip(*parts, strict=True)
-    )
-    order = np.lexsort((in_frame(x, halvings), in_frame(y, halvings)))
+        each = dict(x=found.x, y=found.y, response=found.response)
+        each |= {name: np.full(len(found.x), vars(found)[name]) for name in ("fine", "halvings")}
+        parts.append(each | dict(centroid=centroid, rounded=rounded))
+    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    y, x = (in_frame(whole[axis], whole["halvings"]) for axis in "yx")
+    maximum[y, x] = True
+    order = np.lexsort((x, y))
     fine_response = layers[1].response.astype(np.int32) if rule.fine else None
     return Corners(
-        x=x[order],
-        y=y[order],
-        halvings=halvings[order],
-        fine=fine[order],
-        response=response[order],
-        centroid=centroid[order],
-        rounded=rounded[order],
+        **{name: values[order] for name, values in whole.items()},
         images=[image, *(in_levels(each.thrice, image.dtype) for each in coarse[1:])],
         bounds=noise_bounds(image, rule, full_scale),
         reference=level,

@@ -60,14 +60,13 @@ def refine(
         )
     points = edge_points(image, start)
     two_rings = points.valid.sum(axis=1) >= 2
-    midline = isinstance(refinement, Midlines)
-    enough = two_rings if midline else enough_points(points)
-    max_shift = STEP_SHIFT if isinstance(refinement, EdgeStep) else refinement.max_shift
-    sigma = unknown
+    enough, sigma = two_rings, unknown
     doubtful = np.zeros(count, np.bool_)
     if isinstance(refinement, Midlines):
-        shift, method, refusal, margin = midlines(points, refinement.fit, max_shift)
+        shift, method, refusal, margin = midlines(points, refinement.fit, refinement.max_shift)
     else:
+        enough = enough_points(points)
+        max_shift = STEP_SHIFT if isinstance(refinement, EdgeStep) else refinement.max_shift
         shift, method, refusal, margin = edge_lines(points, max_shift)
         sigma = np.where(method == Method.EDGE_LINES, lines_sigma(points), np.nan)
     method = np.where(enough, method, Method.KEPT).astype(np.uint8)

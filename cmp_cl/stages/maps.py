@@ -4,6 +4,7 @@ A stage of that form leaves its result on the device; each is read before a late
 buffer.
 """
 
+import dataclasses
 import math
 from typing import Any
 
@@ -18,14 +19,15 @@ from cmp_cl.stages.layout import CORNER_COLUMNS, LISTS
 from cmp_cl.stages.paper import spectral
 from cmp_cl.stages.plan import Plan
 
-_RAPID_MAPS = (
-    ("inner_transitions", np.uint8),
-    ("outer_transitions", np.uint8),
-    ("sector_difference", np.uint8),
-    ("ring_difference", np.uint8),
-    ("corrosion", np.int8),
-)
-_SPECTRAL_MAPS = ("spectrum_12", "spectrum_23", "correlation", "phase")
+_RAPID_MAPS = {
+    "inner": np.uint16,
+    "outer": np.uint16,
+    "inner_transitions": np.uint8,
+    "outer_transitions": np.uint8,
+    "sector_difference": np.uint8,
+    "ring_difference": np.uint8,
+    "corrosion": np.int8,
+}
 
 
 def read_maps(plan: Plan) -> Maps | HarmonicMaps:
@@ -80,7 +82,7 @@ def _at_corners(plan: Plan) -> NDArray[np.bool_]:
 
 
 def _ring_maps(plan: Plan, rule: BinaryRings) -> dict[str, Any]:
-    values: dict[str, Any] = {"contrast": None}
+    values: dict[str, Any] = dict.fromkeys(field.name for field in dataclasses.fields(Maps))
     for launch in plan.launches:
         plan.launch([launch])
         if launch.stage == "repeat_border_binary":
@@ -117,11 +119,8 @@ def _per_pixel(plan: Plan, name: str, outputs: list[Any], *inputs: Any) -> list[
 
 
 def _rapid_maps(plan: Plan) -> dict[str, NDArray[Any] | None]:
-    dtypes = [np.uint16, np.uint16, *(dtype for _, dtype in _RAPID_MAPS)]
-    inner, outer, *others = _per_pixel(plan, "ring_maps", dtypes, plan.arrays["binary"])
-    values: dict[str, NDArray[Any] | None] = {"inner": inner, "outer": outer}
-    values |= {name: values for (name, _), values in zip(_RAPID_MAPS, others, strict=True)}
-    return values | dict.fromkeys(_SPECTRAL_MAPS)
+    found = _per_pixel(plan, "ring_maps", list(_RAPID_MAPS.values()), plan.arrays["binary"])
+    return dict(zip(_RAPID_MAPS, found, strict=True))
 
 
 def _spectral_maps(plan: Plan) -> dict[str, NDArray[Any] | None]:
@@ -135,7 +134,6 @@ def _spectral_maps(plan: Plan) -> dict[str, NDArray[Any] | None]:
     product = np.sqrt(black[0] * black[1])
     correlation = np.divide(best, product, out=np.zeros_like(product), where=product > 0)
     return {
-        **dict.fromkeys(name for name, _ in _RAPID_MAPS),
         "inner": inner,
         "outer": outer,
         "corrosion": corrosion,

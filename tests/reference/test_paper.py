@@ -98,7 +98,7 @@ def test_candidates_follow_the_definition():
     inner = rng.choice(four, 2000)
     flips = (1 << rng.integers(0, 16, (4, 2000))).astype(np.uint16)
     outer = inner ^ np.bitwise_or.reduce(flips, axis=0)
-    found = spectral.spectral(np.zeros((1, 2000), np.bool_), inner[None], outer[None], rule)
+    found = spectral.spectral(inner[None], outer[None], rule)
     on_the_bound = 0
     for k in range(2000):
         values = correlations(inner[k], outer[k])

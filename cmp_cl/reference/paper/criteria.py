@@ -11,14 +11,11 @@ from cmp_cl.reference.paper import ring
 
 
 def rapid(
-    binary: NDArray[np.bool_],
-    inner: NDArray[np.uint16],
-    outer: NDArray[np.uint16],
-    criteria: RapidCriteria,
+    inner: NDArray[np.uint16], outer: NDArray[np.uint16], criteria: RapidCriteria
 ) -> dict[str, Any]:
-    """Evaluate the rapid criteria at every pixel of one binary image and its ring bits.
+    """Evaluate the rapid criteria but that of corrosion at every pixel, given its ring bits.
 
-    Returns fields of `cmp_cl.corners.Maps`; the response is before the gate.
+    Returns fields of `cmp_cl.corners.Maps`; the response is that of a candidate.
     """
     d2 = sector_differences()[inner]
     inner_count = inner_transitions(inner)
@@ -30,19 +27,13 @@ def rapid(
         & (d2 < criteria.sector_threshold)
         & (difference < criteria.ring_threshold)
     )
-    cd = None
-    if criteria.corrosion_threshold is not None:
-        cd = corrosion(binary, outer)
-        candidate &= cd < criteria.corrosion_threshold
-    response = np.where(candidate, criteria.sector_threshold - d2.astype(np.int32), 0)
     return dict(
         inner_transitions=inner_count,
         outer_transitions=outer_count,
         sector_difference=d2,
         ring_difference=difference,
-        corrosion=cd,
         candidate=candidate,
-        response=response.astype(np.int32),
+        response=criteria.sector_threshold - d2.astype(np.int32),
     )
 
 

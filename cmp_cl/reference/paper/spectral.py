@@ -10,20 +10,16 @@ from numpy.typing import NDArray
 
 from cmp_cl.config import SpectralCriteria
 from cmp_cl.reference.paper import ring
-from cmp_cl.reference.paper.criteria import corrosion
 
 TIE = 1e-9
 
 
 def spectral(
-    binary: NDArray[np.bool_],
-    inner: NDArray[np.uint16],
-    outer: NDArray[np.uint16],
-    criteria: SpectralCriteria,
+    inner: NDArray[np.uint16], outer: NDArray[np.uint16], criteria: SpectralCriteria
 ) -> dict[str, Any]:
-    """Evaluate the spectral criteria at every pixel of one binary image and its ring bits.
+    """Evaluate the spectral criteria but that of corrosion at every pixel, given its ring bits.
 
-    Returns fields of `cmp_cl.corners.Maps`; the response is before the gate.
+    Returns fields of `cmp_cl.corners.Maps`; the response is that of a candidate.
     """
     minus_1, minus_3 = spectrum_differences()
     spectrum_12 = np.minimum(minus_1[inner], minus_1[outer])
@@ -37,19 +33,14 @@ def spectral(
         & (largest >= least_correlations(criteria.correlation)[n1, n2])
         & (half_samples * (math.pi / 16) < criteria.phase)
     )
-    cd = None
-    if criteria.corrosion_threshold is not None:
-        cd = corrosion(binary, outer)
-        candidate &= cd < criteria.corrosion_threshold
     product = n1.astype(np.float64) * n2
     return dict(
         spectrum_12=spectrum_12.astype(np.float32),
         spectrum_23=spectrum_23.astype(np.float32),
         correlation=(largest / np.sqrt(np.maximum(product, 1))).astype(np.float32),
         phase=(half_samples * (math.pi / 16)).astype(np.float32),
-        corrosion=cd,
         candidate=candidate,
-        response=np.where(candidate, responses()[inner], 0).astype(np.int32),
+        response=responses()[inner],
     )
 
 
