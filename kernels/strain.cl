@@ -4,7 +4,9 @@
  * cmp_cl/reference/field/strain.py has the equations. A surface is fitted to a window of nodes
  * around each node, which is moved inwards at a border. */
 
-#define TERMS 6
+#define QUADRATIC 6 /* terms of a surface */
+#define CUBIC 10
+#define POWERS 7 /* in the products of two terms */
 #define LEAST_PIVOT 1e-3f   /* of normal equations whose coefficients are integers */
 #define MOST_VARIANCE 10.0f /* of a slope, where that of each node is 1 */
 #define LAGS 3 /* of second differences: with themselves, with the next row, the next column */
@@ -260,45 +262,90 @@ void weights_of_whole(const int i, __global const float *table, const Window win
     for (int n = 0; n < count; ++n) weight[step][n] = table[(place * 2 + step) * count + n];
 }
 
-/* The same of the quadratic surface through the valid nodes of a window; return whether they
+/* The powers of column and row in the terms of a surface. */
+__constant int OF_COLUMN[CUBIC] = {0, 1, 0, 2, 1, 0, 3, 2, 1, 0};
+__constant int OF_ROW[CUBIC] = {0, 0, 1, 0, 1, 2, 0, 1, 2, 3};
+
+/* The powers 0 to 6 of a number. */
+void powers_of(const float x, float *power) {
+  power[0] = 1;
+  for (int p = 1; p < POWERS; ++p) power[p] = power[p - 1] * x;
+}
+
+/* The same of the surface of so many terms through the valid nodes of a window; return whether they
  * determine it. */
-int weights_of_some(const int i, __global const uchar *valid, const Window window,
+int weights_of_some(const int i, __global const uchar *valid, const Window window, const int terms,
                     float (*weight)[WEIGHTS]) {
   const int middle_down = window.down / 2, middle_along = window.along / 2;
-  const float x = (float)(i % COLUMNS - window.left - middle_along);
-  const float y = (float)(i / COLUMNS - window.top - middle_down);
-  const float by[2][TERMS] = {{0, 1, 0, 2 * x, y, 0}, {0, 0, 1, 0, x, 2 * y}};
-  float normal[TERMS][TERMS + 2];
-  for (int a = 0; a < TERMS; ++a)
-    for (int b = 0; b < TERMS + 2; ++b) normal[a][b] = b < TERMS ? 0 : by[b - TERMS][a];
-  for (int r = 0; r < window.down; ++r)
+  float moment[POWERS][POWERS], u[POWERS], v[POWERS];
+  for (int p = 0; p < POWERS; ++p)
+    for (int q = 0; q < POWERS; ++q) moment[p][q] = 0;
+  for (int r = 0; r < window.down; ++r) {
+    float line[POWERS] = {0, 0, 0, 0, 0, 0, 0};
     for (int c = 0; c < window.along; ++c) {
-      if (!valid[(window.top + r) * COLUMNS + window.left + c]) continue;
-      const float u = (float)(c - middle_along), v = (float)(r - middle_down);
-      const float term[TERMS] = {1, u, v, u * u, u * v, v * v};
-      for (int a = 0; a < TERMS; ++a)
-        for (int b = 0; b < TERMS; ++b) normal[a][b] += term[a] * term[b];
+      powers_of((float)(c - middle_along), u);
+      const float there = valid[(window.top + r) * COLUMNS + window.left + c] != 0;
+      for (int p = 0; p < POWERS; ++p) line[p] += there * u[p];
     }
-  for (int pivot = 0; pivot < TERMS; ++pivot) {
+    powers_of((float)(r - middle_down), v);
+    for (int p = 0; p < POWERS; ++p)
+      for (int q = 0; q < POWERS; ++q) moment[p][q] += line[p] * v[q];
+  }
+  powers_of((float)(i % COLUMNS - window.left - middle_along), u);
+  powers_of((float)(i / COLUMNS - window.top - middle_down), v);
+  float normal[CUBIC][CUBIC + 2];
+  for (int a = 0; a < terms; ++a) {
+    const int p = OF_COLUMN[a], q = OF_ROW[a];
+    for (int b = 0; b < terms; ++b) normal[a][b] = moment[p + OF_COLUMN[b]][q + OF_ROW[b]];
+    normal[a][terms] = p ? p * u[p - 1] * v[q] : 0;
+    normal[a][terms + 1] = q ? q * u[p] * v[q - 1] : 0;
+  }
+  for (int pivot = 0; pivot < terms; ++pivot) {
     if (!(normal[pivot][pivot] > LEAST_PIVOT)) return 0;
-    for (int a = 0; a < TERMS; ++a) {
+    for (int b = terms + 1; b >= pivot; --b) normal[pivot][b] /= normal[pivot][pivot];
+    for (int a = 0; a < terms; ++a) {
       if (a == pivot) continue;
-      const float share = normal[a][pivot] / normal[pivot][pivot];
-      for (int b = pivot; b < TERMS + 2; ++b) normal[a][b] -= share * normal[pivot][b];
+      const float share = normal[a][pivot];
+      for (int b = pivot; b < terms + 2; ++b) normal[a][b] -= share * normal[pivot][b];
     }
   }
+  float own[2] = {0, 0};
   for (int r = 0; r < window.down; ++r)
     for (int c = 0; c < window.along; ++c) {
-      const float u = (float)(c - middle_along), v = (float)(r - middle_down);
-      const float term[TERMS] = {1, u, v, u * u, u * v, v * v};
+      powers_of((float)(c - middle_along), u);
+      powers_of((float)(r - middle_down), v);
+      const int there = valid[(window.top + r) * COLUMNS + window.left + c];
       for (int step = 0; step < 2; ++step) {
         float sum = 0;
-        for (int a = 0; a < TERMS; ++a) sum += normal[a][TERMS + step] / normal[a][a] * term[a];
-        weight[step][r * window.along + c] =
-            valid[(window.top + r) * COLUMNS + window.left + c] ? sum : 0;
+        for (int a = 0; a < terms; ++a)
+          sum += normal[a][terms + step] * u[OF_COLUMN[a]] * v[OF_ROW[a]];
+        weight[step][r * window.along + c] = there ? sum : 0;
+        own[step] += there ? sum * sum : 0;
       }
     }
-  return 1;
+  return own[0] < MOST_VARIANCE && own[1] < MOST_VARIANCE;
+}
+
+/* The weights of the cubic surface through the valid nodes of the 5 x 5 that hold node i, determine
+ * it, and have the nearest middle: of equals, the first by rows. Return that window, one of no
+ * nodes if there is none. */
+Window weights_of_cubic(const int i, __global const uchar *valid, __global const float *table,
+                        float (*weight)[WEIGHTS]) {
+  const int row = i / COLUMNS, column = i % COLUMNS, reach = CUBIC_SIDE / 2;
+  for (int far = 0; far <= 2 * reach * reach; ++far)
+    for (int down = -reach; down <= reach; ++down)
+      for (int along = -reach; along <= reach; ++along) {
+        const int top = row + down - reach, left = column + along - reach;
+        if (down * down + along * along != far || min(top, left) < 0 ||
+            top + CUBIC_SIDE > ROWS || left + CUBIC_SIDE > COLUMNS)
+          continue;
+        const Window window = {top, left, CUBIC_SIDE, CUBIC_SIDE};
+        const int whole = is_whole(valid, window, CUBIC_SIDE);
+        if (whole) weights_of_whole(i, table, window, weight);
+        if (whole || weights_of_some(i, valid, window, CUBIC, weight)) return window;
+      }
+  const Window none = {0, 0, 0, 0};
+  return none;
 }
 
 /* The slopes at node i of K planes, by column and by row, with these weights of the nodes of a
@@ -323,8 +370,8 @@ void slopes_at(const int i, __global const float *values, __global const uchar *
 /* Fit surfaces to the positions around node i, at rest and now; return whether the valid nodes
  * determine them. They are quadratic ones of 3 x 3 nodes, or of the valid ones of 5 x 5 where one
  * of these is missing, and cubic ones in the middle of 5 x 5 valid ones. slope: of both at the
- * node, by column and by row. apart: how far the slopes of the displacement are between the cubic
- * and the quadratic one; 0 if one of the 5 x 5 is missing. own: the variances of the two slopes
+ * node, by column and by row. apart: how far the slopes of the displacement are between the
+ * quadratic one and that of `weights_of_cubic`; 0 without it. own: the variances of the two slopes
  * for independent errors of variance 1. more: over those of a whole window in `slopes`. */
 int fit_surfaces(const int i, __global const float *rest_position,
                  __global const float *displacement, __global const uchar *valid,
@@ -333,28 +380,23 @@ int fit_surfaces(const int i, __global const float *rest_position,
   if (REACH_DOWN * REACH_ALONG == 0) return 0;
   const Window near = window_around(i, SIDE), wide = window_around(i, CUBIC_SIDE);
   const int near_is_whole = is_whole(valid, near, SIDE);
-  const int wide_is_whole = is_whole(valid, wide, CUBIC_SIDE);
   Window window = near_is_whole ? near : wide;
-  float weight[2][WEIGHTS];
+  float weight[2][WEIGHTS], weight_in_cubic[2][WEIGHTS];
   if (near_is_whole) weights_of_whole(i, quadratic, near, weight);
-  else if (!weights_of_some(i, valid, wide, weight)) return 0;
-  float3 moved[2];
+  else if (!weights_of_some(i, valid, wide, QUADRATIC, weight)) return 0;
+  float3 moved[2], moved_in_cubic[2];
   slopes_at(i, displacement, valid, window, weight, moved);
-  apart[0] = apart[1] = 0;
-  if (wide_is_whole) {
-    float weight_in_cubic[2][WEIGHTS];
-    float3 moved_in_cubic[2];
-    weights_of_whole(i, cubic, wide, weight_in_cubic);
-    slopes_at(i, displacement, valid, wide, weight_in_cubic, moved_in_cubic);
-    const int middle = (wide.top + CUBIC_SIDE / 2) * COLUMNS + wide.left + CUBIC_SIDE / 2;
-    for (int step = 0; step < 2; ++step) {
-      apart[step] = moved_in_cubic[step] - moved[step];
-      if (i != middle) continue;
-      moved[step] = moved_in_cubic[step];
-      for (int n = 0; n < WEIGHTS; ++n) weight[step][n] = weight_in_cubic[step][n];
-    }
-    if (i == middle) window = wide;
+  const Window other = weights_of_cubic(i, valid, cubic, weight_in_cubic);
+  slopes_at(i, displacement, valid, other, weight_in_cubic, moved_in_cubic);
+  const int middle = (other.top + CUBIC_SIDE / 2) * COLUMNS + other.left + CUBIC_SIDE / 2;
+  const int follows = i == middle && is_whole(valid, other, CUBIC_SIDE);
+  for (int step = 0; step < 2; ++step) {
+    apart[step] = other.down ? moved_in_cubic[step] - moved[step] : 0;
+    if (!follows) continue;
+    moved[step] = moved_in_cubic[step];
+    for (int n = 0; n < WEIGHTS; ++n) weight[step][n] = weight_in_cubic[step][n];
   }
+  if (follows) window = other;
   const float x = (float)(i % COLUMNS - near.left - REACH_ALONG);
   const float y = (float)(i / COLUMNS - near.top - REACH_DOWN);
   const float whole[2] = {(0.5f + 6 * x * x) * (1 / 3.0f + 0.5f * y * y),
@@ -363,7 +405,6 @@ int fit_surfaces(const int i, __global const float *rest_position,
     own[step] = 0;
     for (int n = 0; n < window.down * window.along; ++n)
       own[step] += weight[step][n] * weight[step][n];
-    if (!(own[step] < MOST_VARIANCE)) return 0;
     more[step] = own[step] / whole[step];
     if (!near_is_whole) more[step] = fmax(more[step], 1.0f); /* neighbours err alike */
   }

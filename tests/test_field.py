@@ -213,6 +213,22 @@ def test_a_strain_follows_a_cubic_displacement_where_all_nodes_around_stand():
     assert np.nanmax(off[~whole]) > 1e-4
 
 
+def test_the_sigma_of_a_strain_beside_missing_nodes_counts_what_no_surface_follows():
+    """A wave of 21 cells, with a block and single nodes missing."""
+    rest = lattice(30, 30)
+    wave = 3 * np.sin(rest[..., 0] / 40)
+    now, missing = rest + wave[..., None] * [1, 0], np.random.default_rng(5).random((30, 30)) < 0.06
+    missing[12:17, 8:20] = True
+    truth = ((1 + 3 / 40 * np.cos(rest[..., 0] / 40)) ** 2 - 1) / 2
+    now[missing] = np.nan
+    field = displacement(noisy(rest, 1), noisy(now, 2)).with_strain()
+    off = np.abs(field.strain[..., 0] - truth) / field.strain_sigma[..., 0]
+    beside = cv2.dilate(missing.astype(np.uint8), np.ones((3, 3))).astype(bool) & ~missing
+    for nodes in (beside, ~beside & ~missing):
+        known = off[nodes & np.isfinite(off)]
+        assert np.mean(known < 1.96) > 0.9
+
+
 def test_cells_of_known_side_give_millimetres_through_a_homography():
     row, column = np.mgrid[:18, :19]
     flat = np.stack([column, row], axis=-1) * 2.5  # mm

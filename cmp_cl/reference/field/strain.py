@@ -22,8 +22,10 @@
 5. The variance is that times the variance of the slope of independent errors by 1, over the same
    by 3: less at a corner. Where a node of the 3 x 3 is missing it is not less, since errors of
    neighbours are alike. A slope whose variance is unknown has that of independent errors. What a
-   surface cannot follow shows in how far apart the slopes of the displacement are in the cubic and
-   in the quadratic one, where all 5 x 5 nodes stand: three times the square of that is added.
+   surface cannot follow shows in how far apart the slopes of the displacement are in a cubic and in
+   the quadratic one: three times the square of that is added. The cubic one is that of the valid of
+   the 5 x 5 nodes around. Where they do not determine it, or not to a variance of 10, or the
+   lattice ends, the 5 x 5 are those with the next nearest middle that hold the node.
 6. To first order dE = sym(F' dG + (F - (2 E + I) Q)' dA), with dG and dA the errors of the slopes
    of the displacement and of the position at rest along Q; on a surface the turn of axis 1 by
    Q2 . dA1 comes on top. The errors of different axes of the lattice are independent; those of the
@@ -31,6 +33,7 @@
 """
 
 import itertools
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,11 +159,11 @@ def strain(
         if fit is None:
             continue
         apart = np.zeros((2, size))
-        if valid[np.ix_(*wide)].all() and [len(each) for each in wide] == [5, 5]:
-            cubic = _slopes_of_surface((r, c), wide, valid, 3)
-            assert cubic is not None
+        cubic = _nearest_cubic((r, c), valid)
+        if cubic is not None:
             apart = (cubic - fit) @ moved
-            fit = cubic if (r, c) == (wide[0][2], wide[1][2]) else fit
+            whole_around = min(r, c) >= 2 and valid[r - 2 : r + 3, c - 2 : c + 3].sum() == 25
+            fit = cubic if whole_around else fit
         own = np.square(fit).sum(axis=1)
         if max(own) > MOST_VARIANCE:
             continue
@@ -193,6 +196,20 @@ def strain(
                 total += by_step[:, k] @ step @ by_step[:, k].T
         covariance[r, c] = total
     return found, covariance
+
+
+def _nearest_cubic(node: tuple[int, int], valid: Bools) -> Floats | None:
+    """Return the weights of `_slopes_of_surface` for the cubic one of 5, None if there is none."""
+    steps = sorted(itertools.product(range(-2, 3), repeat=2), key=lambda step: math.hypot(*step))
+    for step in steps:
+        middle = np.add(node, step)
+        if min(middle) < 2 or (middle > np.subtract(valid.shape, 3)).any():
+            continue
+        window = [np.arange(m - 2, m + 3) for m in middle]
+        cubic = _slopes_of_surface(node, window, valid, 3)
+        if cubic is not None and np.square(cubic).sum(axis=1).max() <= MOST_VARIANCE:
+            return cubic
+    return None
 
 
 def _slopes_of_surface(
