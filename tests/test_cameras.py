@@ -56,6 +56,53 @@ def test_frames_of_a_pair_are_at_most_half_an_interval_apart(tmp_path, monkeypat
     assert pairs.alone == [1, 1]
 
 
+@pytest.mark.parametrize(
+    ("left", "right", "rates", "missing"),
+    [
+        ([0, 1, 2, 3, 4, 5], [0, 1, 5], (25, 25), [2, 3, 4]),
+        ([0, 1, 5], [0, 1, 5], (25, 25), [2, 3, 4]),  # a busy computer loses both
+        ([0, 1, 2, 3, 4, 5, 6], [0, 1, 2, 3], (50, 25), []),  # one camera is twice as fast
+        ([0, 1, 2, 3, 4, 5, 6], [0, 1, 3], (50, 25), [2]),
+    ],
+)
+def test_pairs_that_are_missing_are_frames_without_an_image(
+    tmp_path, monkeypatch, left, right, rates, missing
+):
+    image, numbers = np.zeros((48, 64), np.uint8), {"a": left, "b": right}
+    for name in numbers:
+        write_video(tmp_path / f"{name}.avi", [image])
+    sources = [Source(str(tmp_path / f"{name}.avi")) for name in numbers]
+    for source, rate in zip(sources, rates, strict=True):
+        source.period_ms = 1e3 / rate
+    pairs = Pairs(*sources)
+
+    def timed(source):
+        yield from (Frame(i, image, i * source.period_ms) for i in numbers[source.paths[0].stem])
+
+    monkeypatch.setattr(Source, "timed", timed)
+    frames = list(pairs.frames())
+    assert [frame.index for frame in frames] == list(range(len(frames)))
+    assert [frame.index for frame in frames if frame.image is None] == missing
+
+
+def test_views_of_two_sizes_are_told_and_the_others_come(tmp_path, monkeypatch):
+    sizes = {"a": [48, 48, 48], "b": [48, 24, 48]}
+    for name in sizes:
+        write_video(tmp_path / f"{name}.avi", [np.zeros((48, 64), np.uint8)])
+    pairs = Pairs(*(Source(str(tmp_path / f"{name}.avi")) for name in sizes))
+
+    def timed(source):
+        for number, rows in enumerate(sizes[source.paths[0].stem]):
+            yield Frame(number, np.zeros((rows, 64), np.uint8), number * source.period_ms)
+
+    monkeypatch.setattr(Source, "timed", timed)
+    first, other, last = pairs.frames()
+    assert first.image is not None
+    assert last.image is not None
+    assert other.image is None
+    assert "left view is 64 x 48 px of uint8, the right one 64 x 24" in other.why
+
+
 SHADES = [np.full((4, 6, 3), level, np.uint8) for level in range(1, 11)]
 
 

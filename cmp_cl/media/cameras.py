@@ -25,6 +25,7 @@ from cmp_cl.media.videos import LONGEST_GAP, Frame, VideoInfo, read_frames, vide
 
 _WAITING = 64  # the most frames of a camera that wait to be measured
 _LONGEST_WAIT = 10.0  # s, the longest wait for a frame of a camera
+_EARLY = 0.1  # of a pair: a step this much shorter is one of it
 _PAIR_WITHIN = 20.0  # ms, between frames that are paired if their interval is unknown
 _DEVICES = Path("/dev")  # where Linux has its cameras
 
@@ -219,21 +220,20 @@ class Pairs:
         periods = [side.period_ms for side in self._sides if math.isfinite(side.period_ms)]
         self.period_ms = max(periods, default=math.nan)
         self._within = min(periods) / 2 if periods else _PAIR_WITHIN
+        known = len(periods) == len(self._sides)
+        self._in_a_pair = [max(periods) / each for each in periods] if known else [1.0, 1.0]
         self.alone = [0, 0]
 
     def frames(self) -> Generator[Frame, None, None]:
-        """Yield all pairs, from the first; one that cannot be read has no image.
-
-        A frame that a camera missed has no time, and is not paired. Raises ImageError if the frames
-        of a pair differ in size.
-        """
+        """Yield all pairs, from the first; one that cannot be read, and one that is missing between
+        two others, as a side has no frame, has no image."""
         self.alone = [0, 0]
         with contextlib.ExitStack() as stack:
             sides = [stack.enter_context(contextlib.closing(s.timed())) for s in self._sides]
             yield from _from_first(self._paired(*sides))
 
     def _paired(self, left: Iterator[Frame], right: Iterator[Frame]) -> Iterator[Frame]:
-        number = itertools.count()
+        number, before = 0, None
         left, right = (
             (each for each in side if each.image is not None or not self.live)
             for side in (left, right)
@@ -242,12 +242,27 @@ class Pairs:
             if one is None or two is None:
                 self.alone[one is None] += 1
                 continue
-            whole: GreyImage | None = None
-            if one.image is not None and two.image is not None:
-                if (one.image.shape, one.image.dtype) != (two.image.shape, two.image.dtype):
-                    raise ImageError("the left and the right frame differ in size or type")
-                whole = cast(GreyImage, np.hstack([one.image, two.image]))
-            yield Frame(next(number), whole, one.time_ms)
+            for _ in range(self._missing(before, (one.index, two.index))):
+                yield Frame(number, None, why="" if self.live else "a view has no frame then")
+                number += 1
+            yield _of_both(number, one, two)
+            number, before = number + 1, (one.index, two.index)
+
+    def _missing(self, before: tuple[int, int] | None, now: tuple[int, int]) -> int:
+        """Return how many pairs are missing between two others, by the numbers of their frames."""
+        steps = zip(now, before or now, self._in_a_pair, strict=True)
+        return max(int((then - first) / in_a_pair + _EARLY) for then, first, in_a_pair in steps) - 1
+
+
+def _of_both(number: int, one: Frame, two: Frame) -> Frame:
+    """Return the frame of a pair, without an image if one side has none or they differ in kind."""
+    if one.image is None or two.image is None:
+        return Frame(number, None, one.time_ms, one.why or two.why)
+    left, right = (f"{i.shape[1]} x {i.shape[0]} px of {i.dtype}" for i in (one.image, two.image))
+    if left != right:
+        why = f"the left view is {left}, the right one {right}"
+        return Frame(number, None, one.time_ms, why)
+    return Frame(number, cast(GreyImage, np.hstack([one.image, two.image])), one.time_ms)
 
 
 def _cameras_here() -> str:

@@ -52,7 +52,7 @@ class Recording:
     def why_left_out(self, frame: Frame) -> str:
         """Return why a frame is not measured, as text; "" if it is like the frame at rest."""
         image, rest = frame.image, self.rest
-        if image is None and self.source.live:
+        if image is None and self.source.live and not frame.why:
             return (
                 f"frame {frame.index} is missing: the camera did not deliver it, or frames come "
                 "faster than they are measured"
