@@ -262,3 +262,13 @@ def test_advice_names_what_the_views_lack():
     assert any("top right" in line and "bottom right of the image" in line for line in said), said
     assert "0 and 5 show the same and count as one view; move and tilt the board" in said
     assert any(line.startswith("5 different views") for line in said)
+
+
+def test_advice_names_a_view_that_fits_worse_than_the_others():
+    seen = views({"a": THREE["a"], "b": THREE["b"]})
+    assert not any("miss by" in line for line in advice(calibrated(seen)))
+    seen["b"][4] = grid_of(seen["b"][4].xy + 2, 0.03)  # the board moved before the other image
+    assert [line[:13] for line in advice(calibrated(seen)) if "miss by" in line] == [
+        "a: 4 miss by ",
+        "b: 4 miss by ",
+    ]

@@ -16,6 +16,7 @@ _PARTS = [
 COVERAGE = 90  # cells along each side of an image
 _COVERED = 0.3  # share of a part that boards cover; less is worth a word
 _VIEWS = 10  # fewer different views are worth a word
+_ODD = 3.0  # times the median error of a camera's views: a view with more is worth a word
 _TILT, _EITHER_TILT = 15.0, 7.0  # degrees: the largest tilt, and the typical one about each axis
 
 
@@ -24,12 +25,21 @@ def advice(found: Calibration, names: Mapping[str, Sequence[str]] | None = None)
 
     found: the calibration. names: by camera, the name of each view; None means their numbers.
 
-    It tells which parts of an image show no board, of three by three; whether the boards are hardly
-    tilted (the focal length is then uncertain) or about one axis only; which views are alike; and
-    whether there are few.
+    It tells which views fit much worse than the others; which parts of an image show no board, of
+    three by three; whether the boards are hardly tilted (the focal length is then uncertain) or
+    about one axis only; which views are alike; and whether there are few.
     """
     said = []
     for name in found.cameras:
+        error = found.view_errors[name]
+        usual = float(np.nanmedian(error))
+        odd = np.flatnonzero(error > _ODD * usual).tolist()
+        if odd:
+            said.append(
+                f"{name}: {_listed([str(i) if names is None else names[name][i] for i in odd])} "
+                f"miss by up to {error[odd].max():.2g} px, others by {usual:.2g}: leave them out "
+                "if the board bent, or moved between the cameras' images"
+            )
         side = COVERAGE // len(_PARTS)
         parts = covered(found, name).reshape(len(_PARTS), side, len(_PARTS), side)
         lacking = np.argwhere(parts.mean(axis=(1, 3)) < _COVERED)
