@@ -25,7 +25,7 @@ nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
 nb_execution_in_temp = True
-nb_merge_streams = True  # commands write in pieces, which may end within a word
+nb_merge_streams = True
 os.environ["TQDM_DISABLE"] = "1"
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
@@ -110,11 +110,16 @@ def with_output(app, docname, source):
 def as_cell(block):
     if block[1] == "python":
         return f"```{{code-cell}} ipython3\n{block[2]}```"
-    # A cell of %%bash fails where a command fails.
+    # One print: what a command writes in pieces would be shown in lines that end within a word.
     here = f"{sys.executable} -m cmp_cl"
     commands = re.sub(r"^\$ cmp-cl\b", here, block[2], flags=re.MULTILINE)
-    commands = re.sub(r"^\$ ", "", commands, flags=re.MULTILINE)
-    cell = f"%%bash\nset -e\n{commands}"
+    commands = "set -e\n" + re.sub(r"^\$ ", "", commands, flags=re.MULTILINE)
+    cell = (
+        "import subprocess\n"
+        f"done = subprocess.run({commands!r}, shell=True, capture_output=True, text=True)\n"
+        "print(done.stderr + done.stdout, end='')\n"
+        "done.check_returncode()\n"
+    )
     return f"{block[0]}\n\n```{{code-cell}} ipython3\n:tags: [remove-input]\n{cell}```"
 
 

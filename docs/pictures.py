@@ -1,10 +1,12 @@
 """The pictures of the documentation, from the library's own results.
 
-python docs/pictures.py        # those of algorithm.md, into docs/pictures
+python docs/pictures.py        # into docs/pictures
 """
 
+import tempfile
 from pathlib import Path
 
+import cv2
 import matplotlib
 import numpy as np
 
@@ -14,6 +16,7 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 import cmp_cl
+from cmp_cl.cli.main import main as cmp_cl_command
 from cmp_cl.reference import detect, maps, refine
 from cmp_cl.reference.edges import edge_points, fit_lines
 from cmp_cl.synthetic import Indenter, Rendered, Scene, render
@@ -86,8 +89,8 @@ def edges() -> Figure:
     """Draw the edge points of one corner, the lines through them, and where they meet."""
     scene = gel(severity=0.5, corrosion=0.6)
     start = np.rint(scene.truth[12, 7]).astype(np.int64)[None]
-    points = edge_points(scene.image, start, 1.0)
-    corner = refine.refine(scene.image, start, start, cmp_cl.EdgeLines(), 1.0).xy[0]
+    points = edge_points(scene.image, start)
+    corner = refine.refine(scene.image, start, start, cmp_cl.EdgeLines()).xy[0]
     figure, axes = plt.subplots(figsize=(3.6, 3.6), layout="constrained")
     shown(axes, scene.image, "edge points on rings of 3, 4 and 5 px")
     for boundary, colour in enumerate(COLOURS):
@@ -117,7 +120,6 @@ def grid() -> Figure:
     styles = {
         cmp_cl.NodeStatus.DETECTED: ("tab:green", 2),
         cmp_cl.NodeStatus.ATTACHED: ("tab:blue", 7),
-        cmp_cl.NodeStatus.SECOND_LOOK: ("yellow", 7),
         cmp_cl.NodeStatus.INTERPOLATED: ("tab:red", 7),
     }
     for status, (colour, size) in styles.items():
@@ -131,15 +133,26 @@ def grid() -> Figure:
     return figure
 
 
+def demo(picture: Path) -> None:
+    """Write the sheet of `cmp-cl demo` as a JPEG."""
+    with tempfile.TemporaryDirectory() as folder:
+        cmp_cl_command(["demo", "--out", folder])
+        sheet = cv2.imread(f"{folder}/sheet.png")
+    small = cv2.resize(sheet, None, fx=0.7, fy=0.7, interpolation=cv2.INTER_AREA)
+    cv2.imwrite(str(picture), small, [cv2.IMWRITE_JPEG_QUALITY, 85])
+
+
+DRAWN = rings, response, edges, grid  # on the page of the algorithm
+
+
 def main() -> int:
-    """Draw the pictures of algorithm.md; return the exit status."""
+    """Draw the pictures; return the exit status."""
     folder = HERE / "pictures"
-    folder.mkdir(exist_ok=True)
-    for draw in (rings, response, edges, grid):
+    demo(folder / "field.jpg")
+    for draw in DRAWN:
         figure = draw()
         figure.savefig(folder / f"{draw.__name__}.png", dpi=90, metadata={"Software": None})
         plt.close(figure)
-        print("wrote", folder / f"{draw.__name__}.png")
     return 0
 
 

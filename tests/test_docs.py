@@ -109,3 +109,9 @@ def test_every_block_of_a_page_runs_in_order(page, folder):
             for line in text.splitlines():
                 assert line.startswith("$ "), line
                 command(line.removeprefix("$ "))
+
+
+def test_the_pictures_of_the_pages_are_drawn(monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS))
+    for draw in importlib.import_module("pictures").DRAWN:
+        assert draw().axes, draw.__name__
