@@ -386,8 +386,9 @@ def figures(folder: Path) -> str:
     text = (
         f"{conditions(timed).strip()} Medians of one run, from an image in host memory to "
         f"positions in host memory, for {small['corners'].iloc[0]} and {large['corners'].iloc[0]} "
-        f"corners. The last column is over {errors['frames'].max()} rendered frames, slightly to "
-        f"severely deformed, of commit {detection.attrs['environment']['commit']}.\n\n"
+        f"corners; errors are those of {small['corners'].iloc[0]}. The last column is over "
+        f"{errors['frames'].max()} rendered frames, slightly to severely deformed, of commit "
+        f"{detection.attrs['environment']['commit']}.\n\n"
     )
     return text + markdown(whole.rename_axis("method").reset_index())
 

@@ -85,7 +85,7 @@ def _named(kinds: tuple[type, ...]) -> str:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AdaptiveMean(Settings):
-    """Binarization against the mean of a window (section 1).
+    """Binarization against the mean of a window (section 3.1 of the paper).
 
     window: side of the square window, px, odd, 3 to 255.
     offset: C, grey levels of the image as given, 0 to 65535; black iff I + C < mean.
@@ -97,7 +97,7 @@ class AdaptiveMean(Settings):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RapidCriteria(Settings):
-    """The four integer criteria (section 3a, Eqs. 18 to 23), each with a strict bound.
+    """The four rapid criteria (section 3.4, Eqs. 18 to 23), each with a strict bound.
 
     sector_threshold: bound of the sector difference d2, 1 to 16; also sets the response.
     ring_threshold: bound of the number of differing ring samples, 1 to 17.
@@ -111,7 +111,7 @@ class RapidCriteria(Settings):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SpectralCriteria(Settings):
-    """The four spectral criteria (section 3b, Eqs. 13 and 17).
+    """The spectral criteria (section 3.3, Eqs. 13 and 17).
 
     correlation: bound of the normalised circular cross-correlation, 0 to 1, strict.
     phase: bound of the shift between the rings, rad, 0 to pi, strict.
@@ -125,7 +125,7 @@ class SpectralCriteria(Settings):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SectorContrast(Settings):
-    """The contrast gate (section 4).
+    """The contrast gate, which the paper does not have.
 
     minimum: least contrast of a candidate, in 1/255 of full scale, 0 to 255.
     relative: least contrast as a share of the 90th percentile of the frame, 0 to 1.
@@ -197,7 +197,7 @@ class BinaryRings(Settings):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EdgeLines(Settings):
-    """Refinement by the intersection of the two edge lines (section 6, EDGE_LINES).
+    """Refinement by the intersection of the two edge lines (section 3.5, Fig. 9).
 
     max_shift: largest distance from the rounded centroid, px, 0 to 5.
     """
@@ -207,8 +207,7 @@ class EdgeLines(Settings):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EdgeStep(Settings):
-    """EDGE_LINES, then one least-squares step of a corner model in uneven light (section 6,
-    EDGE_STEP).
+    """EDGE_LINES, then one least-squares step of a corner model in uneven light.
 
     cell: side of a cell, px, 4 to 1000; the model is fitted within a radius of min(9, max(4.5, 0.75
         cell)) px. The default is for cells of unknown side: its radius of 6.45 px reaches only the
@@ -221,7 +220,7 @@ class EdgeStep(Settings):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Midlines(Settings):
-    """Refinement by the centrelines of the black sectors (section 6, MIDLINE and CUSP).
+    """The paper's refinement, by the centrelines of the black sectors (section 3.5, Fig. 9).
 
     fit: straight or quadratic centrelines.
     max_shift: largest distance from the rounded centroid, px, 0 to 5.

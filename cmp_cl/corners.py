@@ -50,7 +50,8 @@ class Corners:
     pixel: (N, 2) int32, the maximum (x, y) of each corner; of a maximum in a halved frame, the
         pixel of the frame nearest to it.
     octave: (N,) uint8, how often the frame was halved in which the corner was found and refined.
-    response: (N,) float32, the response there (Eq. 24 or the spectral response).
+    response: (N,) float32, the response there: of the ring of 5 px, or of 3 px in squeezed cells;
+        with BinaryRings Eq. 24 or the spectral response.
     method: (N,) uint8 of `Method`.
     refusal: (N,) uint8 of `Refusal`.
     sigma: (N,) float32, standard deviation of the position per axis, px; NaN where unknown. It

@@ -41,8 +41,8 @@ _NODE_COLUMNS = ("row", "column", "x_px", "y_px", "sigma_px", "status")
 DESCRIPTION = """\
 Finds the corners of checkerboard-like patterns. Colour becomes grey. One line for each image or
 video says how many corners were found, on which device, and in how many milliseconds: from the
-image in host memory to the corners, or with --grid the nodes, in host memory, with the making of
-the detector for the first image of a size; of a video the median.
+image in host memory to the corners, or with --grid the nodes, in host memory, once the kernels are
+compiled; of a video the median.
 """
 
 

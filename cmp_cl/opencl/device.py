@@ -129,7 +129,7 @@ def select_device(text: Device | str | None = None) -> Device:
     devices = list_devices()
     wanted = text if text is not None else os.environ.get(DEVICE_VARIABLE) or None
     if not devices:
-        raise DeviceError(f"no OpenCL device found: {why_none()}")
+        raise DeviceError(f"no OpenCL device was found: {why_none()}")
     if wanted is None:
         ranks = {DeviceKind.GPU: 0, DeviceKind.CPU: 1, DeviceKind.ACCELERATOR: 2}
         return min(devices, key=lambda device: ranks[device.kind])

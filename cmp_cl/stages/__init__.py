@@ -16,6 +16,5 @@ They share these:
 Each says what a plan needs of it: `files` of kernels, `defines`, the macros that only these need,
 `sizes` of buffers and of `scratch`, temporary arrays, layout by layout, bytes, and `launches`.
 
-A stage has the same name in kernels/, here, in cmp_cl/reference/ and in tests/kernels/. The table
-in kernels/README.md names the oracle of every kernel.
+The table in kernels/README.md names the oracle of every kernel; tests/kernels/ compares the two.
 """

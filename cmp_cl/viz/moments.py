@@ -27,8 +27,7 @@ class Quantity(enum.Enum):
 
     DISPLACEMENT: its length, with some arrows. STRAIN: both principal Green-Lagrange strains in the
     plane or in the surface, %. HEIGHT: the displacement towards the cameras, out of the plane of
-    the rest positions; two views only. SIGMA: the standard deviation of the displacement
-    (two views) or of the position now (one view).
+    the rest positions; two views only. SIGMA: the standard deviation of the displacement.
     """
 
     DISPLACEMENT = "displacement"

@@ -57,7 +57,7 @@ def test_without_a_device_devices_says_why_and_what_to_install(run, monkeypatch,
     monkeypatch.setattr(cl, "get_platforms", no_platform)
     monkeypatch.setenv("OCL_ICD_VENDORS", str(tmp_path))
     asked = run("detect", BOARD, "--device", "cpu")
-    fails_in_one_line(asked, "no OpenCL device found", "pip install 'pyopencl[pocl]'")
+    fails_in_one_line(asked, "no OpenCL device was found", "pip install 'pyopencl[pocl]'")
     status, out, err = run("devices")
     assert (status, out) == (1, "")
     assert f"no driver is registered in {tmp_path};" in err

@@ -1,4 +1,4 @@
-"""A board without lines that are none of it, and what is seen at its sides (section 13.6).
+"""A board without lines that are none of it, and what is seen at its sides.
 
 Positions are float32 with + - * in a fixed order, levels and shares are integers, so that the
 kernels give the same bits.
