@@ -230,6 +230,35 @@ def test_a_damaged_frame_is_none_and_those_after_it_are_read(tmp_path):
     assert len(frames) == 10
 
 
+@pytest.mark.parametrize(("codec", "name"), [("libx264", "a.mp4"), ("ffv1", "a.mkv")])
+def test_frames_that_build_on_a_damaged_one_are_none(tmp_path, codec, name):
+    path = tmp_path / name
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=25)
+        stream.width, stream.height = NOISE.shape[::-1]
+        stream.pix_fmt, stream.gop_size = "yuv420p", 10
+        for number in range(40):
+            picture = cv2.GaussianBlur(NOISE, (0, 0), 2) // 2 + np.roll(NOISE, number) // 4
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="gray")))
+        container.mux(stream.encode())
+    whole = list(media.read_frames(path))
+    with av.open(str(path)) as container:
+        packets = [packet for packet in container.demux(video=0) if packet.size]
+    time_ms = 1e3 * float(packets[14].pts * packets[14].time_base)
+    data = bytearray(path.read_bytes())
+    middle = packets[14].pos + packets[14].size // 2
+    data[middle : middle + 40] = bytes(range(40))
+    path.write_bytes(data)
+    frames = list(media.read_frames(path))
+    lost = {frame.index: frame.why for frame in frames if frame.image is None}
+    assert [frame.time_ms for frame in frames] == [frame.time_ms for frame in whole]
+    assert set(lost.values()) == {"", "it builds on a damaged frame"}
+    assert set(range(round(time_ms / 40), 20)) <= lost.keys() <= set(range(9, 20))
+    for frame in frames:
+        if frame.image is not None:
+            np.testing.assert_array_equal(frame.image, whole[frame.index].image)
+
+
 def test_frames_of_another_size_come_as_they_are(tmp_path):
     sizes = [(60, 80), (90, 120), (60, 80)]
     jpegs = [cv2.imencode(".jpg", np.full(size, 90, np.uint8))[1].tobytes() for size in sizes]

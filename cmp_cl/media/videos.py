@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import math
 import os
+import zlib
 from collections.abc import Iterator
 from os import PathLike
 from typing import Any, NamedTuple, cast
@@ -21,6 +22,14 @@ _DEMUXERS = (  # real containers: others, such as ffconcat, are lists of files t
     "yuv4mpegpipe"
 )
 _PLANAR = ("gray", "yuv")  # pixel formats of PyAV whose first plane is the grey levels
+_REORDERED = 16  # frames by which H.264 and H.265 may store one before its turn
+_DAMAGED, _AFTER = "", "it builds on a damaged frame"
+_FOOTER, _WITHOUT_CRC = 8, 3  # bytes at the end of a slice of FFV1 (RFC 9043, 4.9)
+# Its checksum takes the bits of a byte from the other end than zlib, and begins with 0.
+_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
+_ALL_ONES = 2**32 - 1
+
+_Timed = tuple[GreyImage | None, float, str]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,9 +70,10 @@ def read_frames(path: str | PathLike[str]) -> Iterator[Frame]:
 
     Frames of more than 8 bits are uint16 with the levels of the file, such as 0 to 4095 for 12 bits
     (colour models other than grey and YUV are stretched to 16 bits). Frames that cannot be decoded,
-    and those that the file promises and does not hold, because it is cut off, come without an
-    image; it ends early if 250 in a row cannot be read. Raises ImageError if the file cannot be
-    read, or is neither an image nor a video; ConfigError if PyAV is not installed.
+    those that build on such a frame, and those that the file promises and does not hold, because
+    it is cut off, come without an image; it ends early if 250 in a row cannot be decoded. Raises
+    ImageError if the file cannot be read, or is neither an image nor a video; ConfigError if PyAV
+    is not installed.
     """
     if not is_video(path):
         for index, page in enumerate(read_pages(path)):
@@ -72,10 +82,10 @@ def read_frames(path: str | PathLike[str]) -> Iterator[Frame]:
     index = gap = 0
     end_ms = math.nan
     with _container(path) as (container, stream):
-        for image, time_ms in _timed_frames(container, stream):
-            gap = 0 if image is not None else gap + 1
+        for image, time_ms, why in _timed_frames(container, stream):
+            gap = gap + 1 if image is None and why == _DAMAGED else 0
             end_ms = time_ms
-            yield Frame(index, image, time_ms)
+            yield Frame(index, image, time_ms, why)
             index += 1
             if gap == LONGEST_GAP:
                 return
@@ -143,14 +153,56 @@ def _container(path: str | PathLike[str]) -> Iterator[tuple[Any, Any]]:
         yield container, stream
 
 
-def _timed_frames(container: Any, stream: Any) -> Iterator[tuple[GreyImage | None, float]]:
-    """Yield the frames of all packets and their times, ms; an unreadable packet gives None."""
+def _timed_frames(container: Any, stream: Any) -> Iterator[_Timed]:
+    """Yield the frames in turn: each image, its time, ms, and why there is no image.
+
+    After damage there is none up to a frame that begins anew. A packet whose frame a decoder then
+    leaves out is a frame without an image.
+    """
+    due: dict[float, str] = {}  # times of packets, and why their frames have no image after damage
+    broken, last_ms = False, math.nan  # time of the last damage
+    for stamp_ms, frames in _decoded(container, stream):
+        if frames is None:
+            broken, last_ms = True, stamp_ms
+        why = _DAMAGED if frames is None else _AFTER
+        if not math.isnan(stamp_ms):
+            due[stamp_ms] = why
+        elif frames is None:
+            yield None, stamp_ms, why
+        for frame in frames or ():
+            time_ms = _ms(frame.pts, frame)
+            yield from _overdue(due, time_ms, told=broken)
+            why = due.pop(time_ms, _AFTER)
+            if frame.is_corrupt:
+                why, last_ms = _DAMAGED, time_ms
+            anew = frame.key_frame and not time_ms < last_ms
+            broken = why == _DAMAGED or (broken and not anew)
+            yield (None, time_ms, why) if broken else (_upright(frame), time_ms, "")
+        if len(due) > _REORDERED:
+            yield from _overdue(due, sorted(due)[-_REORDERED], told=broken)
+    yield from _overdue(due, math.inf, told=broken)
+
+
+def _overdue(due: dict[float, str], before_ms: float, *, told: bool) -> Iterator[_Timed]:
+    """Remove the frames that are due before a time, since they come no more; yield them if told."""
+    for time_ms in sorted(each for each in due if each < before_ms):
+        why = due.pop(time_ms)
+        if told:
+            yield None, time_ms, why
+
+
+def _decoded(container: Any, stream: Any) -> Iterator[tuple[float, list[Any] | None]]:
+    """Yield the time of each packet, ms, and the frames that it completes, None if it is damaged.
+
+    Frames come in order of time, packets in the order of decoding.
+    """
     import av
 
     damage = (av.FFmpegError, OSError, ValueError)
-    stream.codec_context.options = {"err_detect": "crccheck+explode"}
-    stream.thread_type = "SLICE"  # with a thread per frame, damage would be reported late
     codec = stream.codec_context
+    codec.options = {"err_detect": "crccheck+explode"}
+    # In several threads most decoders tell of damage late or never.
+    stream.thread_type = "SLICE" if codec.name == "ffv1" else "NONE"
     if codec.name == "mjpeg" and str(codec.pix_fmt).startswith("yuv"):
         codec.flags |= av.codec.context.Flags.gray  # a fifth faster; no colour, the same grey
     packets = container.demux(stream)
@@ -161,18 +213,46 @@ def _timed_frames(container: Any, stream: Any) -> Iterator[tuple[GreyImage | Non
             return
         if packet is None:
             return
-        try:
-            frames = packet.decode()
-        except damage:
-            yield None, math.nan
-            continue
-        for frame in frames:
-            time_ms = math.nan if frame.time is None else float(frame.time) * 1e3
-            image: GreyImage | None = None
-            if not frame.is_corrupt:  # upright, as its display matrix says
-                turned = np.rot90(_luma(frame), round(frame.rotation / 90))
-                image = cast(GreyImage, np.ascontiguousarray(turned))
-            yield image, time_ms
+        frames = None
+        if codec.name != "ffv1" or not codec.extradata or _is_whole(bytes(packet)):
+            with contextlib.suppress(*damage):
+                frames = packet.decode()
+        yield _ms(packet.dts if packet.pts is None else packet.pts, packet), frames
+
+
+def _ms(stamp: int | None, of: Any) -> float:
+    """Return a time stamp of a packet or frame, ms; NaN if it has none."""
+    if stamp is None or of.time_base is None:
+        return math.nan
+    return float(1000 * stamp * of.time_base)
+
+
+def _is_whole(packet: bytes) -> bool:
+    """Return whether all slices of a packet of FFV1 have their checksums, if it has any: PyAV
+    shows a damaged one as it was in the frame before."""
+    if not packet or _slices(packet, _WITHOUT_CRC):
+        return True
+    slices = _slices(packet, _FOOTER)
+    return bool(slices) and all(
+        zlib.crc32(each.translate(_REVERSED), _ALL_ONES) == _ALL_ONES for each in slices
+    )
+
+
+def _slices(packet: bytes, footer: int) -> list[bytes]:
+    """Return the slices of a packet of FFV1, each with its size in its footer; [] if they do not
+    fill it."""
+    slices, end = [], len(packet)
+    while end > 0:
+        size = int.from_bytes(packet[end - footer : end - footer + 3]) + footer
+        slices.append(packet[max(end - size, 0) : end])
+        end -= size
+    return [] if end else slices
+
+
+def _upright(frame: Any) -> GreyImage:
+    """Return the grey levels of a frame of PyAV, upright, as its display matrix says."""
+    turned = np.rot90(_luma(frame), round(frame.rotation / 90))
+    return cast(GreyImage, np.ascontiguousarray(turned))
 
 
 def _luma(frame: Any) -> GreyImage:
