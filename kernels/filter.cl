@@ -198,26 +198,39 @@ void products_of_row(const int row, __global const float *data, __global const f
     }
 }
 
+/* What the pilot reads, what the noise does, and both. */
+#define PILOT_READS data, vote, pilot_down, pilot_along
+#define OF_PILOT                                                              \
+  __global float *data, __global float *vote, __global const float *pilot_down, \
+      __global const float *pilot_along
+#define NOISE_READS \
+  bound_rest, own, measured, bends, counts, votes, variance, chosen, common
+#define OF_NOISE                                                                             \
+  __global const float *bound_rest, __global const float *own, __global const uchar *measured, \
+      const int bends, __global int *counts, __global uchar *votes, __global float *variance,  \
+      __global float *chosen, __global float *common
+#define BOTH_READ pilot_own_down, pilot_own_along, rows_noise, size, near, sums
+#define OF_BOTH                                                                     \
+  __global const float *pilot_own_down, __global const float *pilot_own_along,      \
+      __global const float *rows_noise, __global float *size, __global float *near, \
+      __global float *sums
+
 /* What an estimate of the noise is made of: the lengths of its residuals and the mask of the nodes
  * that count, averaged along the row into `near`, and the sums over the row from which its degrees
  * of freedom come. */
-void pilot_of_row(const int row, const int estimate, __global const float *data,
-                  __global const float *vote, __global const float *pilot_down,
-                  __global const float *pilot_along, __global const float *own_down,
-                  __global const float *own_along, __global const float *rows_noise,
-                  __global float *size, __global float *near, __global float *sums) {
+void pilot_of_row(const int row, const int estimate, OF_PILOT, OF_BOTH) {
   float left[K][LINE], line[LINE + 2 * NOISE_REACH], mask[LINE + 2 * NOISE_REACH];
   if (estimate < 3) left_by_axes(row, estimate, data, pilot_down, pilot_along, left);
   else left_by_diagonal(row, estimate, data, left);
   const int inside = row >= 3 && row < ROWS - 3;
-  const float8 own_of_row = own_down[row], own_inside = DIAGONAL[3], none = 0, one = 1;
+  const float8 own_of_row = pilot_own_down[row], own_inside = DIAGONAL[3], none = 0, one = 1;
   const float8 least_vote = estimate == 0 ? 2 : 1, least = estimate == 0 ? 1e-3f : 0.05f;
   float8 sum[PRODUCTS];
   for (int p = 0; p < PRODUCTS; ++p) sum[p] = 0;
   EACH_EIGHT {
     const int8 column = c + (int8)(0, 1, 2, 3, 4, 5, 6, 7);
     const int8 has_diagonals = inside && column >= 3 && column < COLUMNS - 3;
-    const float8 along = EIGHT_AT(own_along + c), across = has_diagonals ? own_inside : one;
+    const float8 along = EIGHT_AT(pilot_own_along + c), across = has_diagonals ? own_inside : one;
     const float8 own = estimate == 0   ? own_of_row * along
                        : estimate == 1 ? own_of_row
                        : estimate == 2 ? along
@@ -244,15 +257,9 @@ void pilot_of_row(const int row, const int estimate, __global const float *data,
 }
 
 /* The pilot. One work-item a row and an estimate. */
-__kernel void pilot(__global const float *data, __global const float *vote,
-                    __global const float *pilot_down, __global const float *pilot_along,
-                    __global const float *pilot_own_down, __global const float *pilot_own_along,
-                    __global const float *rows_noise, __global float *size, __global float *near,
-                    __global float *sums) {
+__kernel void pilot(OF_PILOT, OF_BOTH) {
   const int row = get_global_id(0), estimate = get_global_id(1);
-  if (row < ROWS)
-    pilot_of_row(row, estimate, data, vote, pilot_down, pilot_along, pilot_own_down,
-                 pilot_own_along, rows_noise, size, near, sums);
+  if (row < ROWS) pilot_of_row(row, estimate, PILOT_READS, BOTH_READ);
 }
 
 /* The mean length of a residual with variance 1 per coordinate, if its length is chi-distributed.
@@ -286,12 +293,7 @@ void lengths_and_floor(__global const float *sums, float *length, float *least_o
  * points now. round: of the search for outliers; the last one rejects none. */
 #define SURPRISE(i, at) (size[at] * (IS_ROUGH(i) ? ROUGH_COUNTS : 1))
 void noise_of_eight(const int row, const int c, const float *length, const float least_of_all,
-                    __global const float *near, __global const float *size,
-                    __global const float *own_down, __global const float *own_along,
-                    __global const float *rows_noise, __global const float *bound_rest,
-                    __global const float *own, __global const uchar *measured, const int bends,
-                    const int round, __global int *counts, __global uchar *votes,
-                    __global float *variance, __global float *chosen, __global float *common) {
+                    const int round, OF_BOTH, OF_NOISE) {
   const float8 none_near = NONE_NEAR, unknown = NAN, smallest = LEAST_VARIANCE;
   const int at = row * LINE + c;
   float8 near_here[NOISE_PLANES], first = 0, least = 0;
@@ -329,7 +331,7 @@ void noise_of_eight(const int row, const int c, const float *length, const float
   for (int column = c; column < min(c + LANES, COLUMNS); ++column) {
     const int node = row * COLUMNS + column;
     const float here = SURPRISE(node, row * LINE + column);
-    const float left = 1 - own_down[row] * own_along[column];
+    const float left = 1 - pilot_own_down[row] * pilot_own_along[column];
     if (!(here > REJECTED_AT * variance[row * LINE + column] * left)) continue;
     float largest = 0;
     for (int r = max(row - 1, 0); r <= min(row + 1, ROWS - 1); ++r)
@@ -343,46 +345,28 @@ void noise_of_eight(const int row, const int c, const float *length, const float
 
 /* The noise, and the first round of the search for outliers. The work-items share the rows, and
  * those of a row its nodes, eight at a time. */
-__kernel void noise(__global const float *near, __global const float *sums,
-                    __global const float *size, __global const float *pilot_own_down,
-                    __global const float *pilot_own_along, __global const float *rows_noise,
-                    __global const float *bound_rest, __global const float *own,
-                    __global const uchar *measured, const int bends, __global int *counts,
-                    __global uchar *votes, __global float *variance, __global float *chosen,
-                    __global float *common) {
+__kernel void noise(OF_BOTH, OF_NOISE) {
   float length[ESTIMATES], least_of_all;
   lengths_and_floor(sums, length, &least_of_all);
   for (int row = get_global_id(0); row < ROWS; row += get_global_size(0))
     for (int c = LANES * get_global_id(1); c < LINE; c += LANES * get_global_size(1))
-      noise_of_eight(row, c, length, least_of_all, near, size, pilot_own_down, pilot_own_along,
-                     rows_noise, bound_rest, own, measured, bends, 0, counts, votes, variance,
-                     chosen, common);
+      noise_of_eight(row, c, length, least_of_all, 0, BOTH_READ, NOISE_READS);
 }
 
 /* The other rounds, each of them if the one before has rejected nodes, which is rare. One
  * work-group: a launch for each step of each round would cost more than all of them mostly do. */
-__kernel void settle(__global const float *moved, __global const float *pilot_down,
-                     __global const float *pilot_along, __global const float *pilot_own_down,
-                     __global const float *pilot_own_along, __global const float *rows_noise,
-                     __global const float *bound_rest, __global const float *own,
-                     __global const uchar *measured, const int bends, __global int *counts,
-                     __global uchar *votes, __global float *data, __global float *vote,
-                     __global float *size, __global float *near, __global float *sums,
-                     __global float *variance, __global float *chosen, __global float *common) {
+__kernel void settle(__global const float *moved, OF_PILOT, OF_BOTH, OF_NOISE) {
   const int first = get_local_id(0), items = get_local_size(0);
   for (int round = 1; round <= ROUNDS && counts[REJECTED + round - 1] > 0; ++round) {
     for (int i = first; i < NODES; i += items) fill_node(i, moved, votes, counts, data, vote);
     barrier(CLK_GLOBAL_MEM_FENCE);
     for (int i = first; i < ESTIMATES * ROWS; i += items)
-      pilot_of_row(i % ROWS, i / ROWS, data, vote, pilot_down, pilot_along, pilot_own_down,
-                   pilot_own_along, rows_noise, size, near, sums);
+      pilot_of_row(i % ROWS, i / ROWS, PILOT_READS, BOTH_READ);
     barrier(CLK_GLOBAL_MEM_FENCE);
     float length[ESTIMATES], least_of_all;
     lengths_and_floor(sums, length, &least_of_all);
     for (int i = LANES * first; i < PLANE; i += LANES * items)
-      noise_of_eight(i / LINE, i % LINE, length, least_of_all, near, size, pilot_own_down,
-                     pilot_own_along, rows_noise, bound_rest, own, measured, bends, round, counts,
-                     votes, variance, chosen, common);
+      noise_of_eight(i / LINE, i % LINE, length, least_of_all, round, BOTH_READ, NOISE_READS);
     barrier(CLK_GLOBAL_MEM_FENCE);
   }
 }

@@ -137,6 +137,11 @@ __kernel void place(__global const float *result, const uint stride, const uint 
   next[CORNERS + i] = atomic_xchg(first_of_bin + at, i);
 }
 
+/* The corners of all views, and the chains of those of each bin. */
+#define CORNERS_IN_BINS                                                             \
+  __global const float4 *corners, const float bins_per_px, const int bin_rows,       \
+      const int bin_columns, __global const int *first_of_bin, __global const int *next
+
 /* Find the allowed corner nearest to a place within `reach`, of equally near ones the first, and
  * count them. */
 #define NEAREST(place, reach, IS_ALLOWED)                                           \
@@ -158,9 +163,7 @@ __kernel void place(__global const float *result, const uint stride, const uint 
 
 /* The corner of each node: the one at its prediction, if it has the node's colour. One work-item a
  * node. */
-__kernel void match(__global const float4 *corners, const float bins_per_px, const int bin_rows,
-                    const int bin_columns, __global const int *first_of_bin,
-                    __global const int *next, __global const float2 *last,
+__kernel void match(CORNERS_IN_BINS, __global const float2 *last,
                     __global const float2 *predicted, __global const int *colour,
                     __global int *nearest, __global float2 *residual, __global int *claims,
                     __global int *tracked) {
@@ -256,11 +259,9 @@ float2 moved_as_others(const int i, __global const float2 *at, __global const fl
  * the weights of nodes around, and how far away they are in the list of nodes, for each of 16 x 16
  * distances from the sides, 0 to 3 above, below, before and behind; a weight of 0 ends them, and is
  * the first where too few nodes predict. One work-item a node. */
-__kernel void check(__global const float4 *corners, const float bins_per_px, const int bin_rows,
-                    const int bin_columns, __global const int *first_of_bin,
-                    __global const int *next, __global const int *claims,
-                    __global const int *nearest, __global const int *kept,
-                    __global const float2 *nodes, __global const uchar *torn,
+__kernel void check(CORNERS_IN_BINS, __global const int *claims, __global const int *nearest,
+                    __global const int *kept, __global const float2 *nodes,
+                    __global const uchar *torn,
                     __global const float2 *stencils, __global const float2 *rest,
                     const int image_rows, const int image_columns, __global float2 *expected,
                     __global int *look, __global int *looks, const uint look_length,
@@ -326,10 +327,7 @@ __kernel void check(__global const float4 *corners, const float bins_per_px, con
  * for keeps a corner that is not too far; else it stays at that place, INTERPOLATED between two
  * neighbours. One work-item a node. */
 __kernel void enter(__global const float *look_result, const uint look_stride,
-                    __global const float4 *corners, const float bins_per_px,
-                    const int bin_rows, const int bin_columns,
-                    __global const int *first_of_bin, __global const int *next,
-                    __global const int *claims, __global const int *kept,
+                    CORNERS_IN_BINS, __global const int *claims, __global const int *kept,
                     __global const int *look, __global const float2 *expected,
                     __global const float2 *last, __global const int *colour,
                     __global float2 *nodes, __global uchar *seen_status,
