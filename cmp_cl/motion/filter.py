@@ -208,17 +208,11 @@ class LatticeFilter:
     # What is compiled and allocated
 
     def _inputs(self) -> Layout:
-        axes = self._axes
-        planes = {"moved": axes, "points": covariances(axes), "bent": axes}
-        layout: Layout = {
-            name: ((count, *self._shape), np.float32) for name, count in planes.items()
-        }
-        masks = ("valid", "measured", "votes")
+        axes, shape, wide = self._axes, self._shape, in_lines_of(self._shape)
         return {
-            **layout,
-            "own": (in_lines_of(self._shape), np.float32),
-            "bound_rest": (in_lines_of(self._shape), np.float32),
-            **{name: (self._shape, np.uint8) for name in masks},
+            **_planes(shape, moved=axes, points=covariances(axes), bent=axes),
+            **dict.fromkeys(("own", "bound_rest"), (wide, np.float32)),
+            **dict.fromkeys(("valid", "measured", "votes"), (shape, np.uint8)),
         }
 
     @staticmethod
@@ -233,64 +227,59 @@ class LatticeFilter:
         before the filter. counts: nodes without a vote, and those that each round has rejected; 0
         at the end.
         """
-        planes = {
-            "displacement": axes,
-            "raw_displacement": axes,
-            "covariance": covariances(axes),
-            "raw_covariance": covariances(axes),
-            "slopes": axes * (axes + 1) if slopes else 0,
-            "strain": 3 if strain else 0,
-            "strain_covariance": covariances(3) if strain else 0,
-        }
+        planes = _planes(
+            shape,
+            displacement=axes,
+            raw_displacement=axes,
+            covariance=covariances(axes),
+            raw_covariance=covariances(axes),
+            slopes=axes * (axes + 1) if slopes else 0,
+            strain=3 if strain else 0,
+            strain_covariance=covariances(3) if strain else 0,
+        )
         return {
-            **{name: ((count, *shape), np.float32) for name, count in planes.items()},
+            **planes,
             "variance": (in_lines_of(shape), np.float32),
             "counts": ((1 + ROUNDS,), np.int32),
         }
 
     def _tables(self) -> dict[str, NDArray[Any]]:
         down, along = self._down, self._along
-        return {
+        tables: dict[str, NDArray[Any]] = {
             "sides_down": down.sides,
             "sides_along": along.sides,
-            "filters_down": down.filters,
-            "filters_along": in_lines(along.filters),
-            "own_down": down.own,
-            "own_along": in_lines(along.own),
-            "gain_down": down.gain,
-            "gain_along": in_lines(along.gain),
-            "pilot_down": down.pilot,
-            "pilot_along": in_lines(along.pilot),
-            "pilot_own_down": down.pilot_own,
-            "pilot_own_along": in_lines(along.pilot_own),
             "gram_down": down.gram,
             "gram_along": np.moveaxis(along.gram, 2, 4),
             "rows_noise": NOISE_GAUSSIAN,
             "rows_risk": RISK_GAUSSIAN,
         }
+        for name in ("filters", "own", "gain", "pilot", "pilot_own"):
+            tables[f"{name}_down"] = vars(down)[name]
+            tables[f"{name}_along"] = in_lines(vars(along)[name])
+        return tables
 
     def _work_layout(self) -> Layout:
         axes, rows = self._axes, self._shape[0]
         pairs = len(self._down.sides) * len(self._along.sides)
         products = axes * (axes + 1) // 2
-        in_line = {
-            "data": axes,
-            "vote": 1,
-            "size": 1,
-            "near": _ESTIMATES + _MASKS + products,
-            "chosen": 1,
-            "common": products,
-            "estimate": axes * pairs,
-            "loss": pairs,
-            "unsupported": pairs,
-            "near_votes": 1,
-            "weights": pairs if self._slopes else 1,
-            "values": axes,
-            "mixed_variance": 1,
-        }
-        wide = in_lines_of(self._shape)
+        in_line = _planes(
+            in_lines_of(self._shape),
+            data=axes,
+            vote=1,
+            size=1,
+            near=_ESTIMATES + _MASKS + products,
+            chosen=1,
+            common=products,
+            estimate=axes * pairs,
+            loss=pairs,
+            unsupported=pairs,
+            near_votes=1,
+            weights=pairs if self._slopes else 1,
+            values=axes,
+            mixed_variance=1,
+        )
         return {
-            **{name: ((count, *wide), np.float32) for name, count in in_line.items()},
+            **in_line,
             "sums": ((rows, _ESTIMATES * products + 1), np.float32),
             "rough": ((rows, _ROUGH), np.float32),
         }
@@ -321,3 +310,8 @@ class LatticeFilter:
         """Bind a kernel with so many work-items, of rows or shares of them and of others."""
         group = (1,) * len(items) if self._is_cpu else None
         return bound(self._kernels, self.parts, name, items, group)
+
+
+def _planes(shape: tuple[int, int], **counts: int) -> Layout:
+    """Return the layout of so many planes (R, C) of numbers by name."""
+    return {name: ((count, *shape), np.float32) for name, count in counts.items()}
