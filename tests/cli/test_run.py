@@ -334,12 +334,20 @@ def test_doubts_about_the_frame_at_rest_are_told(run, tmp_path):
     assert not run("run", tmp_path, "--grid", "12x12", "--out", "press.npz")[2]
 
 
-def test_the_numbers_of_the_frame_at_rest_are_not_ambiguous(run, tmp_path):
+def write_endless(folder, *shifts):
+    """Write frames of a pattern without a border in view, that has moved by so many px; None is a
+    frame without it."""
     board = np.kron(np.indices((13, 13)).sum(0) % 2, np.full((12, 12), 180)).astype(np.uint8) + 30
-    for number in range(2):  # no border of the pattern is in view
-        cv2.imwrite(str(tmp_path / f"{number}.png"), board[6:150, 6:150])
+    for number, shift in enumerate(shifts):
+        view = np.full_like(board, 90) if shift is None else np.roll(board, shift, axis=1)
+        cv2.imwrite(str(folder / f"{number}.png"), view[6:150, 6:150])
+
+
+def test_the_numbers_of_the_frame_at_rest_alone_are_not_ambiguous(run, tmp_path):
+    write_endless(tmp_path, 0, 4)
     _, out, err = run("run", tmp_path, "--out", "press.npz")
     assert "1 whose numbers may be wrong" in out
+    assert re.search(r"moved by up to \S+ px \(frame 0\)", out)
     assert "trust none of them" in err
     assert "--track" in err
     assert np.load("press.npz")["ambiguous"].tolist() == [False, True]
@@ -373,22 +381,10 @@ def test_files_that_are_missing_from_a_recording_are_told(run, recording):
 
 
 def test_tracking_that_was_asked_for_is_not_advised(run, tmp_path):
-    board = np.kron(np.indices((13, 13)).sum(0) % 2, np.full((12, 12), 180)).astype(np.uint8) + 30
-    for number, missing in enumerate((False, True, True, False)):
-        view = np.full_like(board, 90) if missing else board
-        cv2.imwrite(str(tmp_path / f"{number}.png"), view[6:150, 6:150])
+    write_endless(tmp_path, 0, None, None, 0)
     _, out, err = run("run", tmp_path, "--track", "--out", "press.npz")
     assert "1 whose numbers may be wrong" in out
     assert err.splitlines()[-1].endswith("show a border of the pattern in every frame")
-
-
-def test_the_largest_displacement_is_not_of_a_frame_whose_numbers_may_be_wrong(run, tmp_path):
-    board = np.kron(np.indices((13, 13)).sum(0) % 2, np.full((12, 12), 180)).astype(np.uint8) + 30
-    for number, shift in enumerate((0, 4)):  # no border of the pattern is in view
-        cv2.imwrite(str(tmp_path / f"{number}.png"), board[6:150, 6 - shift : 150 - shift])
-    _, out, _ = run("run", tmp_path, "--out", "press.npz")
-    assert "1 whose numbers may be wrong" in out
-    assert re.search(r"moved by up to \S+ px \(frame 0\)", out)
 
 
 def test_a_calibration_that_does_not_fit_or_is_missing_is_noticed_at_rest(run, recording, press):
