@@ -68,63 +68,45 @@ def test_strict_bounds_of_noise_and_of_the_wide_ring_are_the_oracles(detector_in
     assert len(assert_corners_equal(detector_in_form(image, config), image)) > 0
 
 
-def assert_found_alone(found, truth, margin):
-    """Assert that the corners so far inside are found, within 6 px, and no others."""
-    for one, other in ((truth, found.xy), (found.xy, truth)):
-        assert to_nearest(one[boards.inside(one, SHAPE, margin)], other).max() < 6
+def dimmed(cell, angle, blur, light):
+    """Return a board of wide cells whose columns have these shares of the light."""
+    image, truth = images.board(*SHAPE, cell, angle=angle, blur=blur, samples=3)
+    return light * image, truth
 
 
-@pytest.mark.parametrize("smooth", [1, 2, 3])
-def test_noise_between_wide_cells_is_no_corner(detector_in_form, smooth):
-    image, truth = images.board(*SHAPE, 60, angle=0.3, blur=1.5, samples=3)
-    dim = np.linspace(0.4, 1, SHAPE[1]) * image + 12 * grain(SHAPE, smooth, 3)
-    image = dim.clip(0, 255).astype(np.uint8)
+def joined(cell, share, blur, dark, light):
+    """Return squares that ink joins: halved frames have the corners, and the frame but noise."""
+    image, truth = ink(cell, share, angle=0.5)
+    return dark + light * cv2.GaussianBlur(image.astype(float), (0, 0), blur), truth
+
+
+BRIGHT, DARK = np.linspace(0.4, 1, SHAPE[1]), np.geomspace(1, 0.1, SHAPE[1])
+
+
+@pytest.mark.parametrize(
+    ("scene", "inside", "strength", "smooth", "seed"),
+    [
+        *((dimmed(60, 0.3, 1.5, BRIGHT), 15, 12, smooth, 3) for smooth in (1, 2, 3)),
+        *((joined(43, 0.09, 1.3, 13, 0.6), 20, 12, *noise) for noise in ((0.6, 3), (0.8, 24))),
+        # no response of the frame is a corner's, and noise shows in the frame halved once too
+        (joined(62, 0.08, 2, 40, 0.5), 20, 12, 1, 101),
+        *((joined(62, 0.08, 2, 40, 0.5), 20, 9, 1.5, seed) for seed in (129, 133)),
+        # noise in the dark is as strong for its grey, on one ring
+        (dimmed(43, 0.38, 3, DARK), 20, 4, 2.0, 57),
+        (dimmed(50, 0.64, 3, DARK), 20, 4, 1.5, 84),
+    ],
+)
+def test_noise_beside_wide_or_joined_cells_is_no_corner(
+    detector_in_form, scene, inside, strength, smooth, seed
+):
+    """The corners that lie so far inside are found, within 6 px, and no others."""
+    grey, truth = scene
+    image = (grey + strength * grain(SHAPE, smooth, seed)).clip(0, 255).astype(np.uint8)
     found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
-    assert_found_alone(found, truth, 15)
+    for one, other in ((truth, found.xy), (found.xy, truth)):
+        assert to_nearest(one[boards.inside(one, SHAPE, inside)], other).max() < 6
     none = DetectorConfig(detection=RingHarmonic(octaves=0))
     assert len(assert_corners_equal(detector_in_form(image, none), image)) > len(found) + 2
-
-
-@pytest.mark.parametrize(("seed", "smooth"), [(3, 0.6), (24, 0.8)])
-def test_strong_noise_on_the_small_ring_is_no_corner(detector_in_form, seed, smooth):
-    """Ink joins the squares, so that halved frames have the corners, and the frame but noise."""
-    image, truth = ink(43, 0.09, angle=0.5)
-    soft = cv2.GaussianBlur(image.astype(float), (0, 0), 1.3)
-    image = (13 + 0.6 * soft + 12 * grain(SHAPE, smooth, seed)).clip(0, 255).astype(np.uint8)
-    found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
-    assert_found_alone(found, truth, 20)
-
-
-@pytest.mark.parametrize(
-    ("seed", "smooth", "strength"), [(101, 1, 12), (129, 1.5, 9), (133, 1.5, 9)]
-)
-def test_noise_stronger_than_blurred_ink_is_no_corner(detector_in_form, seed, smooth, strength):
-    """No response of the frame is a corner's, and noise shows in the frame halved once too."""
-    image, truth = ink(62, 0.08, angle=0.5)
-    soft = cv2.GaussianBlur(image.astype(float), (0, 0), 2)
-    image = (40 + 0.5 * soft + strength * grain(SHAPE, smooth, seed)).clip(0, 255).astype(np.uint8)
-    found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
-    assert_found_alone(found, truth, 20)
-
-
-@pytest.mark.parametrize(
-    ("seed", "cell", "angle", "smooth", "strength"),
-    [(57, 43, 0.38, 2.0, 4), (84, 50, 0.64, 1.5, 4)],
-)
-def test_wide_cells_in_the_dark_have_corners_and_noise_there_has_none(
-    detector_in_form, seed, cell, angle, smooth, strength
-):
-    """A side has a tenth of the light. Noise there is as strong for its grey, on one ring."""
-    image, truth = images.board(*SHAPE, cell, angle=angle, blur=3, samples=3)
-    dim = np.geomspace(1, 0.1, SHAPE[1]) * image + strength * grain(SHAPE, smooth, seed)
-    image = dim.clip(0, 255).astype(np.uint8)
-    found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
-    assert_found_alone(found, truth, 20)
-
-
-def soft_noise(smooth, strength=15.0, seed=1, shape=SHAPE):
-    """Return grey with noise that pixels share, over so many px."""
-    return np.clip(128 + strength * grain(shape, smooth, seed), 0, 255).astype(np.uint8)
 
 
 @pytest.mark.parametrize("cell", [9, 12, 20, 30])
@@ -132,7 +114,8 @@ def test_a_board_in_noise_that_pixels_share_keeps_its_corners(detector_in_form, 
     shape, (x, y) = (2 * SHAPE[0], 2 * SHAPE[1]), np.array([300, 260])
     board, truth = images.board(*shape, cell, angle=0, blur=0.7, samples=3)
     apart = np.abs(np.indices(shape)[::-1].transpose(1, 2, 0) - (x, y)).max(axis=2)
-    image = np.where(apart < 3.4 * cell, board, soft_noise(1.8, 60, 2, shape))
+    noise = np.clip(128 + 60 * grain(shape, 1.8, 2), 0, 255).astype(np.uint8)
+    image = np.where(apart < 3.4 * cell, board, noise)
     corners = truth[np.abs(truth - (x, y)).max(axis=1) < 2.9 * cell]
     found = assert_corners_equal(detector_in_form(image, OCTAVES), image)
     assert len(corners) > 20
