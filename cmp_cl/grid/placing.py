@@ -1,12 +1,17 @@
 """From a board with numbers to its grid."""
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cmp_cl.corners import Corners
+from cmp_cl.corners import Corners, Refusal
 from cmp_cl.grid.choice import NOTHING, Asked, Found, Told
 from cmp_cl.grid.grid import Grid, NodeStatus, Rival, Sides, check_size
 from cmp_cl.lattice.arrays import LOOKED, Board, Mask
 from cmp_cl.lattice.numbers import Decision, Numbering, seen_lines
+
+WORN = 14.0  # sigmas, by which wear moves a corner that fits the corner model
+LINES = ((0, 1), (1, 0))
+CELLS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 def placed(found: Found, corners: Corners, asked: Asked, told: Told = NOTHING) -> Grid:
@@ -19,7 +24,7 @@ def placed(found: Found, corners: Corners, asked: Asked, told: Told = NOTHING) -
     mine = board.owner >= 0
     status = mine.astype(np.uint8) * np.uint8(NodeStatus.DETECTED)
     status[mine & board.torn] = NodeStatus.ATTACHED
-    xy = np.stack([board.x, board.y], axis=2)
+    xy = _weighed(board, corners)
     looked = board.owner == LOOKED
     if looked.any():
         between = looked & _between(mine)
@@ -51,6 +56,38 @@ def placed(found: Found, corners: Corners, asked: Asked, told: Told = NOTHING) -
         edge_radius=corners.edge_radius,
     )
     return grid.within(first, shape)
+
+
+def _weighed(board: Board, corners: Corners) -> NDArray[np.float32]:
+    """Return the positions of the nodes, (R, C, 2), px.
+
+    A board averages a rough corner with its prediction. One that fits the corner model is worn, or
+    the surface bends sharply there. Where it bends, the predictions of its neighbours scatter, and
+    count as much less as they do so more than wear moves a corner.
+    """
+    xy: NDArray[np.float32] = np.stack([board.x, board.y], axis=2)
+    row, column = np.nonzero(board.torn & (board.owner >= 0))
+    corner = board.owner[row, column]
+    fits = (corners.refusal[corner] == Refusal.NONE) & np.isfinite(corners.sigma[corner])
+    row, column, corner = row[fits], column[fits], corner[fits]
+    seen: NDArray[np.float32] = np.pad(xy, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan)
+    seen[2:-2, 2:-2][board.owner >= 0] = corners.xy[board.owner[board.owner >= 0]]
+
+    def at(rows: int, columns: int) -> NDArray[np.float32]:
+        found: NDArray[np.float32] = seen[row + 2 + rows, column + 2 + columns]
+        return found
+
+    predicted = [at(r, 0) + at(0, c) - at(r, c) for r, c in CELLS]
+    for r, c in LINES:
+        middle = (at(-r, -c) + at(r, c)) / 2
+        cubic = (8 * middle - at(-2 * r, -2 * c) - at(2 * r, 2 * c)) / 6
+        predicted.append(np.where(np.isnan(cubic), middle, cubic))
+    each = np.ma.masked_invalid(predicted)
+    scatter = each.var(axis=0).sum(axis=1).filled(0) / WORN**2
+    variance = corners.sigma[corner] ** 2
+    share = (variance / (variance + scatter))[:, None]
+    xy[row, column] = at(0, 0) + share * (xy[row, column] - at(0, 0))
+    return xy
 
 
 def _between(there: Mask) -> Mask:

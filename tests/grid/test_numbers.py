@@ -505,6 +505,21 @@ def test_a_part_that_slides_by_cells_is_told_where_the_border_was_seen_at_rest(
     assert grid.ambiguous == told
 
 
+def test_a_corner_stays_where_it_is_seen_where_the_surface_bends_sharply():
+    """The middle of a dome is 2.2 times as large, and its neighbours predict places 2 px off."""
+
+    def dome(x, y):
+        x, y = x - 200, y - 150
+        keep = 1 - 0.55 * np.exp(-(x**2 + y**2) / (2 * 28**2))
+        return x * keep / 14 + 13, y * keep / 14 + 9
+
+    view = drawn(dome, (300, 400), (20, 26))
+    grid = grid_of(view)
+    row, column = view.corners[:, 2:].T.astype(int)
+    off = np.hypot(*(grid.xy[row, column] - view.corners[:, :2]).T)
+    assert off.max() < 0.3
+
+
 @pytest.mark.parametrize(("turn", "height"), [(0, 1.2), (15, 1.4), (30, 1.4), (45, 1.4)])
 def test_a_wave_that_stretches_cells_makes_no_wrong_number(turn, height):
     """Where cells are long the surface through two parts expects more of them than there are."""
