@@ -154,26 +154,48 @@ def _moved(state: State, step: Array) -> State:
 
 
 def _shared_variance(looks: Sequence[Look], state: State, inverse: Array) -> float:
-    """Return the variance of a corner that the differences between the views show, px^2.
+    """Return the variance of a corner that the differences between groups of corners show, px^2.
 
     inverse: of the normal equations of the unknown parameters of the cameras, (n, n).
 
-    The corners of one view may have errors in common, of the lens or of the print. With A_m and g_m
-    the normal equations of the cameras by view m, A = sum A_m, and independent corners of variance
-    v, the mean of g_m^T A^-1 g_m is v tr(B - B^2) with B = A^-1 A_m; common errors make it larger.
+    The corners of one view may have errors in common, of the lens, and those of one node in all
+    views that of the print. With A_m and g_m the normal equations of the cameras by group m, A =
+    sum A_m, and independent corners of variance v, the mean of g_m^T A^-1 g_m is v tr(B - B^2) with
+    B = A^-1 A_m; common errors make it larger.
     """
-    count = len(inverse)
-    found = expected = 0.0
-    for moment in range(len(state.poses)):
-        own = [dataclasses.replace(look, moment=0) for look in looks if look.moment == moment]
-        there = dataclasses.replace(state, poses=state.poses[moment : moment + 1])
-        both, right = _equations(own, there)
-        by_pose = both[:count, count:] @ np.linalg.inv(both[count:, count:])
-        share = inverse @ (both[:count, :count] - by_pose @ both[count:, :count])
-        slope = right[:count] - by_pose @ right[count:]
-        found += float(slope @ inverse @ slope)
-        expected += float(np.trace(share - share @ share))
-    return found / expected
+    slopes, offs = _without_poses(looks, state)
+    moments = np.concatenate([np.full(len(look.nodes), look.moment) for look in looks])
+    nodes = np.unique(np.concatenate([look.nodes for look in looks]), axis=0, return_inverse=True)
+    variances = []
+    for groups in (moments, nodes[1].ravel()):
+        found = expected = 0.0
+        for group in np.unique(groups):
+            own = slopes[groups == group].reshape(-1, len(inverse))
+            slope = own.T @ offs[groups == group].ravel()
+            share = inverse @ (own.T @ own)
+            found += float(slope @ inverse @ slope)
+            expected += float(np.trace(share - share @ share))
+        variances.append(found / expected)
+    return max(variances)
+
+
+def _without_poses(looks: Sequence[Look], state: State) -> tuple[Array, Array]:
+    """Return the derivatives of all corners by the unknown parameters of the cameras, (N, 2, n),
+    with each board at its best pose, and the residuals, (N, 2), px."""
+    matrix, _ = _equations(looks, state)
+    free = unknowns(state.cameras)
+    count = int(np.count_nonzero(free))
+    by_pose = np.linalg.solve(matrix[count:, count:], matrix[count:, :count])
+    by_pose = by_pose.reshape(-1, POSE, count)
+    every = []
+    for look in looks:
+        by_camera, pose = _slopes(look, state)
+        slopes = -pose @ by_pose[look.moment]
+        own = np.zeros(free.shape, bool)
+        own[look.camera] = free[look.camera]
+        slopes[..., own[free]] += by_camera[..., free[look.camera]]
+        every.append(slopes)
+    return np.concatenate(every), np.concatenate([residuals(look, state) for look in looks])
 
 
 def _placed(look: Look, state: State) -> Array:
