@@ -76,6 +76,7 @@ def test_a_camera_of_each_lens_is_found_again(lens):
     truth = {"front": camera(lens)}
     found = calibrated(views(truth), lens=lens)
     assert found.error == pytest.approx(0.03 * math.sqrt(2), rel=0.1)
+    assert repr(found).startswith("<Calibration of front: 0.04")
     rms = np.sqrt(np.nanmean(np.square(np.stack(found.residuals["front"])).sum(axis=-1)))
     assert rms == pytest.approx(found.error, rel=0.02)
     row, column = np.mgrid[-3:4, -3:4]

@@ -2,10 +2,12 @@
 NumPy, a spreadsheet and ParaView read them."""
 
 import base64
+import copy
 import csv
 import dataclasses
 import functools
 import math
+import pickle
 import struct
 import xml.etree.ElementTree
 
@@ -83,6 +85,18 @@ def test_a_field_has_the_displacement_and_the_holes_of_its_raw_field(space):
     if space:
         moved = pressed_gel()[1] - pressed_gel()[0]
         np.testing.assert_array_equal(field.raw.displacement, moved)
+
+
+def test_a_field_is_printed_in_one_line_and_goes_to_another_process():
+    field = pressed()
+    assert repr(field) == "<DisplacementField of 18 x 19 nodes in mm: 340 valid>"
+    strained = copy.deepcopy(field).with_strain()
+    for sent in (field, strained):
+        came = pickle.loads(pickle.dumps(sent))
+        np.testing.assert_array_equal(came.displacement, field.displacement)
+    np.testing.assert_array_equal(came.with_strain().strain, strained.strain)
+    with pytest.raises(FieldError, match="pickle"):
+        pickle.loads(pickle.dumps(field)).with_strain()
 
 
 def test_wear_that_travels_with_the_gel_cancels_and_sigma_covers_the_remainder():

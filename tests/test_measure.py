@@ -72,6 +72,7 @@ def test_a_frame_is_tracked_or_numbered_anew_and_the_result_is_the_same(film):
     assert following.tally.tracked > len(film)
     assert following.tally.tracked + following.tally.numbered == 2 * len(film)
     assert not any(each.tracked for each in anew)
+    assert repr(tracked[0]).startswith("<Measured: <DisplacementField of ")
     for one, other in zip([*tracked, *again], [*anew, *anew], strict=True):
         for grid, expected in zip(one.grids, other.grids, strict=True):
             np.testing.assert_array_equal(grid.index, expected.index)

@@ -176,6 +176,16 @@ def test_a_csv_has_a_row_for_each_node_and_metadata_beside_it(tmp_path):
     assert (about["units"]["displacement"], about["configuration"]) == ("mm", "nms = 3")
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".pvd"])
+def test_times_since_1970_stay_apart(tmp_path, suffix):
+    path = tmp_path / f"press{suffix}"
+    with SeriesWriter(path, **ABOUT, rest=rest(), unit="mm") as series:
+        for number in range(2):
+            series.append(index=number, time_ms=1.7e12 + 33.25 * number, **frame(number))
+    text = path.read_text()
+    assert ("1700000000033.25" in text) or ("1700000000.03325" in text)
+
+
 def test_json_lines_go_through_a_pipe():
     done = python("-c", "from test_series import write; write('-')", check=True)
     lines = [json.loads(line) for line in done.stdout.splitlines()]
@@ -223,7 +233,8 @@ def test_what_a_series_cannot_hold_is_named_and_nothing_is_added(tmp_path, suffi
         if suffix in (".csv", ".pvd", ".mcap"):
             with pytest.raises(FieldError, match="needs"):
                 series.append(index=0, time_ms=0, area=2.5)
-        for name, wrong in {"index": 0.5, "time_ms": "b", "sigma": [[1], [2, 3]]}.items():
+        wrong_ones = [("index", 0.5), ("index", 2**63), ("time_ms", "b"), ("time_ms", np.inf)]
+        for name, wrong in [*wrong_ones, ("sigma", [[1], [2, 3]])]:
             with pytest.raises(FieldError, match=f"^{name} must be"):
                 series.append(**{"index": 0, "time_ms": 0.0, **frame(0), name: wrong})
         with pytest.raises(FieldError, match="constants"):

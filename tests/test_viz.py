@@ -203,7 +203,7 @@ def test_a_frame_that_may_be_wrong_is_marked_and_not_what_a_series_shows(tmp_pat
     assert Summary(moments[4:]).moment.index == 7  # there is no other
     assert main(["plot", str(path), "--out", str(out)]) == 0
     said = capsys.readouterr()
-    assert "frame 6 of 5 frames" in said.out
+    assert "frame 6, one of 5 frames" in said.out
     assert "in 2 frames all displacements may be wrong" in said.err
 
 

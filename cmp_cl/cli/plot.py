@@ -65,5 +65,5 @@ def run(arguments: argparse.Namespace) -> int:
         else map_figure(moment, Quantity(arguments.what))
     )
     save_figure(arguments.out, figure)
-    print(f"wrote {shown(arguments.out)}: frame {moment.index} of {frames}")
+    print(f"wrote {shown(arguments.out)}: frame {moment.index}, one of {frames}")
     return 0

@@ -38,7 +38,7 @@ class DisplacementField:
     unit: name of the unit of length.
     raw: the field before the lattice filter; None if this one is not filtered.
     strain_of: returns the strain of this field and its covariance, for `with_strain`; None if it
-        was not measured, or is before the filter.
+        was not measured, comes from a pickle, or is before the filter.
 
     strain: (R, C, 3) float64, Green-Lagrange strain E11, E22, E12, see `field.green_lagrange`; None
         if it was not asked for. In the plane, 1 and 2 are x and y; in space, 1 runs along the rows
@@ -61,6 +61,13 @@ class DisplacementField:
     strain_of: "Callable[[DisplacementField], tuple[Array, Array]] | None" = None
     strain: Array | None = None
     strain_covariance: Array | None = None
+
+    def __repr__(self) -> str:
+        rows, columns = self.status.shape
+        return (
+            f"<DisplacementField of {rows} x {columns} nodes in {self.unit}: "
+            f"{np.count_nonzero(self.valid)} valid>"
+        )
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -125,15 +132,15 @@ class DisplacementField:
 
         Noise and the filter's weights are taken as constant within 3 x 3 nodes. Where the filter
         does not know the error, those of the nodes are taken as independent. Raises FieldError for
-        a field before the lattice filter, and for one that was not measured.
+        a field before the lattice filter, and for one that was not measured or comes from a pickle.
         """
         if self.strain is not None:
             return self
         if self.strain_of is None:
             raise FieldError(
                 "the error of this field's strain is unknown: it was not measured, or it is before "
-                "the lattice filter (take the filtered field); cmp_cl.field.green_lagrange gives a "
-                "strain without an error"
+                "the lattice filter (take the filtered field), or it comes from a pickle (take the "
+                "strain before); cmp_cl.field.green_lagrange gives a strain without an error"
             )
         strain, covariance = self.strain_of(self)
         return dataclasses.replace(self, strain=strain, strain_covariance=covariance)

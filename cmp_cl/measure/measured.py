@@ -42,6 +42,10 @@ class Measured:
     _arrays: dict[str, NDArray[Any]]  # what the kernels have found
     _numbered: Callable[[], tuple[Grid, ...]]  # returns the grids
 
+    def __repr__(self) -> str:
+        doubts = [name for name in ("ambiguous", "misfit") if getattr(self, name)]
+        return f"<Measured: {', '.join([repr(self.field), *doubts])}>"
+
     @functools.cached_property
     def field(self) -> DisplacementField:
         """Return the displacement of the nodes, in the image, in the plane of a flat pattern, or

@@ -129,16 +129,18 @@ def _decoded(
 
 
 def _has_chunks(data: NDArray[np.uint8]) -> bool:
-    """Return whether all chunks of a PNG are in the file; True for other formats.
+    """Return whether all chunks of a PNG are in the file, which may go on after them; True for
+    other formats.
 
     A chunk is its length, a name, that many bytes, and a sum. OpenCV allocates any length.
     """
     if data[:1].tobytes() != b"\x89":
         return True
-    place = 8
-    while place + 12 <= data.size:
+    place, name = 8, b""
+    while place + 12 <= data.size and name != b"IEND":
+        name = data[place + 4 : place + 8].tobytes()
         place += 12 + int.from_bytes(data[place : place + 4].tobytes())
-    return place == data.size
+    return place <= data.size and name == b"IEND"
 
 
 def _has_alpha(grey: GreyImage, data: NDArray[np.uint8]) -> bool:

@@ -171,16 +171,6 @@ class AtRest:
             values[missing] = np.nan
             return values
 
-        def strain_of(field: DisplacementField) -> tuple[Array, Array]:
-            measured = measured_of(field.source, field.valid)
-            rest = {
-                **self.strain_constants,
-                "displacement": planes(field.displacement),
-                "covariance": flat(field.covariance),
-            }
-            found = self.change(moved, measured, own, slopes=True, rest=rest)
-            return nodes(found.strain), matrices(found.strain_covariance)
-
         raw = DisplacementField(
             position=known(self.moment.at),
             displacement=moved,
@@ -197,5 +187,30 @@ class AtRest:
             covariance=covariance,
             position_covariance=known(self.filtered.covariance),
             raw=raw,
-            strain_of=strain_of,
+            strain_of=_StrainOf(self, moved, own),
         )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _StrainOf:
+    """Computes the strain of the field of a moment on its device; pickled, it is None."""
+
+    at_rest: AtRest
+    moved: Array
+    own: NDArray[np.floating]
+
+    def __call__(self, field: DisplacementField) -> tuple[Array, Array]:
+        measured = measured_of(field.source, field.valid)
+        rest = {
+            **self.at_rest.strain_constants,
+            "displacement": planes(field.displacement),
+            "covariance": flat(field.covariance),
+        }
+        found = self.at_rest.change(self.moved, measured, self.own, slopes=True, rest=rest)
+        return nodes(found.strain), matrices(found.strain_covariance)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(None), ()
+
+    def __deepcopy__(self, _: Any) -> Self:
+        return self

@@ -91,8 +91,8 @@ def write_hdf5(series: Stored, path: Path, _target: Path) -> None:
 def write_csv(series: Stored, path: Path, target: Path) -> None:
     """CSV with the units in its header; the description is in NAME.csv-metadata.json.
 
-    Floats have 9 digits; missing ones are nan. The metadata file has the name that W3C recommends;
-    it has the constants too.
+    Floats have 9 digits, times 15; missing ones are nan. The metadata file has the name that W3C
+    recommends; it has the constants too.
     """
     with open(path, "wb") as file:
         for index, time_ms, frame in series.frames():
@@ -102,6 +102,7 @@ def write_csv(series: Stored, path: Path, target: Path) -> None:
             if not file.tell():
                 file.write(csv_bytes([columns]))
             kinds = ["%.9g" if each.dtype.kind == "f" else "%d" for each in columns.values()]
+            kinds[1] = "%.15g"  # times since 1970 have 13 digits before the point
             table = np.stack(np.broadcast_arrays(*columns.values()), axis=1)
             np.savetxt(file, table, fmt=",".join(kinds))
     constants = {name: plain(value) for name, value in series.constants.items() if name != "about"}
@@ -129,7 +130,7 @@ def write_pvd(series: Stored, path: Path, target: Path) -> None:
             write_bytes(folder / name, surface(*moved_by(series.constants, frame), frame))
             time = time_ms / 1e3 if np.isfinite(time_ms) else float(index)
             file = quoteattr(f"{folder.name}/{name}")
-            lines.append(f'<DataSet timestep="{time:.9g}" part="0" file={file}/>')
+            lines.append(f'<DataSet timestep="{time:.15g}" part="0" file={file}/>')
         path.write_text("\n".join([*lines, "</Collection>", "</VTKFile>", ""]), "utf-8")
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)

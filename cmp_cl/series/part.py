@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 Arrays = Mapping[str, NDArray[Any]]
 
+LARGEST = np.float64(1e100)  # of a number; the square of a larger one has no float
 _CONSTANTS = "constants"  # the folder for them
 _OF_FRAMES = "index", "time_ms"  # what every series has of each frame
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, FieldError, extra
 from cmp_cl.files import check_memory, check_path, read_npz, suffix_of
-from cmp_cl.series.part import Stored
+from cmp_cl.series.part import LARGEST, Stored
 
-_LARGEST = np.float64(1e100)  # of a number; the square of a larger one has no float
 _LONGEST = 40  # characters of a unit
 # The axes of the arrays that are drawn and replayed: F frames, R rows, C columns, K = 2 or 3.
 _AXES: dict[str, tuple[str, ...]] = {
@@ -104,8 +103,8 @@ def _check_shapes(found: _Found) -> None:
 def _check_values(found: _Found) -> None:
     """Raise ValueError if an array that this library writes has other values."""
     for name, array in found.items():
-        if name in _AXES and array.dtype.kind == "f" and (np.abs(array) > _LARGEST).any():
-            raise ValueError(f"{name} must have numbers up to {_LARGEST:g} or NaN, not larger ones")
+        if name in _AXES and array.dtype.kind == "f" and (np.abs(array) > LARGEST).any():
+            raise ValueError(f"{name} must have numbers up to {LARGEST:g} or NaN, not larger ones")
     if "rest" in found and np.isnan(found["rest"]).all():
         raise ValueError("rest must have the positions of nodes, and there are none")
     if len(str(found.get("unit", ""))) > _LONGEST:

@@ -20,7 +20,7 @@ from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError, check_kind, extra
 from cmp_cl.files import check_target, new_folder, suffix_of, version, whole_path
 from cmp_cl.series import formats, mcap
-from cmp_cl.series.part import Arrays, Part, Stored
+from cmp_cl.series.part import LARGEST, Arrays, Part, Stored
 
 _FORMATS: dict[str, Callable[[Stored, Path, Path], None]] = {
     ".npz": formats.write_npz,
@@ -157,15 +157,17 @@ class SeriesWriter(Closing):
 
         index: its number. time_ms: its time stamp, ms, NaN if unknown. arrays: by name.
 
-        Raises FieldError if index is not whole, time_ms is not a number, the names, shapes or types
-        differ from the first frame's, a name is one of the constants', the format needs `rest` and
-        `displacement` of nodes or has no such time, or the series is closed; OSError, for example
-        if the disk is full. Then nothing is added.
+        Raises FieldError if index is not whole, time_ms is not a number or infinite, the names,
+        shapes or types differ from the first frame's, a name is one of the constants', the format
+        needs `rest` and `displacement` of nodes or has no such time, or the series is closed;
+        OSError, for example if the disk is full. Then nothing is added.
         """
         if not self._open:
             raise FieldError("the series is closed")
         check_kind("index", index, Integral, FieldError)
         check_kind("time_ms", time_ms, Real, FieldError)
+        if not -(2**63) <= index < 2**63:
+            raise FieldError(f"index must be a number of 64 bits, not {index}")
         frame = {name: _array(name, value, "biuf") for name, value in arrays.items()}
         layout = {name: (value.shape, value.dtype.str) for name, value in frame.items()}
         if self._layout is not None and layout != self._layout:
@@ -177,6 +179,8 @@ class SeriesWriter(Closing):
             formats.moved_by(self._constants, frame)
         if self._target.suffix.lower() == ".mcap":
             mcap.stamp_ns(int(index), float(time_ms))
+        if abs(time_ms) > LARGEST:
+            raise FieldError(f"time_ms must be up to {LARGEST:g}, or NaN if unknown, not {time_ms}")
         try:
             self._sink.append(self._count, int(index), float(time_ms), frame)
         except BrokenPipeError:

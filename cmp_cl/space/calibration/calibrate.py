@@ -94,6 +94,9 @@ class Calibration:
     focal_sigma: Mapping[str, float]
     covariance: Array | None = None
 
+    def __repr__(self) -> str:
+        return f"<Calibration of {', '.join(self.cameras)}: {self.error:.3g} px>"
+
     @property
     def error(self) -> float:
         """Return the root mean square reprojection error, px."""
