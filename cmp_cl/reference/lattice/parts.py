@@ -1,7 +1,8 @@
 """Corners to parts of the lattice: links, faces, parts.
 
 A half-edge h = 4 i + s is boundary s of corner i. Every decision is made in integers, or in float32
-with + - * and comparisons in a fixed order, so that the kernels give the same bits.
+with + - * and comparisons in a fixed order, so that the kernels give the same bits. A position or a
+step (x, y) is x + i y: sums of those, and products with real numbers, are the same for both axes.
 """
 
 import dataclasses
@@ -15,6 +16,7 @@ from cmp_cl.reference.harmonic import smoothed
 
 Whole = NDArray[np.int64]
 Real = NDArray[np.float32]
+Places = NDArray[np.complex64]
 Mask = NDArray[np.bool_]
 
 TURN = 65536  # units of an angle in a full turn
@@ -25,6 +27,7 @@ COSINE = (np.rint(16384 * np.cos(np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS
 COLUMN_STEP = np.array([1, 0, -1, 0])
 ROW_STEP = np.array([0, 1, 0, -1])
 F = np.float32
+NOWHERE = np.complex64(complex(np.nan, np.nan))
 SIDE_POINTS, MIDDLE_POINTS = (0.25, 0.375, 0.5, 0.625, 0.75), (0.375, 0.5, 0.625)  # of a side
 
 
@@ -50,12 +53,11 @@ class Parts:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Directed:
-    """Corners with their boundaries: x, y (N,) float32; angle (N, 4), 1/65536 turn; contrast (N,),
-    twice the contrast of their cells, see `levels_of`; placed, known (N,), False
-    without a position, and without angles."""
+    """Corners with their boundaries: at (N,), px; angle (N, 4), 1/65536 turn; contrast (N,), twice
+    the contrast of their cells, see `levels_of`; placed, known (N,), False without a position, and
+    without angles."""
 
-    x: Real
-    y: Real
+    at: Places
     angle: Whole
     contrast: Whole
     placed: Mask
@@ -91,6 +93,25 @@ def inverse_root(x: Real) -> Real:
     return y
 
 
+def at_of(x: Real, y: Real) -> Places:
+    """Return positions x + i y, in single precision."""
+    at = np.empty(x.shape, np.complex64)
+    at.real, at.imag = x, y
+    return at
+
+
+def dot(one: Places, other: Places) -> Real:
+    result: Real = one.real * other.real + one.imag * other.imag
+    return result
+
+
+def length_of(step: Places, least: float = 0.0) -> Real:
+    """Return the length of steps; least: the square of a smaller one."""
+    square = np.maximum(dot(step, step), F(least))
+    length: Real = square * inverse_root(square)
+    return length
+
+
 def levels_of(image: GreyImage, full_scale: int) -> Whole:
     """Return 64 times the square root of S1 of docs/algorithm.md, to within .2 %, (H, W).
 
@@ -104,22 +125,17 @@ def levels_of(image: GreyImage, full_scale: int) -> Whole:
     return levels
 
 
-def length_of(square: Real) -> Real:
-    result: Real = square * inverse_root(square)
-    return result
-
-
-def unit(angle: Whole) -> tuple[Real, Real]:
-    """Return the cosine and the sine of angles of 1/65536 turn, from a table."""
+def unit(angle: Whole) -> Places:
+    """Return the unit vectors of angles of 1/65536 turn, from a table."""
     m = ((angle + 32) >> 6) % DIRECTIONS
-    return COSINE[m], COSINE[(m - DIRECTIONS // 4) % DIRECTIONS]
+    return at_of(COSINE[m], COSINE[(m - DIRECTIONS // 4) % DIRECTIONS])
 
 
-def read(plane: NDArray[np.integer], x: Real, y: Real) -> Whole:
+def read(plane: NDArray[np.integer], at: Places) -> Whole:
     """Return the levels at the nearest pixels; beyond the image its border is repeated."""
     height, width = plane.shape
-    column = np.clip(np.floor(x + F(0.5)).astype(np.int64), 0, width - 1)
-    row = np.clip(np.floor(y + F(0.5)).astype(np.int64), 0, height - 1)
+    column = np.clip(np.floor(at.real + F(0.5)).astype(np.int64), 0, width - 1)
+    row = np.clip(np.floor(at.imag + F(0.5)).astype(np.int64), 0, height - 1)
     level: Whole = plane[row, column].astype(np.int64)
     return level
 
@@ -136,7 +152,7 @@ def directed(
     """Return the directions of the two boundary lines of each corner, and its contrast."""
     known: Mask = ~np.isnan(np.concatenate([xy, edges], axis=1)).any(axis=1)
     placed: Mask = np.isfinite(xy[:, 0] + xy[:, 1])
-    x, y = (np.where(placed, each, F(0)) for each in xy.astype(np.float32).T)
+    at = at_of(*np.where(placed, xy.astype(np.float32).T, F(0)))
     turns = np.where(known[:, None], edges, 0).astype(np.float32) * F(10430.378)
     q = np.floor(turns + F(0.5)).astype(np.int64) % TURN
     opposite = (q[:, 2:] + TURN // 2) % TURN
@@ -144,12 +160,10 @@ def directed(
     line = (q[:, :2] + (apart >> 1)) % TURN
     angle = np.concatenate([line, (line + TURN // 2) % TURN], axis=1)
     between = (angle + (((np.roll(angle, -1, axis=1) - angle) % TURN) >> 1)) % TURN
-    across, down = unit(between)
-    radius = F(constants.contrast_radius_px)
-    level = read(plane, x[:, None] + radius * across, y[:, None] + radius * down)
+    level = read(plane, at[:, None] + F(constants.contrast_radius_px) * unit(between))
     contrast = level[:, 1] + level[:, 3] - level[:, 0] - level[:, 2]
     contrast = np.maximum(contrast, 1)
-    return Directed(x=x, y=y, angle=angle, contrast=contrast, placed=placed, known=known)
+    return Directed(at=at, angle=angle, contrast=contrast, placed=placed, known=known)
 
 
 def candidates(shape: tuple[int, int], corners: Directed, constants: LatticeConstants) -> Whole:
@@ -160,11 +174,11 @@ def candidates(shape: tuple[int, int], corners: Directed, constants: LatticeCons
     """
     height, width = shape
     some = np.flatnonzero(corners.placed)
-    shift = 2
-    while ((width * height) >> (2 * shift)) > 4 * max(len(corners.x), 1):
+    at, shift = corners.at[some], 2
+    while ((width * height) >> (2 * shift)) > 4 * max(len(corners.at), 1):
         shift += 1
-    column = np.clip(np.floor(corners.x[some]).astype(np.int64), 0, width - 1) >> shift
-    row = np.clip(np.floor(corners.y[some]).astype(np.int64), 0, height - 1) >> shift
+    column = np.clip(np.floor(at.real).astype(np.int64), 0, width - 1) >> shift
+    row = np.clip(np.floor(at.imag).astype(np.int64), 0, height - 1) >> shift
     rows, columns = ((height - 1) >> shift) + 1, ((width - 1) >> shift) + 1
     count = np.bincount(row * columns + column, minlength=rows * columns).reshape(rows, columns)
     total = np.zeros((rows + 1, columns + 1), np.int64)
@@ -199,17 +213,18 @@ def links(plane: NDArray[np.integer], corners: Directed, constants: LatticeConst
     A half-edge chooses its cheapest candidate. A link is a choice of both its ends, and a side in
     the image.
     """
-    count = len(corners.x)
+    count = len(corners.at)
     if np.count_nonzero(corners.known) < 2:
         return np.full(4 * count, -1)
     i, j = candidates(plane.shape, corners, constants).T
-    dx, dy = corners.x[j] - corners.x[i], corners.y[j] - corners.y[i]
-    square = dx * dx + dy * dy
-    length = length_of(np.maximum(square, F(1)))
-    s, along_i = boundary(corners.angle[i], dx, dy)
-    t, along_j = boundary(corners.angle[j], -dx, -dy)
+    chord = corners.at[j] - corners.at[i]
+    length = length_of(chord, 1)
+    s, along_i = boundary(corners.angle[i], chord)
+    t, along_j = boundary(corners.angle[j], -chord)
     straight = F(constants.least_cosine) * length
-    good = (square >= 1) & (along_i > straight) & (along_j > straight) & ((s + t) % 2 == 1)
+    good = (
+        (dot(chord, chord) >= 1) & (along_i > straight) & (along_j > straight) & ((s + t) % 2 == 1)
+    )
     cost = length + F(constants.turn_price) * ((length + length) - (along_i + along_j))
     key = np.floor(cost * F(64)).astype(np.int64)
     h, other, key = (4 * i + s)[good], (4 * j + t)[good], key[good]
@@ -225,10 +240,9 @@ def links(plane: NDArray[np.integer], corners: Directed, constants: LatticeConst
     return twin
 
 
-def boundary(angle: Whole, dx: Real, dy: Real) -> tuple[Whole, Real]:
+def boundary(angle: Whole, chord: Places) -> tuple[Whole, Real]:
     """Return the boundary nearest to a chord, and the chord's length along it."""
-    (across_0, down_0), (across_1, down_1) = unit(angle[:, 0]), unit(angle[:, 1])
-    along_0, along_1 = across_0 * dx + down_0 * dy, across_1 * dx + down_1 * dy
+    along_0, along_1 = (dot(unit(angle[:, line]), chord) for line in (0, 1))
     line = np.where(np.abs(along_0) >= np.abs(along_1), 0, 1)
     along = np.where(line == 0, along_0, along_1)
     return np.where(along >= 0, line, line + 2), np.abs(along)
@@ -249,23 +263,21 @@ def side_depth(per_px: Real, constants: LatticeConstants) -> Real:
 
 def side_sum(
     plane: NDArray[np.integer],
-    start: tuple[Real, Real],
-    step: tuple[Real, Real],
+    start: Places,
+    step: Places,
     constants: LatticeConstants,
     points: tuple[float, ...] = SIDE_POINTS,
     depth: Real | None = None,
 ) -> Whole:
     """Return the sum over points of the level left of a way less that right of it, at a depth in
     shares of it; without one, near to it."""
-    (x, y), (dx, dy) = start, step
-    square = np.maximum(dx * dx + dy * dy, F(1))
+    square = np.maximum(dot(step, step), F(1))
     depth = side_depth(inverse_root(square), constants) if depth is None else depth
-    across, down = -(depth * dy), depth * dx
-    total = np.zeros(x.shape, np.int64)
+    across = depth * (1j * step)
+    total = np.zeros(start.shape, np.int64)
     for t in points:
-        at_x, at_y = x + F(t) * dx, y + F(t) * dy
-        total += read(plane, at_x - across, at_y - down)
-        total -= read(plane, at_x + across, at_y + down)
+        at = start + F(t) * step
+        total += read(plane, at - across) - read(plane, at + across)
     return total
 
 
@@ -280,9 +292,7 @@ def has_side(
     claim, near it or deeper in the cells."""
     low, high = np.minimum(h, other), np.maximum(h, other)
     p, q = low >> 2, high >> 2
-    start = corners.x[p], corners.y[p]
-    step = corners.x[q] - start[0], corners.y[q] - start[1]
-    sign = 1 - 2 * (low & 1)
+    start, step, sign = corners.at[p], corners.at[q] - corners.at[p], 1 - 2 * (low & 1)
     near = sign * side_sum(plane, start, step, constants, MIDDLE_POINTS)
     within = np.full(len(h), constants.deep_cells, np.float32)
     deep = sign * side_sum(plane, start, step, constants, MIDDLE_POINTS, within)
@@ -344,14 +354,10 @@ def _difference(corners: Directed, twin: Whole, path: Whole) -> tuple[Real, Real
     """Return by half-edge how far its face and that of its twin differ, and their size, px^2; a
     difference of -1 where one of them is open."""
     closed = path[0] >= 0
-    node = np.maximum(path, 0) >> 2
-    steps = []
-    for at in (corners.x[node], corners.y[node]):
-        steps.append(((at[1] - at[0]) + (at[2] - at[3]), (at[3] - at[0]) + (at[2] - at[1])))
-    (ux, vx), (uy, vy) = steps
-    sx, sy, tx, ty = (each + each[twin] for each in (ux, uy, vx, vy))
-    gap = (sx * sx + sy * sy) + (tx * tx + ty * ty)
-    size = (ux * ux + uy * uy) + (vx * vx + vy * vy)
+    at = corners.at[np.maximum(path, 0) >> 2]
+    u, v = (at[1] - at[0]) + (at[2] - at[3]), (at[3] - at[0]) + (at[2] - at[1])
+    s, t = u + u[twin], v + v[twin]
+    gap, size = dot(s, s) + dot(t, t), dot(u, u) + dot(v, v)
     both = closed & (twin >= 0) & closed[twin]
     return np.where(both, gap, F(-1)), np.minimum(size, size[twin])
 

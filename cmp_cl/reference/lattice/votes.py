@@ -14,6 +14,7 @@ from cmp_cl.reference.lattice.parts import (
     Real,
     Whole,
     boundary,
+    dot,
     inverse_root,
     length_of,
     side_sum,
@@ -22,12 +23,11 @@ from cmp_cl.reference.lattice.parts import (
 
 def mean_steps(corners: Directed, twin: Whole) -> Real:
     """Return the mean length of the links of each corner, (N,) px; 0 without a link."""
-    total, count = np.zeros(len(corners.x), np.float32), np.zeros(len(corners.x), np.int64)
+    total, count = np.zeros(len(corners.at), np.float32), np.zeros(len(corners.at), np.int64)
     for s in range(4):
         h = twin[s::4]
         i = np.flatnonzero(h >= 0)
-        dx, dy = corners.x[h[i] >> 2] - corners.x[i], corners.y[h[i] >> 2] - corners.y[i]
-        total[i] = total[i] + length_of(dx * dx + dy * dy)
+        total[i] = total[i] + length_of(corners.at[h[i] >> 2] - corners.at[i])
         count[i] += 1
     share = inverse_root(np.maximum(count, 1).astype(np.float32))
     return total * (share * share)
@@ -50,19 +50,18 @@ def votes(
     reach = F(k.span + 0.5) * step[units.corner[rim]]
     pairs = [np.zeros((0, 2), np.int64)]
     for unit in rim:  # by brute force: the kernel looks in bins
-        dx = corners.x[units.corner[rim]] - corners.x[units.corner[unit]]
-        dy = corners.y[units.corner[rim]] - corners.y[units.corner[unit]]
-        near = dx * dx + dy * dy < reach * reach  # of the node in the smaller part
+        way = corners.at[units.corner[rim]] - corners.at[units.corner[unit]]
+        near = dot(way, way) < reach * reach  # of the node in the smaller part
         near &= units.part[rim] > units.part[unit]
         near &= units.corner[rim] != units.corner[unit]
         other = rim[near]
         pairs.append(np.stack([np.full(len(other), unit), other], axis=1))
     first, second = np.concatenate(pairs).T
     a, b = units.corner[first], units.corner[second]
-    dx, dy = corners.x[b] - corners.x[a], corners.y[b] - corners.y[a]
-    length = length_of(np.maximum(dx * dx + dy * dy, F(1)))
-    s, along_a = boundary(corners.angle[a], dx, dy)
-    t, along_b = boundary(corners.angle[b], -dx, -dy)
+    chord = corners.at[b] - corners.at[a]
+    length = length_of(chord, 1)
+    s, along_a = boundary(corners.angle[a], chord)
+    t, along_b = boundary(corners.angle[b], -chord)
     along = np.minimum(along_a, along_b)
     mean = F(0.5) * (step[a] + step[b])
     rotation, found = units.rotation, []
@@ -72,12 +71,10 @@ def votes(
         n = np.flatnonzero(good)
         root = inverse_root(np.full(1, m, np.float32))
         part = root * root
-        step_x, step_y = dx[n] * part, dy[n] * part
-        total = np.zeros(len(n), np.int64)
+        way, total = chord[n] * part, np.zeros(len(n), np.int64)
         for j in range(m):
-            x, y = corners.x[a[n]] + F(j) * step_x, corners.y[a[n]] + F(j) * step_y
-            there = (x + step_x) - x, (y + step_y) - y
-            total += side_sum(plane, (x, y), there, k) * (1 - 2 * (j % 2))
+            at = corners.at[a[n]] + F(j) * way
+            total += side_sum(plane, at, (at + way) - at, k) * (1 - 2 * (j % 2))
         total *= 1 - 2 * (s[n] % 2)
         product = corners.contrast[a[n]].astype(np.float32) * corners.contrast[b[n]].astype(
             np.float32
