@@ -73,6 +73,11 @@ class Found:
         return 2 * self.size >= other.size and bool((2 * own >= its).any())
 
     @property
+    def extent(self) -> float:
+        """Return the diagonal of its box, px."""
+        return math.dist(self.box[:2], self.box[2:])
+
+    @property
     def across(self) -> int:
         """Return the nodes on the smaller side of lines without a node, as behind a bar, if it is
         not sure that the board goes on there; 0 if it is."""
@@ -151,6 +156,11 @@ def found_in(boards: Iterable[Board], asked: Asked, corners: Corners) -> Iterato
 def by_size(found: Iterable[Found]) -> list[Found]:
     """Return boards, those of more corners first."""
     return sorted(found, key=lambda each: -each.size)
+
+
+def by_extent(found: Iterable[Found]) -> list[Found]:
+    """Return boards, those that are larger in the image first."""
+    return sorted(found, key=lambda each: -each.extent)
 
 
 def _between(there: Mask) -> Mask:
@@ -277,7 +287,7 @@ def chosen_of(boards: Iterable[Found], asked: Asked, count: int) -> tuple[Found 
         chosen, others = _alike(found)
         sure = False
     elif asked.shape is not None:
-        chosen = _fitting(found, asked.shape)
+        chosen, others = _fitting(found, asked.shape)
         sure = chosen.fills(asked.shape)
     else:
         chosen, others = _alone(found)
@@ -303,14 +313,15 @@ def chosen_of(boards: Iterable[Found], asked: Asked, count: int) -> tuple[Found 
 def _until_two(found: Iterable[Found], asked: Asked) -> Iterator[Found]:
     """Yield the boards, unless two are seen that leave no choice.
 
-    Raises GridError once two have the known size; without one, once one is whole that is comparable
-    to the largest whole one.
+    Raises GridError once one has the known size, or without one is whole, that is comparable to the
+    largest of them.
     """
     largest: Found | None = None
+    order = by_extent if asked.shape else by_size
     for each in found:
         if asked.like is None and (each.fills(asked.shape) if asked.shape else each.is_whole):
-            larger, *smaller = by_size([largest, each] if largest else [each])
-            if smaller and (asked.shape or smaller[0].is_comparable(larger)):
+            larger, *smaller = order([largest, each] if largest else [each])
+            if smaller and smaller[0].is_comparable(larger):
                 raise _two(larger, smaller[0])
             largest = larger
         yield each
@@ -324,11 +335,12 @@ def _alike(found: list[Found]) -> tuple[Found, int]:
     return chosen, others[0].size if others else 0
 
 
-def _fitting(found: list[Found], shape: tuple[int, int]) -> Found:
-    """Return the board that fits the known size."""
-    filling = [each for each in found if each.fills(shape)]
+def _fitting(found: list[Found], shape: tuple[int, int]) -> tuple[Found, int]:
+    """Return the board that fits the known size, and the corners of the next that fills it, as in a
+    mirror, 0 without one."""
+    filling = by_extent(each for each in found if each.fills(shape))
     large = [each for each in found if each.fits and 2 * each.size >= found[0].size]
-    return [*filling, *large, found[0]][0]
+    return [*filling, *large, found[0]][0], filling[1].size if filling[1:] else 0
 
 
 def _alone(found: list[Found]) -> tuple[Found, int]:
