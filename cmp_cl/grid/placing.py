@@ -9,7 +9,7 @@ from cmp_cl.grid.grid import Grid, NodeStatus, Rival, Sides, check_size
 from cmp_cl.lattice.arrays import LOOKED, Board, Mask
 from cmp_cl.lattice.numbers import Decision, Numbering, seen_lines
 
-WORN = 14.0  # sigmas, by which wear moves a corner that fits the corner model
+WORN = 10.0  # sigmas, by which wear moves a corner that fits the corner model
 LINES = ((0, 1), (1, 0))
 CELLS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
@@ -24,7 +24,7 @@ def placed(found: Found, corners: Corners, asked: Asked, told: Told = NOTHING) -
     mine = board.owner >= 0
     status = mine.astype(np.uint8) * np.uint8(NodeStatus.DETECTED)
     status[mine & board.torn] = NodeStatus.ATTACHED
-    xy = _weighed(board, corners)
+    xy, sigma = _weighed(board, corners)
     looked = board.owner == LOOKED
     if looked.any():
         between = looked & _between(mine)
@@ -33,8 +33,6 @@ def placed(found: Found, corners: Corners, asked: Asked, told: Told = NOTHING) -
     corner = board.owner[mine]
     index = np.full((len(corners), 2), -1, np.int32)
     index[corner, 0], index[corner, 1] = np.nonzero(mine)
-    sigma = np.full(size, np.nan, np.float32)
-    sigma[mine] = corners.sigma[corner]
     ends = board.border.ends
     misfit = asked.like is None and asked.shape is not None and not found.fits
     if asked.like is None and size == asked.shape and found.fits:
@@ -58,20 +56,23 @@ def placed(found: Found, corners: Corners, asked: Asked, told: Told = NOTHING) -
     return grid.within(first, shape)
 
 
-def _weighed(board: Board, corners: Corners) -> NDArray[np.float32]:
-    """Return the positions of the nodes, (R, C, 2), px.
+def _weighed(board: Board, corners: Corners) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the positions of the nodes, (R, C, 2), and their standard deviations, (R, C), px.
 
     A board averages a rough corner with its prediction. One that fits the corner model is worn, or
     the surface bends sharply there. Where it bends, the predictions of its neighbours scatter, and
     count as much less as they do so more than wear moves a corner.
     """
     xy: NDArray[np.float32] = np.stack([board.x, board.y], axis=2)
-    row, column = np.nonzero(board.torn & (board.owner >= 0))
+    mine = board.owner >= 0
+    sigma = np.full(mine.shape, np.nan, np.float32)
+    sigma[mine] = corners.sigma[board.owner[mine]]
+    row, column = np.nonzero(board.torn & mine)
     corner = board.owner[row, column]
     fits = (corners.refusal[corner] == Refusal.NONE) & np.isfinite(corners.sigma[corner])
     row, column, corner = row[fits], column[fits], corner[fits]
     seen: NDArray[np.float32] = np.pad(xy, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan)
-    seen[2:-2, 2:-2][board.owner >= 0] = corners.xy[board.owner[board.owner >= 0]]
+    seen[2:-2, 2:-2][mine] = corners.xy[board.owner[mine]]
 
     def at(rows: int, columns: int) -> NDArray[np.float32]:
         found: NDArray[np.float32] = seen[row + 2 + rows, column + 2 + columns]
@@ -83,11 +84,12 @@ def _weighed(board: Board, corners: Corners) -> NDArray[np.float32]:
         cubic = (8 * middle - at(-2 * r, -2 * c) - at(2 * r, 2 * c)) / 6
         predicted.append(np.where(np.isnan(cubic), middle, cubic))
     each = np.ma.masked_invalid(predicted)
-    scatter = each.var(axis=0).sum(axis=1).filled(0) / WORN**2
-    variance = corners.sigma[corner] ** 2
-    share = (variance / (variance + scatter))[:, None]
-    xy[row, column] = at(0, 0) + share * (xy[row, column] - at(0, 0))
-    return xy
+    scatter = each.var(axis=0).mean(axis=1).filled(0)
+    variance = (WORN * corners.sigma[corner]) ** 2
+    share = variance / (variance + scatter)
+    xy[row, column] = at(0, 0) + share[:, None] * (xy[row, column] - at(0, 0))
+    sigma[row, column] = np.maximum(corners.sigma[corner], np.sqrt(share * scatter))
+    return xy, sigma
 
 
 def _between(there: Mask) -> Mask:

@@ -520,6 +520,20 @@ def test_a_corner_stays_where_it_is_seen_where_the_surface_bends_sharply():
     assert off.max() < 0.3
 
 
+def test_a_worn_corner_has_the_sigma_of_its_mean_with_the_prediction():
+    """Its image alone, which fits the corner model, tells a tenth of its error."""
+    scene = random_scene(81, markers=30, shape=(450, 600), severity=2.0, indenter=Indenter.TORUS)
+    view = rendered(scene)
+    corners = corners_of(view)
+    grid = build_grid(corners, view.image)
+    fits = grid.index[(corners.refusal == 0) & (grid.index[:, 0] >= 0)]
+    row, column = fits[grid.status[tuple(fits.T)] == NodeStatus.ATTACHED].T
+    away = np.subtract.outer(grid.xy[row, column] @ [1, 1j], view.corners[:, :2] @ [1, 1j])
+    errors = np.abs(away).min(axis=1) / grid.sigma[row, column]
+    assert len(errors) > 10
+    assert np.sqrt((errors**2).mean() / 2) < 1.5
+
+
 @pytest.mark.parametrize(("turn", "height"), [(0, 1.2), (15, 1.4), (30, 1.4), (45, 1.4)])
 def test_a_wave_that_stretches_cells_makes_no_wrong_number(turn, height):
     """Where cells are long the surface through two parts expects more of them than there are."""
