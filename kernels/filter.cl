@@ -21,6 +21,7 @@
 #define REJECTED_AT 36.0f /* the square of 6 standard deviations */
 #define ROUGH_COUNTS 4    /* a residual of a rough corner counts twice: 3 standard deviations */
 #define IS_ROUGH(i) (measured[i] > DETECTED)
+#define CLEARLY 4.0f /* times the usual variance */
 #define LEAST_SUPPORTED(count, size) (4 * (count) >= 3 * (size))
 #define LEAST_OF_FIVE 1.29f
 #define SHARPNESS 4.71238898f /* 2 pi 1.5^2 / 3 */
@@ -199,21 +200,20 @@ void products_of_row(const int row, __global const float *data, __global const f
 }
 
 /* What the pilot reads, what the noise does, and both. */
-#define PILOT_READS data, vote, pilot_down, pilot_along
-#define OF_PILOT                                                              \
-  __global float *data, __global float *vote, __global const float *pilot_down, \
-      __global const float *pilot_along
+#define PILOT_READS data, pilot_down, pilot_along
+#define OF_PILOT \
+  __global float *data, __global const float *pilot_down, __global const float *pilot_along
 #define NOISE_READS \
   bound_rest, own, measured, bends, counts, votes, variance, chosen, common
 #define OF_NOISE                                                                             \
   __global const float *bound_rest, __global const float *own, __global const uchar *measured, \
       const int bends, __global int *counts, __global uchar *votes, __global float *variance,  \
       __global float *chosen, __global float *common
-#define BOTH_READ pilot_own_down, pilot_own_along, rows_noise, size, near, sums
-#define OF_BOTH                                                                     \
-  __global const float *pilot_own_down, __global const float *pilot_own_along,      \
-      __global const float *rows_noise, __global float *size, __global float *near, \
-      __global float *sums
+#define BOTH_READ vote, pilot_own_down, pilot_own_along, rows_noise, size, near, sums
+#define OF_BOTH                                                            \
+  __global float *vote, __global const float *pilot_own_down,              \
+      __global const float *pilot_own_along, __global const float *rows_noise, \
+      __global float *size, __global float *near, __global float *sums
 
 /* What an estimate of the noise is made of: the lengths of its residuals and the mask of the nodes
  * that count, averaged along the row into `near`, and the sums over the row from which its degrees
@@ -289,8 +289,9 @@ void lengths_and_floor(__global const float *sums, float *length, float *least_o
 /* For eight nodes of a row: the variance of the noise, NaN where unknown; that with which filters
  * are chosen, the least of it and of an upper bound and, if the values may bend sharply, of five
  * estimates; the covariance of the coordinates over its mean diagonal; and a node whose residual is
- * too large loses its vote. The upper bound is the sum of that at rest and of the variance of the
- * points now. round: of the search for outliers; the last one rejects none. */
+ * too large loses its vote, and so does a rough one that the pilot's window does not support. The
+ * upper bound is the sum of that at rest and of the variance of the points now. round: of the search
+ * for outliers; the last one rejects none. */
 #define SURPRISE(i, at) (size[at] * (IS_ROUGH(i) ? ROUGH_COUNTS : 1))
 void noise_of_eight(const int row, const int c, const float *length, const float least_of_all,
                     const int round, OF_BOTH, OF_NOISE) {
@@ -332,12 +333,13 @@ void noise_of_eight(const int row, const int c, const float *length, const float
     const int node = row * COLUMNS + column;
     const float here = SURPRISE(node, row * LINE + column);
     const float left = 1 - pilot_own_down[row] * pilot_own_along[column];
-    if (!(here > REJECTED_AT * variance[row * LINE + column] * left)) continue;
+    const int unsupported = IS_ROUGH(node) && vote[row * LINE + column] == 1;
+    if (!unsupported && !(here > REJECTED_AT * variance[row * LINE + column] * left)) continue;
     float largest = 0;
     for (int r = max(row - 1, 0); r <= min(row + 1, ROWS - 1); ++r)
       for (int t = max(column - 1, 0); t <= min(column + 1, COLUMNS - 1); ++t)
         largest = fmax(largest, SURPRISE(r * COLUMNS + t, r * LINE + t));
-    if (here < largest) continue;
+    if (!unsupported && here < largest) continue;
     votes[node] = 0;
     atomic_inc(counts + REJECTED + round);
   }
@@ -471,7 +473,7 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
                     __global const float *own_along, __global const float *gain_down,
                     __global const float *gain_along, __global const float *rows_risk,
                     const int keep, __global float *weights, __global float *values,
-                    __global float *mixed_variance) {
+                    __global float *mixed_variance, __global float *mixed_own) {
   const int row = get_global_id(0), c = LANES * get_global_id(1), at = row * LINE + c;
   if (row >= ROWS || c >= COLUMNS) return;
   const float8 s1 = EIGHT_AT(chosen + at), s2 = EIGHT_AT(variance + at);
@@ -516,6 +518,7 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
   const float8 share = 1 / sum, noise = s2 * mean_gain * share;
   const float8 stein = s1 * mean_risk * share + 2 * (s2 - s1) * mean_own * share - s2;
   for (int k = 0; k < K; ++k) EIGHT_AT(values + k * PLANE + at) = value[k] * share;
+  EIGHT_AT(mixed_own + at) = mean_own * share;
   EIGHT_AT(mixed_variance + at) = s2 != s2 ? s2 : stein > noise ? stein : noise;
   if (!keep) return;
   for (int pair = 0; pair < PAIRS; ++pair)
@@ -536,11 +539,14 @@ void store_covariance(const float variance, __global const float *common,
 /* The displacement of each node without the shift by bent edges, and its covariance, both also
  * before the filter; NaN where a node has none. A node with a vote takes its mean, a rejected one
  * keeps its value, and one that was not measured, or is rough and rejected, takes the mean of its
- * neighbours. moved: K planes. measured: of NodeStatus; MISSING had no vote at first. points: the
+ * neighbours. A node that is clearly worse than the lattice, by its images or, where these do not
+ * tell, by its distance from the mean, has its own variance. moved: K planes. measured: of NodeStatus; MISSING had no vote at first. points: the
  * covariance of the points. One work-item a node. */
 __kernel void finish(__global const float *moved, __global const float *values,
                      __global const uchar *votes, __global const uchar *measured,
                      __global const float *variance, __global const float *mixed_variance,
+                     __global const float *mixed_own, __global const float *bound_rest,
+                     __global const float *own,
                      __global const float *common, __global const float *points,
                      __global const float *bent, __global const uchar *valid,
                      __global float *displacement, __global float *raw_displacement,
@@ -556,13 +562,19 @@ __kernel void finish(__global const float *moved, __global const float *values,
     return;
   }
   const int rejected = measured[i] == DETECTED && !votes[i], at = IN_LINE(i);
-  const float before = variance[at];
-  float after = votes[i] ? mixed_variance[at] : before, off = 0;
+  float before = variance[at], after = votes[i] ? mixed_variance[at] : before, off = 0;
   for (int k = 0; k < K; ++k) {
     const float gap = moved[k * NODES + i] - values[k * PLANE + at];
     off += gap * gap / K;
   }
-  if (rejected) after = fmax(off, before);
+  const int unknown = IS_ROUGH(i) && !(own[at] > 0);
+  const float alone = unknown ? off : own[at];
+  if (alone > CLEARLY * (unknown ? before : before + bound_rest[at])) {
+    if (votes[i]) after += mixed_own[at] * mixed_own[at] * alone;
+    before = alone;
+  }
+  if (rejected || (IS_ROUGH(i) && !votes[i] && !is_supported(i / COLUMNS, i % COLUMNS, votes)))
+    after = fmax(off, before);
   for (int k = 0; k < K; ++k) {
     const float own = moved[k * NODES + i];
     const float found = rejected || isnan(after) ? own : values[k * PLANE + at];

@@ -80,6 +80,7 @@ def filtered(
     by_images: Array,
     device: Device,
     *,
+    own: NDArray[np.floating],
     most: Array | None = None,
     slopes: bool = False,
     rest: Constants | None = None,
@@ -88,9 +89,10 @@ def filtered(
 
     values: (R, C, K), NaN where missing. measured: (R, C) of `NodeStatus`, MISSING for nodes that
         may not influence others, which get the prediction of their neighbours. by_images: (R, C, K,
-        K), their covariance by the images alone. slopes, rest: see `LatticeFilter`.
-    most: None for positions; for displacements the largest variance of the noise, (R, C), NaN where
-        unknown. A residual beyond it is taken for shape and kept.
+        K), their covariance by the images alone. own: (R, C), the variance per axis by the images
+        now, NaN where unknown. slopes, rest: see `LatticeFilter`.
+    most: None for positions; for displacements by how much the largest variance of the noise
+        exceeds `own`, (R, C), NaN where unknown. A residual beyond it is taken for shape and kept.
 
     The noise of displacements is also estimated along single directions, the axes and the
     diagonals, to tell it from a bend. A deformation is filtered as one array of displacements, not
@@ -130,6 +132,7 @@ def filtered(
     inputs = plan.inputs.arrays
     inputs["moved"][:] = planes(np.where(there[..., None], values - surface, 0))
     inputs["points"][:] = flat(by_images)
+    inputs["own"][:, :columns] = own
     inputs["bound_rest"][:, :columns] = np.nan if most is None else most
     inputs["valid"][:] = there
     inputs["measured"][:] = np.where(there, measured, 0)
@@ -277,6 +280,7 @@ class LatticeFilter:
             weights=pairs if self._slopes else 1,
             values=axes,
             mixed_variance=1,
+            mixed_own=1,
         )
         return {
             **in_line,

@@ -97,8 +97,8 @@ class AtRest:
     def filtered(self) -> Filtered:
         """Return the filtered positions."""
         at, measured = self.moment.at, measured_of(self.moment.source, self.moment.valid)
-        covariance = self.moment.covariance
-        return filtered(at, measured, covariance, self._device, slopes=self._slopes)
+        own, covariance = self.moment.own, self.moment.covariance
+        return filtered(at, measured, covariance, self._device, own=own, slopes=self._slopes)
 
     @functools.cached_property
     def position(self) -> Array:
@@ -144,8 +144,9 @@ class AtRest:
         """
         if by_images is None:
             by_images = np.zeros((*moved.shape, moved.shape[2]))
-        most = self.most + own
-        return filtered(moved, measured, by_images, self._device, most=most, **strained)
+        return filtered(
+            moved, measured, by_images, self._device, own=own, most=self.most, **strained
+        )
 
     def field(
         self,

@@ -143,11 +143,11 @@ def expected(rig, rest, now):
     measured = np.where(np.isin(source, MEASURED) & (status == PointStatus.VALID), source, 0)
     valid = (status == PointStatus.VALID)[..., None]
     at_rest = np.where(np.isin(before.source, MEASURED), before.source, 0)
-    quiet = lattice_filter.filter_positions(before.at, at_rest)
+    quiet = lattice_filter.filter_positions(before.at, at_rest, before.own)
     worn = 9 * np.maximum(quiet.noise**2 - before.own, 0)
     moved = np.where(valid, after.at - before.at, np.nan)
     found = lattice_filter.filter_displacements(
-        moved, measured, np.sqrt(before.own + after.own + worn)
+        moved, measured, after.own, np.sqrt(before.own + after.own + worn)
     )
     displaced = np.where(valid, found.values - (after.bend - before.bend), np.nan)
     by_images = before.covariance + after.covariance

@@ -86,6 +86,27 @@ def test_a_corner_that_is_rough_at_one_moment_moves_as_its_neighbours_do():
     assert found.sigma[12, 13] < 0.1
 
 
+def test_half_hidden_corners_around_a_hand_follow_the_others_or_say_how_far_they_err():
+    rest, truth = noisy(lattice(), 0.02), surface()
+    row, column = np.mgrid[:40, :40]
+    inside = np.maximum(abs(row - 20), abs(column - 20))
+    edge, xy = inside == 6, noisy(lattice() + truth, 0.02, 1)
+    xy[edge] = noisy(xy[edge], 1.0, 2)
+    xy[inside < 6], xy[5, 5] = np.nan, xy[5, 5] + 0.1
+    now = grid_of(xy, 0.02)
+    now.status[edge], now.image_sigma[edge], now.image_sigma[5, 5] = (
+        NodeStatus.ATTACHED,
+        np.nan,
+        0.3,
+    )
+    field = displacement(grid_of(rest, 0.02), now)
+    off, raw_off = (each.displacement - truth for each in (field, field.raw))
+    assert rms(off[edge]) < 0.2
+    assert np.mean(np.abs(off) < 2 * field.sigma[..., None], where=edge[..., None]) > 0.9
+    assert np.mean(np.abs(raw_off) < 2 * field.raw.sigma[..., None], where=edge[..., None]) > 0.8
+    assert field.raw.sigma[5, 5] == pytest.approx(0.3, rel=0.1)
+
+
 def test_interpolated_nodes_follow_their_neighbours():
     xy = noisy(lattice(12, 12), 0.1)
     off = xy.copy()
@@ -136,9 +157,11 @@ def test_the_kernels_filter_positions_as_the_oracle(device, shape, axes):
         values[np.random.default_rng(7).random(shape) < 0.06] = np.nan
         values[shape[0] // 2, 1] += 4
         measured = np.random.default_rng(8).random(shape) > 0.05
+        measured = np.where(np.random.default_rng(9).random(shape) < 0.1, 2 * measured, measured)
     by_images = np.broadcast_to(np.eye(axes), (*shape, axes, axes))
-    found = filtered(values, measured, by_images, device)
-    expected = lattice_filter.filter_positions(values, measured)
+    own = np.random.default_rng(10).choice([0.004, 1.0, np.nan], shape, p=(0.8, 0.1, 0.1))
+    found = filtered(values, measured, by_images, device, own=own)
+    expected = lattice_filter.filter_positions(values, measured, own)
     assert expected.margin > 1e-4  # no decision is left to rounding
     known = np.isfinite(expected.noise)
     np.testing.assert_array_equal(np.isnan(found.values), np.isnan(expected.values))

@@ -15,7 +15,8 @@
    whose weights sum to 1. e is the mean of a chi variable over root(f), with f degrees of
    freedom: trace^2 / sum of squares of the matrix sum r r^T / root(u).
 5. A node is rejected if |r|^2 / K > 36 s2 (1 - k) and no neighbour has a larger |r|. For a rough
-   corner |r| counts twice. This is done up to three times.
+   corner |r| counts twice, and it is rejected too where less than three quarters of the pilot's
+   window are measured. This is done up to three times.
 6. Each pair gives the estimate E, the loss Q = |X - E|^2 / K + 2 s2 H, with H the node's own weight
    in the pair, and the risk G1.5(Q) / s2 over the votes. A pair is left out if less than three
    quarters of its window are measured; the pair that changes nothing is always in. The result is
@@ -26,12 +27,19 @@
    alone or along one diagonal alone, but at most s2. Along a diagonal the pilot is (3, 5), and
    is used only where its window fits. Then the variance is max(s1 sum w risk + 2 (s2 - s1) sum
    w H - s2, s2 sum w V). If an upper bound of the noise is known, s1 is at most its square.
-9. If a refinement assumes straight edges within the radius r, bent edges shift its corner. For each
-   of the corner's two lines, a parabola along it and a straight line across it are fitted to 5 x 5
-   nodes. With the slope t and the second derivative d at the node, by the node's number, and n the
-   unit normal of t, the line is shifted by r^2 (d n) / (6 |t|^2) along n. The corner is where the
-   two shifted lines meet. The shift is 0 if fewer than three quarters of the 25 nodes are there,
-   or if the lines enclose less than 10 degrees.
+9. Of displacements, the images may show that a node is clearly worse now than the lattice, and than
+   it may be at rest: their variance v exceeds four times the sum of s2 and of what the upper bound
+   exceeds v by. v of a rough corner, where the images tell none, is its mean squared distance from
+   the result, to exceed 4 s2. Then the variance before the filter is v, and (sum w H)^2 v is added
+   to that of the result. A node that was rejected and keeps its value has at least this distance as
+   its variance; so has a rough one that gets the mean of its neighbours, where less than three
+   quarters of the pilot's window vote.
+10. If a refinement assumes straight edges within the radius r, bent edges shift its corner. For
+    each of the corner's two lines, a parabola along it and a straight line across it are fitted to
+    5 x 5 nodes. With the slope t and the second derivative d at the node, by the node's number, and
+    n the unit normal of t, the line is shifted by r^2 (d n) / (6 |t|^2) along n. The corner is
+    where the two shifted lines meet. The shift is 0 if fewer than three quarters of the 25 nodes
+    are there, or if the lines enclose less than 10 degrees.
 """
 
 import dataclasses
@@ -73,24 +81,28 @@ class Filtered:
     estimates: Floats
 
 
-def filter_positions(values: Floats, measured: Source) -> Filtered:
+def filter_positions(values: Floats, measured: Source, by_images: Floats) -> Filtered:
     """Filter positions (R, C, K), NaN where missing.
 
     measured: (R, C), 1; 0 for a node that has no vote and gets the mean of its neighbours; more
-    than 1 for a rough corner. A hole is filled like a node without a vote.
+    than 1 for a rough corner. A hole is filled like a node without a vote. by_images: (R, C), the
+    variance that the images show, NaN where unknown.
     """
     votes = np.isfinite(values).all(axis=2) & (measured > 0)
     surface = _plane(values, votes)
-    found = _filtered(values - surface, measured, None)
+    found = _filtered(values - surface, measured, by_images, None)
     return dataclasses.replace(found, values=found.values + surface)
 
 
-def filter_displacements(values: Floats, measured: Source, most_noise: Floats) -> Filtered:
-    """Filter displacements, see 8 and `filter_positions`. most_noise: (R, C), NaN where unknown."""
-    return _filtered(values, measured, most_noise)
+def filter_displacements(
+    values: Floats, measured: Source, by_images: Floats, most_noise: Floats
+) -> Filtered:
+    """Filter displacements, see 8 and `filter_positions`. by_images: now. most_noise: (R, C), NaN
+    where unknown."""
+    return _filtered(values, measured, by_images, most_noise)
 
 
-def _filtered(values: Floats, measured: Source, most: Floats | None) -> Filtered:
+def _filtered(values: Floats, measured: Source, by_images: Floats, most: Floats | None) -> Filtered:
     there = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
     votes, rough = there & (measured > 0), measured > 1
     data = np.where(votes[..., None], values, 0)
@@ -102,6 +114,7 @@ def _filtered(values: Floats, measured: Source, most: Floats | None) -> Filtered
     for _ in range(3):
         gone, near = _rejected(residual * np.where(rough, 2, 1)[..., None], s2, own, kept)
         margin = min(margin, near)
+        gone |= kept & rough & ~_supported(kept)
         if not gone.any():
             break
         kept = kept & ~gone
@@ -111,12 +124,18 @@ def _filtered(values: Floats, measured: Source, most: Floats | None) -> Filtered
     if most is not None:
         chosen = _least_noise(data, kept, s2)
         chosen = np.where(np.isnan(most), chosen, np.minimum(chosen, most**2))
-    smooth, variance, weights, estimates = _mixture(data, kept, s2, chosen)
+    smooth, variance, weights, estimates, used = _mixture(data, kept, s2, chosen)
     gone = votes & ~kept
     off = ((values - smooth) ** 2).mean(axis=2)
     variance = np.where(kept, variance, s2)
+    unknown = rough & ~(by_images > 0)
+    worse = np.where(unknown, off, by_images)
+    at_rest = np.nan if most is None else most**2 - by_images
+    clearly = worse > 4 * np.where(unknown, s2, s2 + at_rest)
+    variance = np.where(clearly & kept, variance + used**2 * worse, variance)
     kept_own = gone & ~rough
-    variance = np.where(kept_own, np.maximum(off, s2), variance)
+    alone = kept_own | (rough & ~kept & ~_supported(kept))
+    variance = np.where(alone, np.maximum(off, np.where(clearly, worse, s2)), variance)
     changed = there & ~kept_own & np.isfinite(variance)
     rows, columns = (sum(n >= 2 * side + 1 for side, _ in PAIRED) for n in there.shape)
     return Filtered(
@@ -194,9 +213,14 @@ def _noise(data: Floats, votes: Bools) -> tuple[Floats, Floats, Floats]:
     down, along = (axis_filter(n, *each) for n, each in zip(votes.shape, pilots, strict=True))
     residual = data - np.einsum("ij,jlk,ml->imk", down, data, along)
     own = np.outer(np.diag(down), np.diag(along))
-    measured = _share(votes, (pilots[0][0], pilots[1][0])) >= 0.75 - 1e-6
-    s2 = _variance(residual, own, votes & measured) + max(1e-10 * (data**2).mean(), 1e-30)
+    s2 = _variance(residual, own, votes & _supported(votes)) + max(1e-10 * (data**2).mean(), 1e-30)
     return residual, s2, own
+
+
+def _supported(votes: Bools) -> Bools:
+    """Return where at least three quarters of the pilot's window vote."""
+    down, along = (_pilot(n)[0] for n in votes.shape)
+    return np.asarray(_share(votes, (down, along)) >= 0.75 - 1e-6)
 
 
 def _pilot(n: int) -> tuple[int, int]:
@@ -231,8 +255,9 @@ def _rejected(residual: Floats, s2: Floats, own: Floats, votes: Bools) -> tuple[
 
 def _mixture(
     data: Floats, votes: Bools, s2: Floats, chosen: Floats
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the values, their variance, and the weights (P, R, C) and the values of the pairs."""
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Return the values, their variance, the weights (P, R, C) and the values of the pairs, and the
+    weight of each node in its own value."""
     rows, columns, _ = data.shape
     estimates, risks, gains, owns = [], [], [], []
     for h_row, p_row in PAIRED:
@@ -260,7 +285,7 @@ def _mixture(
     mean_own = (weights * np.array(owns)).sum(axis=0)
     expected = chosen * mean_risk + 2 * (s2 - chosen) * mean_own - s2
     share = (weights * gain).sum(axis=0)
-    return values, np.maximum(expected, s2 * share), weights, estimate
+    return values, np.maximum(expected, s2 * share), weights, estimate, mean_own
 
 
 def _least_noise(data: Floats, votes: Bools, s2: Floats) -> Floats:
@@ -320,7 +345,7 @@ def _filled(data: Floats, votes: Bools) -> Floats:
 
 def bend_shift(xy: Floats, radius: float) -> Floats:
     """Return the shift of each corner of a lattice without holes by bent edges, (R, C, 2), see
-    9."""
+    10."""
     rows, columns = xy.shape[:2]
     shift = np.zeros_like(xy)
     for r, c in np.ndindex(rows, columns):
