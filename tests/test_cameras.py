@@ -85,6 +85,20 @@ def test_pairs_that_are_missing_are_frames_without_an_image(
     assert [frame.index for frame in frames if frame.image is None] == missing
 
 
+def test_images_of_one_number_that_are_not_paired_are_refused(tmp_path):
+    def source(name, numbers):
+        (tmp_path / name).mkdir()
+        for number in numbers:
+            cv2.imwrite(str(tmp_path / name / f"{name}{number}.png"), np.zeros((4, 6), np.uint8))
+        return Source(str(tmp_path / name))
+
+    left = source("left", [0, 1, 3, 4, 5])
+    with pytest.raises(ConfigError, match=r"left3.png and right2.png would be a pair"):
+        Pairs(left, source("right", [0, 1, 2, 3, 5]))
+    for other in (source("same", [0, 1, 3, 4, 5]), source("later", range(10, 15))):
+        assert len(list(Pairs(left, other).frames())) == 5
+
+
 def test_views_of_two_sizes_are_told_and_the_others_come(tmp_path, monkeypatch):
     sizes = {"a": [48, 48, 48], "b": [48, 24, 48]}
     for name in sizes:

@@ -262,6 +262,19 @@ def test_cells_of_known_side_give_millimetres_through_a_homography():
     np.testing.assert_allclose(field.position, flat, atol=0.05)
 
 
+def test_cells_that_a_lens_bends_are_off_from_squares_and_noisy_ones_are_not():
+    row, column = np.mgrid[-10:11, -10:11]
+    flat = np.stack([column, row], axis=-1) * 14.0  # px
+    bent = flat * (1 - 0.02 * np.square(flat / 140).sum(axis=2, keepdims=True))
+    plane = PlaneScale.of_cells(grid_of(bent), 2.5)
+    steps = [np.diff(plane(bent)[0], axis=axis) / 2.5 for axis in (0, 1)]
+    off = [steps[0] - [0, 1], steps[1] - [1, 0]]
+    true = np.sqrt(np.mean([np.square(each).sum(axis=2).mean() for each in off]))
+    assert plane.uneven(noisy(bent, 1), 2.5) == pytest.approx(true, rel=0.1)
+    assert PlaneScale.of_cells(grid_of(flat), 2.5).uneven(noisy(flat, 1), 2.5) < 0.05 * true
+    assert np.isnan(plane.uneven(grid_of(bent[:7]), 2.5))
+
+
 def test_the_status_says_which_moment_failed_and_the_source_which_is_less_direct():
     rest, now = points(gel(18, 19)), points(gel(18, 19))
     rest.status[0, :2] = PointStatus.PARALLEL, PointStatus.BEHIND

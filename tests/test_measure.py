@@ -61,6 +61,20 @@ def test_two_views_have_the_field_that_displacement_returns(film):
     np.testing.assert_allclose(found.strain_sigma, other.strain_sigma, rtol=2e-3)
 
 
+def test_the_bias_sigma_is_what_the_error_of_a_calibrated_rig_does(film):
+    error = np.zeros(22)
+    error[17], error[19] = 1e-3, 0.02  # the right camera turns and stands farther off
+    turn = cv2.Rodrigues(np.array([0, error[17], 0]))[0]
+    wrong = dataclasses.replace(RIG, R=turn @ RIG.R, T=RIG.T + error[19:])
+    known = dataclasses.replace(RIG, covariance=np.outer(error, error))
+    with measure.TwoViews(film[0], known, SPLIT, shape=NODES) as against_rest:
+        measured = against_rest(film[4])
+    with measure.TwoViews(film[0], wrong, SPLIT, shape=NODES) as against_rest:
+        off = against_rest(film[4]).field.displacement - measured.field.displacement
+    share = measured.arrays["bias_sigma"] / np.linalg.norm(off, axis=2)
+    assert np.median(share) == pytest.approx(1, rel=0.1)
+
+
 def test_a_frame_is_tracked_or_numbered_anew_and_the_result_is_the_same(film):
     with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
         tracked = list(following.stream(film))

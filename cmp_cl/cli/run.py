@@ -35,6 +35,7 @@ from cmp_cl.space import StereoRig
 from cmp_cl.viz.plots import new_figure
 
 _AHEAD = 4  # the most frames that wait to be measured, and to be written
+_UNEVEN = 0.005  # of the side of a cell, that is told
 _LINES_OF_BROKEN = 8  # broken frames that are reported one by one; the others are only counted
 
 
@@ -254,6 +255,12 @@ def _measurement(
     for view, grid in zip(views, measure.rest_grids, strict=True):
         for doubt in grid.doubts:
             tell(f"{where}: {view}{doubt}")
+    if isinstance(measure, OneView) and measure.uneven > _UNEVEN:
+        tell(
+            f"{where}: after perspective, cells are off from squares by {measure.uneven:.1%}: the "
+            "lens bends the image, or the pattern is not flat; lengths and strains in mm are wrong "
+            "by as much. If it is the lens, calibrate it and give frames of cv2.undistort"
+        )
     return measure
 
 

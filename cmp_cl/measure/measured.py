@@ -28,7 +28,7 @@ class Measured:
     ambiguous: whether the numbering of a grid is ambiguous, see `Grid.ambiguous`.
     differing: the nodes for which tracking had another corner than the numbers that were found
         anew, which hold; 0 where none were looked for.
-    bias: of the rig of two views, where it has a window and a covariance.
+    bias: of the rig of two views, where it has a covariance.
     """
 
     views: tuple[GreyImage, ...]

@@ -17,6 +17,9 @@ class OneView(Measurement):
         `cmp_cl.motion.PlaneScale.of_cells`; None measures in px.
     settings: see `cmp_cl.measure.Settings`.
 
+    uneven: with a cell, by which share the cells at rest are not squares of that side in the plane,
+        see `PlaneScale.uneven`. Displacements and strains in the plane are wrong by as much.
+
     With a cell, constants has the homography too, (3, 3), from px to the plane; and a device
     without double precision computes in float32: displacements on a pattern of 44 cells then differ
     by at most 1.1e-5 cells (measured), in px by nothing.
@@ -31,8 +34,10 @@ class OneView(Measurement):
         self._cell = cell
         super().__init__(rest, lambda frame: (frame,), **settings)
         self.constants["xy_rest"] = self.rest_grids[0].xy
+        self.uneven = 0.0
         if cell is not None:
             self.constants["homography"] = self._scale.matrix
+            self.uneven = self._scale.uneven(self.rest_grids[0], cell)
 
     def _at_rest(self) -> tuple[Moment, InPlane]:
         (grid,), cell = self.rest_grids, self._cell

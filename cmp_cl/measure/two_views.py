@@ -54,7 +54,7 @@ class TwoViews(Measurement):
         self._rig, self._split = rig, split
         self._knows_size = settings.get("shape") is not None
         super().__init__(rest, split, **settings)
-        if rig.window is not None and rig.covariance is not None:
+        if rig.covariance is not None:
             self._bias = Bias(rig, self.rest.xyz)
         left, right = self.rest_grids
         self.constants |= {"left_rest": left.xy, "right_rest": right.xy}

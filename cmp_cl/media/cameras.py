@@ -20,7 +20,7 @@ import numpy as np
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.image import GreyImage
 from cmp_cl.media.ahead import Ahead
-from cmp_cl.media.images import find_inputs
+from cmp_cl.media.images import find_inputs, numbers_of
 from cmp_cl.media.videos import LONGEST_GAP, Frame, VideoInfo, read_frames, video_info
 
 _WAITING = 64  # the most frames of a camera that wait to be measured
@@ -212,6 +212,13 @@ class Pairs:
             raise ConfigError(
                 f"left has {counts[0]} files and right {counts[1]}: images have no times by "
                 "which they could be paired; leave out those without a partner"
+            )
+        numbers = numbers_of(left.paths), numbers_of(right.paths)
+        if numbers[0] != numbers[1] and not set(numbers[0]).isdisjoint(numbers[1]):
+            at = next(i for i, (one, two) in enumerate(zip(*numbers, strict=True)) if one != two)
+            raise ConfigError(
+                f"{left.paths[at].name} and {right.paths[at].name} would be a pair, though both "
+                "sides have files of one number; leave out those without a partner"
             )
         self._sides = left, right
         self.name = f"{left.name}, {right.name}"

@@ -198,6 +198,17 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
     return found
 
 
+def numbers_of(paths: Sequence[Path]) -> list[int]:
+    """Return the numbers of files that are numbered one by one; none for files of other names, such
+    as those of times."""
+    named = [re.fullmatch(r"(.*?)(\d+)(\D*)", path.stem) for path in paths]
+    if len({each and (each[1], each[3]) for each in named}) != 1:
+        return []
+    numbers = [int(each[2]) for each in named if each]
+    steps = np.diff(numbers)
+    return numbers if (steps > 0).all() and 2 * (steps == 1).sum() > len(steps) else []
+
+
 def _by_number(path: Path) -> list[str | int]:
     """Return the name in parts, texts and numbers in turn, by which 9.png sorts before 10.png."""
     parts = re.split(r"([0-9]+)", path.as_posix())

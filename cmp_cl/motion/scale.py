@@ -1,16 +1,19 @@
 """The plane of a flat pattern in the image of one camera."""
 
 import dataclasses
+import math
 from typing import Self
 
 import cv2
 import numpy as np
+from numpy.polynomial.polynomial import polyvander2d
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import FieldError, as_numbers, check_kind, check_positive
 from cmp_cl.grid.grid import Grid
 
 Array = NDArray[np.float64]
+_TERMS = 16  # of a bicubic function
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -60,6 +63,29 @@ class PlaneScale:
                 "rows and two columns"
             )
         return cls(np.asarray(matrix, np.float64), unit)
+
+    def uneven(self, rest: Grid, side: float) -> float:
+        """Return by which share of side the sides of cells at rest are off in the plane, RMS.
+
+        It is that of bicubic functions of column and row, less what the noise of the nodes makes of
+        it: a lens, or a surface that is not flat. NaN if there are too few nodes to tell.
+        """
+        row, column = np.nonzero(rest.valid)
+        if min(len(set(row)), len(set(column))) < 8 or len(row) < 2 * _TERMS:
+            return math.nan
+        last = np.array(rest.shape) - 1
+
+        def terms(down: float, right: float) -> Array:
+            y, x = (2 * (np.stack([row + down, column + right]).T / last - 0.5)).T
+            return polyvander2d(y, x, (3, 3))
+
+        inverse = np.linalg.pinv(terms(0, 0))
+        off = self(rest.xy[rest.valid])[0] / side - np.column_stack([column, row])
+        steps = np.vstack([terms(0.5, 0) - terms(-0.5, 0), terms(0, 0.5) - terms(0, -0.5)])
+        noise = np.square(off - terms(0, 0) @ (inverse @ off)).sum() / (len(row) - _TERMS)
+        noise *= np.einsum("nk,kl,nl->", steps, inverse @ inverse.T, steps)
+        uneven = np.square(steps @ (inverse @ off)).sum()
+        return math.sqrt(max(uneven - noise, 0.0) / len(steps))
 
     def __call__(self, xy: ArrayLike) -> tuple[Array, Array]:
         """Map points (..., 2), px, to the plane; also return the derivative by px, (..., 2, 2)."""

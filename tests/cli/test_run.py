@@ -473,6 +473,18 @@ def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
     np.testing.assert_array_equal(found["xy_rest"], found["xy"][0])
 
 
+def test_a_lens_that_bends_a_flat_pattern_is_told(run):
+    picture = drawn(12, 12)[0]
+    y, x = np.mgrid[-1:1:380j, -1:1:380j].astype(np.float32)
+    for bent, told in ((0.06, True), (0.0, False)):
+        by = 1 + bent * (x**2 + y**2)
+        seen = cv2.remap(picture, 189.5 * (1 + x * by), 189.5 * (1 + y * by), cv2.INTER_CUBIC)
+        cv2.imwrite("sheet.png", seen)
+        status, _, err = run("run", "sheet.png", "--cell", "1", "--out", "sheet.npz")
+        assert status == 0
+        assert ("cells are off from squares by" in err) == told
+
+
 def test_a_video_of_12_bits_is_measured_without_options_and_keeps_its_times(run):
     picture, _ = drawn(12, 12)
     write_deep_video("deep.mkv", picture.astype(np.uint16) << 3)  # in half of the light

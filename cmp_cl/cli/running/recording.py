@@ -1,7 +1,6 @@
 """The frame at rest of what `cmp-cl run` measures, its frames, and those that are left out."""
 
 import contextlib
-import re
 from collections.abc import Generator, Sequence
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from cmp_cl.errors import ConfigError
 from cmp_cl.image import GreyImage
 from cmp_cl.media import Frame
 from cmp_cl.media.cameras import Pairs, Source
+from cmp_cl.media.images import numbers_of
 
 
 class Recording:
@@ -68,14 +68,8 @@ class Recording:
 
 
 def missing_numbers(paths: Sequence[Path]) -> int:
-    """Return how many numbers are missing between files that are numbered one by one; 0 for files
-    of other names, such as those of times."""
-    named = [re.fullmatch(r"(.*?)(\d+)(\D*)", path.stem) for path in paths]
-    if len({each and (each[1], each[3]) for each in named}) != 1:
-        return 0
-    steps = np.diff([int(each[2]) for each in named if each])
-    consecutive = (steps > 0).all() and 2 * (steps == 1).sum() > len(steps)
-    return int((steps - 1).sum()) if consecutive else 0
+    """Return how many numbers are missing between files that are numbered one by one."""
+    return int((np.diff(numbers_of(paths)) - 1).sum())
 
 
 def _because(frame: Frame) -> str:
