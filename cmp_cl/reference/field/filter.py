@@ -45,6 +45,7 @@
 import dataclasses
 import functools
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -320,27 +321,28 @@ def _variance(residual: Floats, own: Floats, votes: Bools) -> Floats:
 
 def _filled(data: Floats, votes: Bools) -> Floats:
     """Return the data with a value in each hole."""
-    rows, columns = votes.shape
     result = np.where(votes[..., None], data, 0.0)
-    for r, c in zip(*np.nonzero(~votes), strict=True):
+    for node in zip(*np.nonzero(~votes), strict=True):
+        off = np.argwhere(votes) - node
         for reach in (3, 6):
-            near = [
-                (i, j)
-                for i in range(max(r - reach, 0), min(r + reach + 1, rows))
-                for j in range(max(c - reach, 0), min(c + reach + 1, columns))
-                if votes[i, j]
-            ]
-            if len(near) < 8:
-                continue
-            y, x = (np.array(near, np.float64) - (r, c)).T
-            terms = np.stack([np.ones_like(x), y, x, y * y, y * x, x * x], axis=1)
-            weight = np.exp(-(x * x + y * y) / (2 * (reach / 2) ** 2))
-            normal = terms.T @ (weight[:, None] * terms)
-            normal += np.diag([0, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2])
-            seen = np.array([data[node] for node in near])
-            result[r, c] = np.linalg.solve(normal, terms.T @ (weight[:, None] * seen))[0]
-            break
+            near = (np.abs(off) <= reach).all(axis=1)
+            if np.count_nonzero(near) >= 8:
+                result[node] = surface_at(off[near], data[votes][near], reach)
+                break
     return result
+
+
+def surface_at(off: NDArray[Any], values: Floats, reach: int) -> Floats:
+    """Return the value at a node of the quadratic surface of 2 through the values (N, K) of others.
+
+    off: (N, 2), by how many rows and columns, or other steps, these are away. reach: in such steps.
+    """
+    y, x = off.astype(np.float64).T
+    terms = np.stack([np.ones_like(x), y, x, y * y, y * x, x * x], axis=1)
+    weight = np.exp(-(x * x + y * y) / (2 * (reach / 2) ** 2))[:, None]
+    normal = terms.T @ (weight * terms) + np.diag([0, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2])
+    found: Floats = np.linalg.solve(normal, terms.T @ (weight * (values - values[0])))[0]
+    return values[0] + found
 
 
 def bend_shift(xy: Floats, radius: float) -> Floats:

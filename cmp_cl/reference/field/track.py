@@ -27,6 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.lattice.constants import LatticeConstants
+from cmp_cl.reference.field.filter import surface_at
+from cmp_cl.reference.lattice.borders import ways
 from cmp_cl.reference.lattice.nodes import FOUR, predictors
 
 Floats = NDArray[np.float64]
@@ -97,8 +99,7 @@ def track(
     sole = np.array([j >= 0 and taken[j] == 1 for j in owner.ravel()]).reshape(shape)
     kept, moved = np.full(shape, -1, np.int32), expected.copy()
     for r, c in np.ndindex(*shape):
-        around = [(r, c - 1), (r, c + 1), (r - 1, c), (r + 1, c)]
-        others = [residual[n] for n in around if _inside(n, shape) and sole[n]]
+        others = [residual[n] for n in _beside((r, c)) if _inside(n, shape) and sole[n]]
         mean: Floats = np.mean(others, axis=0) if others else np.zeros(2)
         away = float(np.linalg.norm(residual[r, c] - mean))
         if sole[r, c] and others:
@@ -123,19 +124,10 @@ def track(
         astray[node] = apart > most
     free = corners[taken == 0, :2]
     beyond = np.zeros(4, np.int32)
-    for side, (line, inside) in enumerate(
-        (
-            (moved[0], moved[1]),
-            (moved[-1], moved[-2]),
-            (moved[:, 0], moved[:, 1]),
-            (moved[:, -1], moved[:, -2]),
-        )
-    ):
+    for side, (line, inside, *_) in enumerate(ways(moved)):
         for one, other in zip(line, inside, strict=True):
             outward = one - other
-            if not len(free):
-                continue
-            gap = float(np.linalg.norm(free - one - outward, axis=1).min())
+            gap = float(np.linalg.norm(free - one - outward, axis=1).min(initial=np.inf))
             reach = 0.3 * float(np.linalg.norm(outward))
             margins.append(abs(gap - reach))
             beyond[side] += gap < reach
@@ -145,7 +137,7 @@ def track(
         gap = float(np.linalg.norm(free - moved[node], axis=1).min(initial=np.inf))
         margins.append(abs(gap - 0.75 * cell[node]))
         adrift += bool(there[node] or gap < 0.75 * cell[node])
-    gone = [np.count_nonzero(line) for line in (lost[0], lost[-1], lost[:, 0], lost[:, -1])]
+    gone = [np.count_nonzero(line) for line, *_ in ways(lost)]
     step = (np.linalg.norm(before_step[0], axis=2) + np.linalg.norm(before_step[1], axis=2)) / 2
     good = ~lost & ~astray
     final, owner = moved.copy(), kept.copy()
@@ -161,11 +153,8 @@ def track(
             margins.append(abs(apart - 0.3 * step[node]))
             if apart < 0.3 * step[node]:
                 continue
-        (r, c), final[node], owner[node] = node, place, -1
-        sides = [
-            _inside(n, shape) and bool(good[n])
-            for n in ((r, c - 1), (r, c + 1), (r - 1, c), (r + 1, c))
-        ]
+        final[node], owner[node] = place, -1
+        sides = [_inside(n, shape) and bool(good[n]) for n in _beside(node)]
         status[node] = 4 if all(sides[:2]) or all(sides[2:]) else 0
     alike = np.isin(status, (1, 2)) == seen
     return Found(
@@ -189,6 +178,12 @@ def _steps(nodes: Floats) -> tuple[Floats, Floats]:
 
 def _cross(one: Floats, two: Floats) -> float:
     return float(one[0] * two[1] - one[1] * two[0])
+
+
+def _beside(node: tuple[int, int]) -> list[tuple[int, int]]:
+    """Return the nodes before, behind, above and below a node."""
+    r, c = node
+    return [(r, c - 1), (r, c + 1), (r - 1, c), (r + 1, c)]
 
 
 def _inside(node: tuple[int, int], shape: tuple[int, ...]) -> bool:
@@ -231,23 +226,11 @@ def _surface(node: tuple[int, int], values: Floats, known: NDArray[np.bool_]) ->
     """Return the value at a node of the quadratic surface through the known ones around.
 
     Those within 3 nodes, in steps of 1; 6, 1; 12, 2; 24, 4; ... until there are 16. Distances are
-    in thirds of that reach. Weights are Gaussian, with half the reach as sigma; a ridge of .001 and
-    .01 draws the slopes and the second derivatives to 0.
+    in thirds of that reach.
     """
-    row, column = (np.arange(n) - at for n, at in zip(known.shape, node, strict=True))
-    y, x = np.meshgrid(row, column, indexing="ij")
-    size = 1
+    off, size = np.argwhere(known) - node, 1
     while True:
-        step = max(size // 2, 1)
-        near = known & (np.abs(y) <= 3 * size) & (np.abs(x) <= 3 * size)
-        near &= (y % step == 0) & (x % step == 0)
+        near = (np.abs(off) <= 3 * size).all(axis=1) & (off % max(size // 2, 1) == 0).all(axis=1)
         if np.count_nonzero(near) >= 16 or 3 * size >= max(known.shape):
-            break
+            return surface_at(off[near] / size, values[known][near], 3)
         size *= 2
-    dy, dx = y[near] / size, x[near] / size
-    terms = np.stack([np.ones_like(dx), dy, dx, dy * dy, dy * dx, dx * dx], axis=1)
-    weight = np.exp(-2 * (dx * dx + dy * dy) / 9)[:, None]
-    normal = terms.T @ (weight * terms) + np.diag([0, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2])
-    first = values[near][0]
-    found: Floats = first + np.linalg.solve(normal, terms.T @ (weight * (values[near] - first)))[0]
-    return found

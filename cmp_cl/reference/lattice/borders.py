@@ -31,7 +31,7 @@ def trimmed(board: Board, shape: tuple[int, int], k: LatticeConstants) -> Board:
         if not owner.size:
             box = [0, 0, 0, 0]
             break
-        sides = list(zip(*map(_ways, (owner, at, firm)), strict=True))
+        sides = list(zip(*map(ways, (owner, at, firm)), strict=True))
         empty = [not (line[0] != -1).any() for line, *_ in sides]
         worst, lines = F(0), [False] * 4
         for side, (line, place, firm_of) in enumerate(sides if not any(empty) else ()):
@@ -79,10 +79,11 @@ def _sum_of(steps: Places) -> complex:
     )
 
 
-def _ways(a: NDArray[Any]) -> list[NDArray[Any]]:
+def ways(a: NDArray[Any]) -> list[NDArray[Any]]:
     """Return an array as seen from the top, the bottom, the left and the right: row 0 is the last
     line there."""
-    return [a, a[::-1], a.T, a.T[::-1]]
+    turned = np.swapaxes(a, 0, 1)
+    return [a, a[::-1], turned, turned[::-1]]
 
 
 class Sides:
@@ -96,15 +97,15 @@ class Sides:
     def __init__(self, board: Board, plane: Plane, k: LatticeConstants) -> None:
         there = board.owner >= 0
         self.plane, self.k = plane, k
-        ways = _ways(np.where(there, seen_at(board), NOWHERE))
-        self.room = np.array([self._has_room(way) for way in ways])
+        seen = ways(np.where(there, seen_at(board), NOWHERE))
+        self.room = np.array([self._has_room(way) for way in seen])
         self.follows, self.reach = np.zeros(4, np.bool_), np.full(4, UNSEEN)
         if min(there.shape) < 2:
             return
         reach = np.zeros(4, np.float32)
-        for n, way in enumerate(ways):
+        for n, way in enumerate(seen):
             self.follows[n], reach[n] = self._read(way)
-        cells = reach * np.array([self._last_over_next(way) for way in ways])
+        cells = reach * np.array([self._last_over_next(way) for way in seen])
         longer = cells > F(1) + F(k.border_step_cells)
         reach[longer] = 0
         self.reach = np.where(reach > 0, np.floor(F(WHOLE) * cells), UNSEEN).astype(np.int64)
