@@ -170,25 +170,26 @@ def _plane(values: Floats, votes: Bools) -> Floats:
     return terms @ fit
 
 
+def window(i: int, n: int, half: int) -> NDArray[np.intp]:
+    """Return the nodes up to `half` nodes from i, moved to lie within a line of n."""
+    half = min(half, (n - 1) // 2)
+    return np.arange(2 * half + 1) + min(max(i - half, 0), n - 1 - 2 * half)
+
+
 @functools.cache
 def axis_filter(n: int, half: int, degree: int) -> Floats:
     """Return (n, n), the weights of the nodes in each node's polynomial."""
     weights = np.zeros((n, n))
     for i in range(n):
-        low = min(max(i - half, 0), n - 2 * half - 1)
-        t = np.arange(low, low + 2 * half + 1) - i
-        vander = np.stack([t.astype(np.float64) ** q for q in range(degree + 1)], axis=1)
-        weights[i, low : low + 2 * half + 1] = np.linalg.pinv(vander)[0]
+        nodes = window(i, n, half)
+        vander = np.vander((nodes - i).astype(np.float64), degree + 1, increasing=True)
+        weights[i, nodes] = np.linalg.pinv(vander)[0]
     return weights
 
 
 def _share(votes: Bools, halves: tuple[int, int]) -> Floats:
     """Return the share of the nodes of each node's window that vote."""
-    inside = []
-    for n, half in zip(votes.shape, halves, strict=True):
-        low = np.clip(np.arange(n) - half, 0, n - 2 * half - 1)[:, None]
-        inside.append((np.arange(n) >= low) & (np.arange(n) <= low + 2 * half))
-    down, along = (each / each.sum(axis=1, keepdims=True) for each in inside)
+    down, along = (axis_filter(n, half, 0) for n, half in zip(votes.shape, halves, strict=True))
     share: Floats = down @ votes @ along.T
     return share
 
@@ -341,8 +342,9 @@ def surface_at(off: NDArray[Any], values: Floats, reach: int) -> Floats:
     terms = np.stack([np.ones_like(x), y, x, y * y, y * x, x * x], axis=1)
     weight = np.exp(-(x * x + y * y) / (2 * (reach / 2) ** 2))[:, None]
     normal = terms.T @ (weight * terms) + np.diag([0, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2])
-    found: Floats = np.linalg.solve(normal, terms.T @ (weight * (values - values[0])))[0]
-    return values[0] + found
+    by = np.linalg.solve(normal, terms.T @ (weight * (values - values[0])))
+    found: Floats = values[0] + by[0]
+    return found
 
 
 def bend_shift(xy: Floats, radius: float) -> Floats:
@@ -351,18 +353,13 @@ def bend_shift(xy: Floats, radius: float) -> Floats:
     rows, columns = xy.shape[:2]
     shift = np.zeros_like(xy)
     for r, c in np.ndindex(rows, columns):
-        high, wide = (5 if n >= 5 else 3 for n in (rows, columns))
-        top, left = (
-            min(max(r - high // 2, 0), rows - high),
-            min(max(c - wide // 2, 0), columns - wide),
-        )
-        v, u = (each.ravel() for each in np.indices((high, wide)))
-        v, u = v + top - r, u + left - c
-        window = xy[top : top + high, left : left + wide].reshape(-1, 2)
+        down, right = window(r, rows, 2), window(c, columns, 2)
+        v, u = (each.ravel() for each in np.meshgrid(down - r, right - c, indexing="ij"))
+        seen = xy[np.ix_(down, right)].reshape(-1, 2)
         normals, off = [], []
         for along, across in ((v, u), (u, v)):
             powers = np.stack([along**p * across**q for p in range(3) for q in range(2)], axis=1)
-            terms = np.linalg.lstsq(powers, window, rcond=None)[0]
+            terms = np.linalg.lstsq(powers, seen, rcond=None)[0]
             slope, second = terms[2], 2 * terms[4]
             normal = np.array([-slope[1], slope[0]]) / np.linalg.norm(slope)
             normals.append(normal)

@@ -38,6 +38,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.reference.field.filter import window
+
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
@@ -100,7 +102,7 @@ def slope_covariances(
         for n, part in zip(shape, correlations, strict=True)
     ]
     for r, c in np.ndindex(*shape):
-        rows, columns = (_window(i, n) for i, n in zip((r, c), shape, strict=True))
+        rows, columns = (window(i, n, REACH) for i, n in zip((r, c), shape, strict=True))
         count = np.count_nonzero(votes[np.ix_(rows, columns)])
         if not count:
             continue
@@ -117,16 +119,10 @@ def slope_covariances(
     return found
 
 
-def _window(i: int, n: int, reach: int = REACH) -> NDArray[np.intp]:
-    """Return the nodes up to `reach` nodes from i, moved to lie within a line of n."""
-    reach = min(reach, (n - 1) // 2)
-    return np.arange(2 * reach + 1) + min(max(i - reach, 0), n - 1 - 2 * reach)
-
-
-def _line_and_parabola(i: int, window: NDArray[np.intp]) -> tuple[Floats, Floats]:
+def _line_and_parabola(i: int, nodes: NDArray[np.intp]) -> tuple[Floats, Floats]:
     """Return the weights of the nodes of a window in the value at node i of the line, and in the
     slope there of the parabola, that fit them best."""
-    off = (window - i).astype(np.float64)
+    off = (nodes - i).astype(np.float64)
     line, parabola = (np.linalg.pinv(np.vander(off, n, increasing=True)) for n in (2, 3))
     return line[0], parabola[1]
 
@@ -150,7 +146,7 @@ def strain(
     found, covariance = np.full((*shape, 3), np.nan), np.full((*shape, 3, 3), np.nan)
     for r, c in zip(*np.nonzero(valid), strict=True):
         near, wide = (
-            [_window(i, n, reach) for i, n in zip((r, c), shape, strict=True)]
+            [window(i, n, reach) for i, n in zip((r, c), shape, strict=True)]
             for reach in (REACH, WIDE_REACH)
         )
         down, along = (_line_and_parabola(*each) for each in zip((r, c), near, strict=True))
@@ -205,20 +201,20 @@ def _nearest_cubic(node: tuple[int, int], valid: Bools) -> Floats | None:
         middle = np.add(node, step)
         if min(middle) < 2 or (middle > np.subtract(valid.shape, 3)).any():
             continue
-        window = [np.arange(m - 2, m + 3) for m in middle]
-        cubic = _slopes_of_surface(node, window, valid, 3)
+        around = [np.arange(m - 2, m + 3) for m in middle]
+        cubic = _slopes_of_surface(node, around, valid, 3)
         if cubic is not None and np.square(cubic).sum(axis=1).max() <= MOST_VARIANCE:
             return cubic
     return None
 
 
 def _slopes_of_surface(
-    node: tuple[int, int], window: list[NDArray[np.intp]], valid: Bools, degree: int
+    node: tuple[int, int], around: list[NDArray[np.intp]], valid: Bools, degree: int
 ) -> Floats | None:
     """Return the weights (2, R * C) of all nodes in the slopes by column and by row, at a node, of
     the surface that fits the valid ones of a window best; None if they do not determine it."""
     there = np.zeros_like(valid)
-    there[np.ix_(*window)] = True
+    there[np.ix_(*around)] = True
     near = np.nonzero(there & valid)
     v, u = near[0] - node[0], near[1] - node[1]
     powers = [(p, total - p) for total in range(degree + 1) for p in range(total, -1, -1)]
