@@ -7,6 +7,8 @@ import importlib.util
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import matplotlib
@@ -72,6 +74,22 @@ def test_the_reference_has_every_public_name_of_a_package(module):
     text = "".join(page.read_text(encoding="utf-8") for page in API)
     shown = {name.rpartition(".")[2] for name in FOUND.findall(text)}
     assert set(module.__all__) - shown == set()
+
+
+DEEP = sorted(
+    {
+        name.rpartition(".")[0]
+        for page in API
+        for name in FOUND.findall(page.read_text(encoding="utf-8"))
+        if name.count(".") > 1
+    }
+)
+
+
+@pytest.mark.parametrize("module", DEEP)
+def test_after_import_cmp_cl_the_names_of_the_reference_are_there(module):
+    code = f"import cmp_cl; cmp_cl.{module}"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def command(line):

@@ -18,6 +18,7 @@ from cmp_cl.measure.measured import Measured
 from cmp_cl.measure.two_views import TwoViews
 from cmp_cl.media.ahead import Ahead
 from cmp_cl.media.cameras import Source
+from cmp_cl.opencl.device import Device
 from cmp_cl.series import SeriesWriter, read_series
 from cmp_cl.series.writer import check_series
 from cmp_cl.space import BinocularSplit, StereoRig
@@ -113,7 +114,7 @@ class Sensor(Frames):
         recvCallback: Callback | None = None,
         maxQSize: int = 5,
         callbackParam: Any = None,
-        device: str | None = None,
+        device: Device | str | None = None,
     ) -> None:
         self._source = Source(str(source) if isinstance(source, int) else source)
         self._rig = rig if isinstance(rig, StereoRig) else StereoRig.load(rig)

@@ -5,6 +5,7 @@ frame and its size, keeps the levels of 10 to 16 bits, and refuses damaged frame
 upright: photographs as their EXIF tag says, videos as their display matrix does.
 """
 
+from cmp_cl.media import cameras as cameras
 from cmp_cl.media.images import IMAGE_SUFFIXES, find_inputs, read_image, read_pages, write_image
 from cmp_cl.media.videos import Frame, VideoInfo, is_video, read_frames, video_info
 

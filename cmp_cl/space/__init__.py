@@ -1,6 +1,7 @@
 """Two views of one pattern: calibration, and points in space."""
 
 from cmp_cl.points import Points3D, PointStatus
+from cmp_cl.space import exports as exports
 from cmp_cl.space.bias import Bias
 from cmp_cl.space.calibration import Calibration, Camera, calibrate
 from cmp_cl.space.lens import Lens

@@ -95,6 +95,7 @@ class Moment:
 
     @property
     def in_space(self) -> bool:
+        """Return whether it is of two views."""
         return bool(self.rest.shape[2] == 3)
 
     def plane(self) -> tuple[Array, Array]:
