@@ -185,19 +185,22 @@ def test_a_video_that_is_cut_off_gives_its_frames_and_marks_the_missing_ones(tmp
     assert [frame.why for frame in frames[-15:]] == ["the file is cut off"] * 15
 
 
-@pytest.mark.parametrize("quarters", [1, 2, 3])
-def test_a_video_comes_upright(tmp_path, quarters):
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("quarters", [0, 1, 2, 3])
+def test_a_video_comes_upright(tmp_path, quarters, mirrored):
     path = tmp_path / "held.mp4"
     write_video(path, [NOISE] * 3, "mp4v")
     flat = next(media.read_frames(path)).image
     data = bytearray(path.read_bytes())
     matrix = data.index(b"tkhd") + 44  # of a header of version 0
-    cosine, sine = ((0, 1), (-1, 0), (0, -1))[quarters - 1]
-    turn = [cosine, sine, 0, -sine, cosine, 0]
+    cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarters]
+    side = -1 if mirrored else 1
+    turn = [side * cosine, side * sine, 0, -sine, cosine, 0]
     data[matrix : matrix + 24] = struct.pack(">6i", *(number << 16 for number in turn))
     path.write_bytes(data)
     upright = next(media.read_frames(path)).image
-    np.testing.assert_array_equal(upright, np.rot90(flat, -quarters))
+    seen = flat[:, ::-1] if mirrored else flat
+    np.testing.assert_array_equal(upright, np.rot90(seen, -quarters))
 
 
 def test_a_raw_stream_of_h264_is_read(tmp_path):
@@ -264,6 +267,19 @@ def test_frames_that_build_on_a_damaged_one_are_none(tmp_path, codec, name):
     for frame in frames:
         if frame.image is not None:
             np.testing.assert_array_equal(frame.image, whole[frame.index].image)
+
+
+def test_a_video_of_two_moments_a_frame_is_told_once(tmp_path):
+    path = tmp_path / "press.mpg"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg2video", rate=25, options={"flags": "+ildct+ilme"})
+        stream.width, stream.height, stream.pix_fmt = *NOISE.shape[::-1], "yuv420p"
+        for _ in range(3):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(NOISE, format="gray")))
+        container.mux(stream.encode())
+    with pytest.warns(UserWarning, match="press.mpg' is interlaced") as told:
+        assert len(list(media.read_frames(path))) == 3
+    assert len(told) == 1
 
 
 def test_frames_of_another_size_come_as_they_are(tmp_path):

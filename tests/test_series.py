@@ -284,6 +284,16 @@ def test_names_and_packages_that_no_format_has_are_refused(tmp_path, monkeypatch
         SeriesWriter(tmp_path / "link.npz")
 
 
+def test_a_part_that_is_still_written_stays(tmp_path):
+    with SeriesWriter(tmp_path / "press.npz", **ABOUT, rest=rest(), unit="mm") as series:
+        series.append(index=0, time_ms=0, **frame(0))
+        complete(tmp_path / "press.npz.part", tmp_path / "early.npz")
+        series.append(index=1, time_ms=1, **frame(1))
+    assert shown_in(tmp_path / "early.npz") == [0]
+    assert shown_in(tmp_path / "press.npz") == [0, 1]
+    assert not (tmp_path / "press.npz.part").exists()
+
+
 def test_a_part_without_nodes_is_no_table(tmp_path):
     series = SeriesWriter(tmp_path / "press.npz")
     series.append(index=0, time_ms=0, forces=np.zeros(3))

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import math
 import os
+import warnings
 import zlib
 from collections.abc import Iterator
 from os import PathLike
@@ -28,6 +29,11 @@ _FOOTER, _WITHOUT_CRC = 8, 3  # bytes at the end of a slice of FFV1 (RFC 9043, 4
 # Its checksum takes the bits of a byte from the other end than zlib, and begins with 0.
 _REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 _ALL_ONES = 2**32 - 1
+
+_INTERLACED = (
+    "{!r} is interlaced: every second line is of another moment, so that corners that move are "
+    "wrong; deinterlace it first, for example by ffmpeg -i IN -vf bwdif=send_frame OUT"
+)
 
 _Timed = tuple[GreyImage | None, float, str]
 
@@ -161,6 +167,7 @@ def _timed_frames(container: Any, stream: Any) -> Iterator[_Timed]:
     """
     due: dict[float, str] = {}  # times of packets, and why their frames have no image after damage
     broken, last_ms = False, math.nan  # time of the last damage
+    interlaced = False
     for stamp_ms, frames in _decoded(container, stream):
         if frames is None:
             broken, last_ms = True, stamp_ms
@@ -171,6 +178,9 @@ def _timed_frames(container: Any, stream: Any) -> Iterator[_Timed]:
             yield None, stamp_ms, why
         for frame in frames or ():
             time_ms = _ms(frame.pts, frame)
+            if frame.interlaced_frame and not interlaced:
+                interlaced = True
+                warnings.warn(_INTERLACED.format(container.name), stacklevel=2)
             yield from _overdue(due, time_ms, told=broken)
             why = due.pop(time_ms, _AFTER)
             if frame.is_corrupt:
@@ -251,8 +261,13 @@ def _slices(packet: bytes, footer: int) -> list[bytes]:
 
 def _upright(frame: Any) -> GreyImage:
     """Return the grey levels of a frame of PyAV, upright, as its display matrix says."""
-    turned = np.rot90(_luma(frame), round(frame.rotation / 90))
-    return cast(GreyImage, np.ascontiguousarray(turned))
+    grey, matrix = _luma(frame), frame.side_data.get("DISPLAYMATRIX")
+    if matrix is not None:
+        xx, xy, _, yx, yy = np.frombuffer(matrix, np.int32)[:5]  # of (x, y) before this matrix
+        if abs(xy) > abs(xx):
+            grey, xx, yy = grey.T, yx, xy
+        grey = grey[:: -1 if yy < 0 else 1, :: -1 if xx < 0 else 1]
+    return cast(GreyImage, np.ascontiguousarray(grey))
 
 
 def _luma(frame: Any) -> GreyImage:

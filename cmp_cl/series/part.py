@@ -3,9 +3,10 @@
 import io
 import json
 import shutil
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import IO, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ class Part:
     """Appends frames to the folder of a part, which is made.
 
     A frame is complete on the disk when `append` returns, and can be read from then on. A frame
-    that a full disk refuses is not counted.
+    that a full disk refuses is not counted. Until it is closed, its index is locked.
     """
 
     def __init__(self, path: Path, about: Mapping[str, Any], constants: Arrays) -> None:
@@ -33,6 +34,7 @@ class Part:
                 np.save(path / _CONSTANTS / f"{name}.npy", constant, allow_pickle=False)
             for name, kind in zip(_OF_FRAMES, (np.int64, np.float64), strict=True):
                 self._add(name, np.zeros((), kind))
+            lock(self._columns["index"].file)
         except BaseException:
             self.discard()
             raise
@@ -58,6 +60,30 @@ class Part:
         """Remove the part."""
         self.close()
         shutil.rmtree(self.path, ignore_errors=True)
+
+
+def is_written(path: Path) -> bool:
+    """Return whether a process still writes a part."""
+    with open(path / "index.npy", "rb") as file:
+        return not lock(file)
+
+
+def lock(file: IO[bytes]) -> bool:
+    """Lock a file until it is closed; return False if it is locked already.
+
+    Windows needs no locks: it does not remove a file that is open.
+    """
+    if sys.platform == "win32":
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # the file system has no locks
+        pass
+    return True
 
 
 class _Column:

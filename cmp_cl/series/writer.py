@@ -20,7 +20,7 @@ from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError, check_kind, extra
 from cmp_cl.files import check_target, new_folder, suffix_of, version, whole_path
 from cmp_cl.series import formats, mcap
-from cmp_cl.series.part import LARGEST, Arrays, Part, Stored
+from cmp_cl.series.part import LARGEST, Arrays, Part, Stored, is_written
 
 _FORMATS: dict[str, Callable[[Stored, Path, Path], None]] = {
     ".npz": formats.write_npz,
@@ -53,7 +53,8 @@ def check_series(path: str | PathLike[str]) -> Path:
 
 
 def complete(part: str | PathLike[str], target: str | PathLike[str]) -> None:
-    """Make the file of a series from its part, in the format of the suffix, and remove the part.
+    """Make the file of a series from its part, in the format of the suffix, and remove the part,
+    unless a process still writes it.
 
     part: NAME.part, as a process that was killed leaves it. target: an older file is replaced.
 
@@ -71,7 +72,8 @@ def complete(part: str | PathLike[str], target: str | PathLike[str]) -> None:
         with open(path, "rb+") as file:
             os.fsync(file.fileno())  # the part goes, so a power cut must find the file
     del stored  # Windows removes no file that is mapped
-    shutil.rmtree(part)
+    if not is_written(Path(part)):
+        shutil.rmtree(part)
 
 
 class _Lines:
@@ -207,6 +209,7 @@ class SeriesWriter(Closing):
         self._sink.close()
         try:
             complete(self._sink.path, self._target)
+            self._sink.discard()  # a forked process may have it locked
         except OSError as error:
             frames = "1 frame" if self._count == 1 else f"{self._count} frames"
             why = f"{error.strerror or error}; what was added, {frames}, is in {self._sink.path}"
