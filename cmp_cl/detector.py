@@ -233,7 +233,9 @@ class Detector(Closing):
         with self._lock:
             self._check_alive()
             corners, lattice = self._numbered(image)
-            return corners, grid_of(boards(lattice, corners.xy), corners, asked, strict=False)
+            return corners, grid_of(
+                boards(lattice, corners.xy, asked.shape), corners, asked, strict=False
+            )
 
     def _numbered(self, image: GreyImage) -> tuple[Corners, LatticePlan]:
         """Return the corners of an image, and the plan in which their numbers were started."""

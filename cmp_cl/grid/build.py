@@ -68,7 +68,7 @@ def build_grid(
     corners' own; DeviceError.
     """
     asked = asked_of(shape, like, previous)
-    with _boards_of(corners, image, device) as found:
+    with _boards_of(corners, image, device, asked.shape) as found:
         return grid_of(found, corners, asked, strict=strict)
 
 
@@ -105,7 +105,7 @@ def build_grids(
     Raises the errors of `build_grid` for its arguments.
     """
     asked = asked_of(shape, None, None)
-    with _boards_of(corners, image, device) as boards_of_view:
+    with _boards_of(corners, image, device, shape) as boards_of_view:
         found = by_size(found_in(boards_of_view, asked, corners))
     if shape is not None:
         found = [each for each in found if 2 * each.size >= shape[0] * shape[1]]
@@ -114,7 +114,10 @@ def build_grids(
 
 @contextlib.contextmanager
 def _boards_of(
-    corners: Corners, image: AnyImage, device: Device | str | None
+    corners: Corners,
+    image: AnyImage,
+    device: Device | str | None,
+    shape: tuple[int, int] | None,
 ) -> Iterator[Iterable[Board]]:
     """Give the boards that corners form, the largest part's first, one after the other."""
     frame = check_image(image)
@@ -127,7 +130,7 @@ def _boards_of(
     with plan.lock:
         plan.take(frame, corners.xy, corners.edges, corners.refusal)
         plan.start()
-        yield boards(plan, corners.xy)
+        yield boards(plan, corners.xy, shape)
 
 
 def _full_scale(image: GreyImage) -> int:

@@ -1,5 +1,6 @@
 """From the parts of a frame to its boards, the largest first; the host's share of the work."""
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -11,17 +12,20 @@ from cmp_cl.lattice.kernels import TAKEN
 from cmp_cl.lattice.plan import LatticePlan
 
 
-def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
+def boards(
+    plan: LatticePlan, xy: NDArray[np.float32], shape: tuple[int, int] | None = None
+) -> Iterator[Board]:
     """Yield the boards of a frame that was started, upright, with their borders, the largest part's
     first.
 
-    xy: (N, 2), the corners of the plan, px. A corner is a node of one board at most. A part of
-    fewer than `least_board` faces begins no board, but for the largest one; nor does one of fewer
-    corners that no board has.
+    xy: (N, 2), the corners of the plan, px. shape: rows and columns of the one that is meant. A
+    corner is a node of one board at most. A part of fewer than `least_board` faces, or of that
+    shape if it has fewer, begins no board, but for the largest one; nor does one of fewer than
+    `least_board` corners that no board has.
     """
     taken = np.zeros(len(xy), np.bool_)
     alone = plan.alone()
-    for joint, smaller in _joined(plan, xy, taken) if alone is None else ((alone, []),):
+    for joint, smaller in _joined(plan, xy, taken, shape) if alone is None else ((alone, []),):
         for board in _apart(plan, joint, smaller, taken):
             if np.count_nonzero(board.there) >= plan.constants.least_board:
                 taken[board.owner[board.owner >= 0]] = True
@@ -29,12 +33,13 @@ def boards(plan: LatticePlan, xy: NDArray[np.float32]) -> Iterator[Board]:
 
 
 def _joined(
-    plan: LatticePlan, xy: NDArray[np.float32], taken: Mask
+    plan: LatticePlan, xy: NDArray[np.float32], taken: Mask, shape: tuple[int, int] | None
 ) -> Iterator[tuple[Board, list[Units]]]:
     """Yield the boards of parts that are joined; and of each the smaller parts that have some of
     its corners. taken: (N,), the corners of the boards so far."""
     k = plan.constants
-    units = joined(*plan.parts(xy), k)
+    faces = k.least_board if shape is None else min(k.least_board, (shape[0] - 1) * (shape[1] - 1))
+    units = joined(*plan.parts(xy), dataclasses.replace(k, least_board=faces))
     first = np.unique(units.part, return_index=True)[1].tolist()
     parts = [units.chosen(slice(*ends)) for ends in zip(first, [*first[1:], None], strict=True)]
     for rank, part in enumerate(parts):

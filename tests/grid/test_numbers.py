@@ -204,6 +204,15 @@ def test_a_floor_of_squares_is_not_taken_for_the_board_in_silence(seed):
     assert not sized.doubts
 
 
+@pytest.mark.parametrize("shape", [(3, 3), (3, 4)])
+def test_a_board_of_few_cells_before_a_floor_of_squares_is_found_by_its_size(shape):
+    camera = plane(cell=40, middle=(200, 150), about=(1, 1), turn=8)
+    view = drawn(camera, SIZE, shape, ground=squares(SIZE, 3))
+    grid = grid_of(view, shape=shape)
+    assert scored(grid, view, known="board").right == np.prod(shape)
+    assert not grid.doubts
+
+
 @pytest.mark.parametrize("size", [SIZE, (600, 800)])
 @pytest.mark.parametrize("seed", some(range(6), range(2)))
 def test_a_board_at_the_edge_of_the_image_is_meant_and_not_the_floor_that_ends_nowhere(seed, size):
