@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import cv2
@@ -234,12 +235,14 @@ class Board:
             return self
         rows, columns = self.x.shape
         odd = (0, columns, rows + columns, rows)[quarters % 4] % 2
-        return Board(
-            x=np.rot90(self.x, quarters),
-            y=np.rot90(self.y, quarters),
-            owner=np.rot90(self.owner, quarters),
-            torn=np.rot90(self.torn, quarters),
+        return self.changed(
+            lambda plane: np.rot90(plane, quarters),
             sign=self.sign * (1 - 2 * odd),
             border=self.border.turned(quarters),
-            firm=np.rot90(self.firm, quarters),
         )
+
+    def changed(self, change: Callable[[NDArray[Any]], NDArray[Any]], **others: Any) -> "Board":
+        """Return the board with what `change` makes of each of its arrays (R, C), and others."""
+        for name in ("x", "y", "owner", "torn", "firm"):
+            others[name] = change(vars(self)[name])
+        return dataclasses.replace(self, **others)

@@ -73,7 +73,8 @@ def refine(
     refusal = np.where(enough, refusal, Refusal.RINGS).astype(np.uint8)
     lines = np.nonzero(method == Method.EDGE_LINES)[0]
     if isinstance(refinement, EdgeStep) and len(lines):
-        step = edge_step(image, start[lines], shift[lines], _chosen(points, lines), refinement)
+        chosen = EdgePoints(**{name: values[lines] for name, values in vars(points).items()})
+        step = edge_step(image, start[lines], shift[lines], chosen, refinement)
         accepted = lines[step.accepted]
         shift[accepted] = step.position[step.accepted]
         method[accepted] = Method.EDGE_STEP
@@ -99,7 +100,3 @@ def edge_radius(refinement: EdgeLines | EdgeStep | Midlines | None) -> float:
     """Return the radius within which the refinement assumes straight edges, px of the image; NaN
     without EDGE_STEP."""
     return disc_radius(refinement) if isinstance(refinement, EdgeStep) else math.nan
-
-
-def _chosen(points: EdgePoints, rows: NDArray[np.int64]) -> EdgePoints:
-    return EdgePoints(**{name: values[rows] for name, values in vars(points).items()})

@@ -51,14 +51,8 @@ def trimmed(board: Board, shape: tuple[int, int], k: LatticeConstants) -> Board:
         for n, cut in enumerate(empty if any(empty) else lines):
             box[n] += (1 - 2 * (n % 2)) * cut
     here = np.s_[box[0] : box[1], box[2] : box[3]]
-    return Board(
-        x=board.x[here],
-        y=board.y[here],
-        owner=board.owner[here],
-        torn=board.torn[here],
-        sign=board.sign * (1 - 2 * ((box[0] + box[2]) % 2)),
-        firm=board.firm[here],
-    )
+    sign = board.sign * (1 - 2 * ((box[0] + box[2]) % 2))
+    return board.changed(lambda plane: plane[here], sign=sign)
 
 
 def upright(board: Board) -> Board:

@@ -39,9 +39,7 @@ def least_correlation(bound: float) -> NDArray[np.uint8]:
     square = Fraction(bound) ** 2
     least = np.full(257, 17, np.uint8)
     for product in range(1, 257):
-        reached = [r for r in range(17) if r * r > square * product]
-        if reached:
-            least[product] = reached[0]
+        least[product] = next((r for r in range(17) if r * r > square * product), 17)
     return least
 
 
