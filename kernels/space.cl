@@ -25,8 +25,9 @@ typedef union {
 #define MOST_STEPS 30
 #define ROUND_TRIP ((REAL)1e-2) /* px, from a pixel through the lens and back */
 /* A camera: fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4, then rotation (9) and translation (3)
- * from the left camera, then the camera's centre there (3), then the window if MEDIA is not 0. */
-#define CAMERA 31
+ * from the left camera, then the camera's centre there (3), the radius at which the lens model turns
+ * back, then the window if MEDIA is not 0. */
+#define CAMERA 32
 #define K1 camera[4]
 #define K2 camera[5]
 #define P1 camera[6]
@@ -42,6 +43,7 @@ typedef union {
 #define ROTATION (camera + 16)
 #define TRANSLATION (camera + 25)
 #define CENTRE (camera + 28)
+#define FOLD camera[31]
 
 /* The pixel of a point (x, y) of the plane at distance 1, and its derivatives xx xy yx yy. */
 void distort(__global const REAL *camera, const REALS x, const REALS y, REALS *pixel,
@@ -63,18 +65,34 @@ void distort(__global const REAL *camera, const REALS x, const REALS y, REALS *p
   slope[3] = fy * (g + 2 * y * y * by_r + 6 * P1 * y + 2 * P2 * x + 2 * y * thin_y);
 }
 
+/* Shorten a step from `last` that leaves the fold of the lens model, to half the way there, and one
+ * that begins near the fold, where the slopes are small, and goes far inwards, to half as far out.
+ * Beyond the fold, pixels of other points come again. */
+void stay_inside(__global const REAL *camera, const REALS *last, REALS *x, REALS *y) {
+  const REALS r_2 = *x * *x + *y * *y, last_2 = last[0] * last[0] + last[1] * last[1];
+  const REALS along = *x * last[0] + *y * last[1], edge_2 = FOLD * FOLD;
+  if (!ANY_OF(r_2 >= edge_2 || (4 * last_2 > edge_2 && 2 * along < last_2))) return;
+  const REALS out = r_2 < edge_2 ? (REALS)1 : (sqrt(last_2) + FOLD) / (2 * sqrt(r_2));
+  *x = 4 * last_2 > edge_2 && 2 * along < last_2 ? last[0] / 2 : out * *x;
+  *y = 4 * last_2 > edge_2 && 2 * along < last_2 ? last[1] / 2 : out * *y;
+}
+
 /* The point of the plane at distance 1 that a pixel shows, by Newton's method. Returns the squared
  * distance, px^2, before the last step, which is large or NaN if the lens cannot be inverted
  * there. */
 REALS undistort(__global const REAL *camera, const REALS *pixel, REALS *point) {
   REALS x = (pixel[0] - camera[2]) / camera[0], y = (pixel[1] - camera[3]) / camera[1];
-  REALS seen[2], slope[4], off_2 = 0;
+  REALS seen[2], slope[4], off_2, last[2] = {0, 0};
+  stay_inside(camera, last, &x, &y);
   for (int step = 0; step < MOST_STEPS; ++step) {
     distort(camera, x, y, seen, slope);
     const REALS off_x = pixel[0] - seen[0], off_y = pixel[1] - seen[1];
     const REALS inverse = 1 / (slope[0] * slope[3] - slope[1] * slope[2]);
+    last[0] = x;
+    last[1] = y;
     x += (slope[3] * off_x - slope[1] * off_y) * inverse;
     y += (slope[0] * off_y - slope[2] * off_x) * inverse;
+    stay_inside(camera, last, &x, &y);
     off_2 = off_x * off_x + off_y * off_y;
     if (!ANY_OF(off_2 > SMALL * SMALL)) break; /* a step squares the error */
   }

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.motion.scale import PlaneScale
 from cmp_cl.space import StereoRig, Window
+from cmp_cl.space.lens import fold_of
 from cmp_cl.space.rig import MAX_ERROR, MIN_PARALLAX
 
 _COEFFICIENTS = 12  # of distortion, in kernels/space.cl
@@ -86,14 +87,15 @@ def _radius(radius: float) -> np.float32:
 def camera_numbers(
     matrix: Array, distortion: Array, rotation: Array, move: Array, *, window: Window | None = None
 ) -> Array:
-    """Return a camera as kernels/space.cl takes it, (31,), and its window after it.
+    """Return a camera as kernels/space.cl takes it, (32,), and its window after it.
 
     rotation, move: from the frame of the left camera. window: before the camera; None is air.
     """
     coefficients = np.zeros(_COEFFICIENTS)
     coefficients[: len(distortion)] = distortion
     focal, middle, centre = matrix[[0, 1], [0, 1]], matrix[:2, 2], -move @ rotation
-    numbers = [focal, middle, coefficients, rotation.ravel(), move, centre]
+    fold = np.sqrt([fold_of(coefficients)])
+    numbers = [focal, middle, coefficients, rotation.ravel(), move, centre, fold]
     if window is not None:
         first = window.height(centre)
         media = [

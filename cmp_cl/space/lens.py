@@ -94,8 +94,8 @@ def rays_of(pixels: Array, matrix: Array, distortion: Array) -> tuple[Array, NDA
     """Return the rays of pixels (N, 2), through points of the plane at distance 1: (N, 3), z = 1.
 
     matrix, distortion: of the camera, as in `cmp_cl.space.StereoRig`. The mask (N,) is True where
-    distortion of the result leads back to the pixel. If it does not, the lens model cannot be
-    inverted there.
+    distortion of the result leads back to the pixel, and the result is not beyond `fold_of`. Else
+    the lens model cannot be inverted there.
     """
     if not len(pixels):
         return np.empty((0, 3)), np.empty(0, bool)
@@ -103,7 +103,24 @@ def rays_of(pixels: Array, matrix: Array, distortion: Array) -> tuple[Array, NDA
     ideal = (straight.reshape(-1, 2) - matrix[:2, 2]) / matrix[[0, 1], [0, 1]]
     rays = np.column_stack([ideal, np.ones(len(ideal))])
     back, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, distortion)
-    return rays, np.linalg.norm(back.reshape(-1, 2) - pixels, axis=1) < _MAX_ROUND_TRIP
+    near = np.linalg.norm(back.reshape(-1, 2) - pixels, axis=1) < _MAX_ROUND_TRIP
+    return rays, near & (np.square(ideal).sum(axis=1) < fold_of(distortion))
+
+
+def fold_of(distortion: Array) -> float:
+    """Return the square of the radius, in the plane at distance 1, at which a lens model turns back
+    or has a pole: beyond it, pixels of other rays come again. 1e12 if it never does.
+
+    The radius of a pixel is r N(r^2) / D(r^2), with 1 k1 k2 k3 the coefficients of N, 1 k4 k5 k6
+    those of D.
+    """
+    k1, k2, _, _, k3, k4, k5, k6 = np.pad(distortion, (0, 8))[:8]
+    above, below = np.poly1d([k3, k2, k1, 1]), np.poly1d([k6, k5, k4, 1])
+    turned = above.deriv() * below - above * below.deriv()
+    slope = above * below + 2 * np.poly1d([1, 0]) * turned
+    roots = np.concatenate([slope.roots, below.roots])
+    real = roots[np.abs(roots.imag) < 1e-9 * np.abs(roots)].real
+    return float(min(real[real > 0], default=_LARGEST))
 
 
 def checked_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:

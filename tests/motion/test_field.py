@@ -315,6 +315,23 @@ def test_points_that_no_rig_can_see_say_why(run, window):
     assert field.status[8, 9] == (PointStatus.VALID if rig.window is None else PointStatus.BEHIND)
 
 
+def test_points_near_the_fold_of_a_lens_are_right_and_none_lies_beyond_it(run):
+    """The radius of a pixel is 500 (r + r^3 / 2 - 0.3 r^5) px, at most 659 px where r is 1.207."""
+    matrix, lens = np.array([[500.0, 0, 640], [0, 500, 480], [0, 0, 1]]), [0.5, -0.3, 0, 0]
+    rig = StereoRig(matrix, lens, matrix, lens, np.eye(3), [-4.0, 0, 0])
+    rng = np.random.default_rng(4)
+    angle, tangent = rng.uniform(0, 2 * np.pi, USUAL), rng.uniform(0.9, 1.1, USUAL)
+    wide = 100 * np.dstack([tangent * np.cos(angle), tangent * np.sin(angle), np.ones(USUAL)])
+    rest, now = (views_of(rig, xyz, rng, noise=0.0) for xyz in (surface(*USUAL), wide))
+    for grid in now:
+        grid.xy[0] = np.stack([640 + 700 * np.cos(angle[0]), 480 + 700 * np.sin(angle[0])], axis=-1)
+        grid.image_sigma[:] = 0.05
+    field = run(rig, rest, now)[2]
+    assert (field.status[0] == PointStatus.INCONSISTENT).all()
+    off = field.raw.displacement - (wide - surface(*USUAL))
+    assert np.abs(off[1:]).max() < 0.01
+
+
 @pytest.mark.parametrize(
     ("views", "window"), [(1, "no window"), (2, "no window"), (2, "acrylic and gel")]
 )
