@@ -270,6 +270,14 @@ def test_advice_names_what_the_views_lack():
     assert any(line.startswith("5 different views") for line in said)
 
 
+def test_boards_that_are_all_the_same_way_up_are_to_be_turned():
+    seen = views({"a": THREE["a"]})["a"]
+    assert any("turn it by quarters" in line for line in advice(calibrated({"a": seen})))
+    turned = flat_board()[..., [1, 0, 2]] * [-1, 1, 1]
+    seen[3] = views({"a": THREE["a"]}, board=turned)["a"][3]
+    assert not any("turn it by quarters" in line for line in advice(calibrated({"a": seen})))
+
+
 def test_advice_names_a_view_that_fits_worse_than_the_others():
     seen = views({"a": THREE["a"], "b": THREE["b"]})
     assert not any("miss by" in line for line in advice(calibrated(seen)))

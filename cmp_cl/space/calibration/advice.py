@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.grid import Grid
 from cmp_cl.space.calibration.calibrate import Calibration
 
 _PARTS = [
@@ -27,7 +28,8 @@ def advice(found: Calibration, names: Mapping[str, Sequence[str]] | None = None)
 
     It tells which views fit much worse than the others; which parts of an image show no board, of
     three by three; whether the boards are hardly tilted (the focal length is then uncertain) or
-    about one axis only; which views are alike; and whether there are few.
+    about one axis only; which views are alike; whether there are few; and whether a board that is
+    not square is the same way up in all.
     """
     said = []
     for name in found.cameras:
@@ -64,6 +66,12 @@ def advice(found: Calibration, names: Mapping[str, Sequence[str]] | None = None)
     count = int(np.isfinite(found.normals[:, 0]).sum())
     if count < _VIEWS:
         said.append(f"{count} different views; {_VIEWS} or more are better")
+    ways = np.array([_long_side(grid) for grid in found.grids[first] if grid is not None])
+    if (np.real(ways * ways.mean().conj()) > 0).all():
+        said.append(
+            "the board is the same way up in all views; turn it by quarters between them, so that "
+            "errors of its print cancel"
+        )
     return said
 
 
@@ -91,6 +99,14 @@ def covered(found: Calibration, name: str) -> NDArray[np.bool_]:
             hull = cv2.convexHull(np.floor(xy).astype(np.int32))
             cv2.fillConvexPoly(raster, hull, 1)
     return raster.astype(bool)
+
+
+def _long_side(grid: Grid) -> complex:
+    """Return the square of the direction of the longer side of a board, 0 if it is square."""
+    rows, columns = grid.shape
+    steps = np.diff(grid.xy.astype(np.float64), axis=int(columns > rows))
+    way = complex(*np.nanmean(steps, axis=(0, 1)))
+    return way**2 / abs(way**2) * (rows != columns)
 
 
 def _listed(words: Sequence[str]) -> str:
