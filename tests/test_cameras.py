@@ -133,7 +133,8 @@ def test_cameras_and_addresses_are_live_and_lose_no_frame(monkeypatch, name):
 
 
 def test_frames_that_a_camera_misses_are_counted_and_have_no_image(monkeypatch):
-    images = [None if number in (0, 3, 4) else each for number, each in enumerate(SHADES)]
+    images = [None if number in (0, 3) else each for number, each in enumerate(SHADES)]
+    images[4] = cv2.error("the JPEG of this frame is damaged")
     monkeypatch.setattr(cv2, "VideoCapture", camera_of(images))
     frames = list(Source("7").frames())
     assert [frame.index for frame in frames] == list(range(10))

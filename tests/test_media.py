@@ -326,6 +326,10 @@ def test_a_file_pattern_that_the_shell_did_not_expand_stands_for_its_files(tmp_p
     for numbered in (tmp_path / "b*.png", tmp_path):
         names = [path.name for path in media.find_inputs([numbered])]
         assert names[:3] == ["b1.png", "b2.png", "b10.png"]
+    times = ["1700000000.123456.png", "1700000000.2.png", "1700000001.05.png"]
+    for name in times:
+        (tmp_path / name).touch()
+    assert [path.name for path in media.find_inputs([tmp_path])][:3] == times
     assert media.find_inputs([tmp_path / "b[1].png"]) == [tmp_path / "b[1].png"]
     with pytest.raises(FileNotFoundError, match=r"d\*\.png"):
         media.find_inputs([tmp_path / "d*.png"])

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 import pytest
+from children import python
 from gels import NODES, RIG, SPLIT, pressed
 from videos import camera_of, write_video
 
@@ -86,6 +87,18 @@ def test_what_was_recorded_is_replayed_at_its_times(video, tmp_path):
         assert frame["SN"] == "again"
         for key in ("3D_Positions", "3D_Displacements", "3D_Normals", "sendTimestamp"):
             np.testing.assert_allclose(frame[key], by_index[frame["index"]][key], atol=1e-6)
+
+
+def test_a_process_that_ends_without_a_word_completes_its_series(video, tmp_path):
+    RIG.save(tmp_path / "rig.yaml")
+    script = f"""
+from cmp_cl.measure import Sensor
+sensor = Sensor({video!r}, "rig.yaml", shape={NODES})
+sensor.record("press.npz")
+sensor.waitForFrame()
+"""
+    python("-c", script, cwd=tmp_path, check=True)
+    assert len(read_series(tmp_path / "press.npz")["index"]) >= 1
 
 
 def test_a_replay_begins_at_once_and_is_closed_in_a_pause(tmp_path):
@@ -221,6 +234,8 @@ def test_errors_reach_the_caller(video, tmp_path):
             with pytest.raises(error):  # here, and no error that ends the loop
                 sensor.record(tmp_path / path)
         assert all_frames(sensor)
+        with pytest.raises(ImageError, match="has ended"):
+            sensor.record(tmp_path / "late.npz")
     plane = tmp_path / "plane.npz"
     np.savez(
         plane,

@@ -1,5 +1,6 @@
 """A gel and its cameras as a sensor: frames arrive in a thread, with the calls of PyTac3D."""
 
+import atexit
 import contextlib
 import math
 import threading
@@ -141,8 +142,9 @@ class Sensor(Frames):
         """Write the frames from the next one on to a series, in the format of the suffix; after
         `calibrate`, from the frame at rest on.
 
-        None ends it and completes the file. Raises ConfigError if one is being written already, and
-        what `SeriesWriter` does for a path.
+        None ends it and completes the file, as the end of the process does. Raises ConfigError if
+        one is being written already, ImageError if the source has ended, and what `SeriesWriter`
+        does for a path.
         """
         with self._lock:
             if path is None:
@@ -151,6 +153,9 @@ class Sensor(Frames):
                 raise ConfigError("a series is being recorded; end it by record(None)")
             else:
                 check_series(path)
+                if self._newest.ended:
+                    raise ImageError("the source has ended: there are no further frames")
+                atexit.register(self.close)
             self._path = path
 
     @staticmethod
@@ -211,6 +216,7 @@ class Sensor(Frames):
                 )
 
     def _end_series(self) -> None:
+        atexit.unregister(self.close)
         self._path = None
         if self._series is not None:
             series, self._series = self._series, None

@@ -142,7 +142,9 @@ def _captured(capture: Any) -> Generator[Frame, None, None]:
     index = gap = 0
     try:
         while gap < LONGEST_GAP:
-            read, picture = capture.read()
+            read = False
+            with contextlib.suppress(cv2.error):  # of a frame that is damaged on its way
+                read, picture = capture.read()
             now = time.monotonic() * 1e3
             if read:
                 if picture.ndim == 3 and picture.shape[2] == 3:

@@ -4,6 +4,7 @@ import glob
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from decimal import Decimal
 from os import PathLike
 from pathlib import Path
 
@@ -167,7 +168,8 @@ def _over_white(grey: GreyImage, data: NDArray[np.uint8], page: int) -> GreyImag
 def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
     """Return the files to read: folders are replaced by the images and videos in them, by name.
 
-    Numbers in names count: 9.png comes before 10.png. Hidden files of a folder are left out. A name
+    Numbers in names count: 9.png comes before 10.png, and times in seconds since 1970 may have
+    fractions. Hidden files of a folder are left out. A name
     with `*`, `?` or `[` that is not a file is a pattern, because some shells do not expand it.
 
     Raises FileNotFoundError if a path does not exist, or a folder holds no image and no video.
@@ -209,7 +211,10 @@ def numbers_of(paths: Sequence[Path]) -> list[int]:
     return numbers if (steps > 0).all() and 2 * (steps == 1).sum() > len(steps) else []
 
 
-def _by_number(path: Path) -> list[str | int]:
-    """Return the name in parts, texts and numbers in turn, by which 9.png sorts before 10.png."""
-    parts = re.split(r"([0-9]+)", path.as_posix())
-    return [int(part) if place % 2 else part for place, part in enumerate(parts)]
+def _by_number(path: Path) -> list[str | Decimal]:
+    """Return the name in parts, texts and numbers in turn, by which 9.png sorts before 10.png.
+
+    Only what follows the seconds since 1970 is a fraction: 1.10.png comes after 1.9.png.
+    """
+    parts = re.split(r"([0-9]{10,}\.[0-9]+|[0-9]+)", path.as_posix())
+    return [Decimal(part) if place % 2 else part for place, part in enumerate(parts)]

@@ -40,8 +40,8 @@ def write_deep_video(path: object, image: NDArray) -> None:
 def camera_of(images, opened=None):
     """Return a stand-in for cv2.VideoCapture, which has no exposure to set.
 
-    images: what it delivers, None for a read without one. opened: a list that gets the number of
-    the camera, and a word when it is released.
+    images: what it delivers, None for a read without one, or an error that a read raises. opened: a
+    list that gets the number of the camera, and a word when it is released.
     """
     notes = [] if opened is None else opened
 
@@ -58,6 +58,8 @@ def camera_of(images, opened=None):
 
         def read(self):
             image = next(self.left, None)
+            if isinstance(image, Exception):
+                raise image
             return image is not None, image
 
         def release(self):
