@@ -65,7 +65,7 @@ int least_of(const int8 v) {
 }
 
 /* choice[4 i + s]: the half-edge 4 j + t at the other end of the cheapest chord along boundary s of
- * corner i, the lower one of equals, NONE without one. There is none if it bends too much or joins
+ * corner i, the lower one of equals, NONE without one. link and face: NONE, for the kernels below. There is none if it bends too much or joins
  * boundaries of one colour. A narrow window is enough if any corner outside of it is farther away
  * than the chords in it cost. Eight corners of a row of bins at a time take .6 of the time that one
  * after the other do. One work-item per corner. */
@@ -77,9 +77,12 @@ __kernel void choose_links(__global const float *restrict corners, const uint ca
                            __global const float4 *restrict lines,
                            __global const int *restrict layout, __global const int *restrict starts,
                            __global const int *restrict binned, __global const float *restrict spots,
-                           const uint rows, const uint columns, __global int *restrict choice) {
+                           const uint rows, const uint columns, __global int *restrict choice,
+                           __global int *restrict link, __global int *restrict face) {
   const int i = get_global_id(0);
   if (i >= (int)COUNT(corners)) return;
+  vstore4((int4)(NONE), i, link);
+  vstore4((int4)(NONE), i, face);
   const float4 own = lines[i];
   const float2 here = POSITIONS(corners)[i];
   const int shift = layout[BIN_SHIFT], row = BIN_ROW(here), column = BIN_COLUMN(here);
@@ -116,32 +119,107 @@ __kernel void choose_links(__global const float *restrict corners, const uint ca
   }
 }
 
-/* twin[h]: the half-edge at the other end of a link. face[h]: NONE, for `close_faces`. One work-item
- * per half-edge; that of the lower end looks at the side of both. Tabs of a puzzle, and a side that
- * bends, hide colours near the chord, marks those deeper in the cells, and a bar both. */
+/* link[h]: the half-edge at the other end of a link. One work-item per half-edge; that of the lower
+ * end looks at the side of both. Tabs of a puzzle, and a side that bends, hide colours near the
+ * chord, marks those deeper in the cells, and a bar both. */
 #define LEAST_MIDDLE (3 * SIDE_MIDDLE) /* of the contrast, summed over three points */
 __kernel void keep_links(__global const float *restrict corners, const uint capacity,
                          __global const int *restrict contrast, LEVELS_OF_IMAGE,
-                         __global const int *restrict choice, __global int *restrict twin,
-                         __global int *restrict face) {
+                         __global const int *restrict choice, __global int *restrict link) {
   const int h = get_global_id(0);
   if (h >= 4 * (int)COUNT(corners)) return;
-  face[h] = NONE;
   const int end = choice[h];
-  if (end == NONE || choice[end] != h) {
-    twin[h] = NONE;
-  } else if (h < end) {
-    __global const float2 *at = POSITIONS(corners);
-    const float2 a = at[h >> 2], b = at[end >> 2];
-    const float product = (float)contrast[h >> 2] * (float)contrast[end >> 2];
-    const float root = inverse_root(product), sign = h & 1 ? -2.0f : 2.0f;
-    const int near = difference(LEVELS, a, b, MIDDLE);
-    bool is_seen = sign * (float)near * root > LEAST_MIDDLE;
-    if (!is_seen) {
-      const int far = difference_within(LEVELS, a, b, MIDDLE, DEEP_CELLS);
-      is_seen = sign * (float)far * root > LEAST_MIDDLE;
-    }
-    twin[h] = is_seen ? end : NONE;
-    twin[end] = is_seen ? h : NONE;
+  if (end < h || choice[end] != h || link[h] != NONE) return;
+  __global const float2 *at = POSITIONS(corners);
+  const float2 a = at[h >> 2], b = at[end >> 2];
+  const float product = (float)contrast[h >> 2] * (float)contrast[end >> 2];
+  const float root = inverse_root(product), sign = h & 1 ? -2.0f : 2.0f;
+  const int near = difference(LEVELS, a, b, MIDDLE);
+  bool is_seen = sign * (float)near * root > LEAST_MIDDLE;
+  if (!is_seen) {
+    const int far = difference_within(LEVELS, a, b, MIDDLE, DEEP_CELLS);
+    is_seen = sign * (float)far * root > LEAST_MIDDLE;
   }
+  if (is_seen) {
+    link[h] = end;
+    link[end] = h;
+  }
+}
+
+/* Whether the line from a to b parts c from d. */
+bool parts_them(const float2 a, const float2 b, const float2 c, const float2 d) {
+  const float2 way = b - a, first = c - a, second = d - a;
+  return (way.x * first.y < way.y * first.x) != (way.x * second.y < way.y * second.x);
+}
+
+/* twin[h]: the half-edge at the other end of a link that no link as short crosses: a lattice lies in
+ * a plane. One work-item per half-edge; that of the lower end looks for links from corners within
+ * half the length of the link, where one of the ends of a shorter link that crosses is. */
+__kernel void part_links(__global const float *restrict corners, const uint capacity,
+                         __global const int *restrict layout, __global const int *restrict starts,
+                         __global const int *restrict binned, const uint rows, const uint columns,
+                         __global const int *restrict link, __global int *restrict twin) {
+  const int h = get_global_id(0);
+  if (h >= 4 * (int)COUNT(corners)) return;
+  const int end = link[h];
+  if (end == NONE) twin[h] = NONE;
+  if (end < h) return;
+  __global const float2 *at = POSITIONS(corners);
+  const float2 a = at[h >> 2], b = at[end >> 2], way = b - a;
+  const float squared = way.x * way.x + way.y * way.y, near = 0.6f * squared; /* and rounding */
+  const Window window = window_around(layout, rows, columns, 0.5f * (a + b), length_of(way));
+  bool is_crossed = false;
+  FOR_CORNERS_IN(window, j) {
+    const float2 off = at[j] - a;
+    const float beside = way.x * off.y - way.y * off.x, along = way.x * off.x + way.y * off.y;
+    if (MAGNITUDE(beside) > near || along < -near || along > squared + near) continue;
+    if (j == h >> 2 || j == end >> 2) continue;
+    for (int g = 4 * j; g < 4 * j + 4; ++g) {
+      if (link[g] == NONE) continue;
+      const float2 c = at[SMALLER(g, link[g]) >> 2], d = at[LARGER(g, link[g]) >> 2], its = d - c;
+      is_crossed |= link[g] >> 2 != h >> 2 && link[g] >> 2 != end >> 2 &&
+                    its.x * its.x + its.y * its.y <= squared && parts_them(a, b, c, d) &&
+                    parts_them(c, d, a, b);
+    }
+  }
+  twin[h] = is_crossed ? NONE : end;
+  twin[end] = is_crossed ? NONE : h;
+}
+
+/* choice[h] of a link that was crossed: the cheapest chord that is shorter than the link. Motion over
+ * half a cell turns edges so far that the second next row seems to lie along them. One work-item per
+ * half-edge. */
+__kernel void choose_again(__global const float *restrict corners, const uint capacity,
+                           __global const float4 *restrict lines,
+                           __global const int *restrict layout, __global const int *restrict starts,
+                           __global const int *restrict binned, const uint rows,
+                           const uint columns, __global const int *restrict twin,
+                           __global int *restrict link, __global int *restrict choice) {
+  const int h = get_global_id(0), i = h >> 2;
+  if (h >= 4 * (int)COUNT(corners) || link[h] == NONE || twin[h] != NONE) return;
+  __global const float2 *at = POSITIONS(corners);
+  const int shift = layout[BIN_SHIFT];
+  const Window window =
+      window_of(layout, starts, BIN_ROW(at[i]), BIN_COLUMN(at[i]), LINK_NEIGHBOURS);
+  const float2 before = at[link[h] >> 2] - at[i];
+  const float most = before.x * before.x + before.y * before.y;
+  int least = NO_CHORD, best = NONE;
+  FOR_CORNERS_IN(window, j) {
+    const float2 way = at[j] - at[i];
+    const float squared = way.x * way.x + way.y * way.y;
+    if (squared < 1 || squared >= most) continue;
+    const float length = squared * inverse_root(squared);
+    const Boundary near = boundary_along(lines[i], way.x, way.y);
+    const Boundary far = boundary_along(lines[j], way.x, way.y);
+    if (near.side != (h & 3) || !((near.side ^ far.side) & 1)) continue;
+    if (!(SMALLER(near.length, far.length) > LEAST_COSINE * length)) continue;
+    const float price = length + TURN_PRICE * ((length + length) - (near.length + far.length));
+    const int cost = (int)(price * COSTS_PER_PX), end = 4 * j + (far.side ^ 2);
+    if (cost < least || (cost == least && end < best)) {
+      least = cost;
+      best = end;
+    }
+  }
+  choice[h] = best;
+  link[h] = NONE;
 }

@@ -44,6 +44,10 @@ PARTS_OF_CORNERS: tuple[Kernel, ...] = (
     ("fill_bins", Over.GROUP),
     ("choose_links", Over.CORNERS),
     ("keep_links", Over.HALF_EDGES),
+    ("part_links", Over.HALF_EDGES),
+    ("choose_again", Over.HALF_EDGES),
+    ("keep_links", Over.HALF_EDGES),
+    ("part_links", Over.HALF_EDGES),
     ("close_faces", Over.HALF_EDGES),
     ("number_parts", Over.GROUP),
 )
@@ -66,7 +70,7 @@ def sizes(*, corners: int, places: int, rows: int, columns: int, step: int) -> d
     bins = 4 * corners + rows // 4 + columns // 4 + 2
     of_corners = {
         **dict.fromkeys(("contrast", "claim"), 4),
-        **dict.fromkeys(("lines", "choice", "twin", "face", "beyond", "part"), 16),
+        **dict.fromkeys(("lines", "choice", "link", "twin", "face", "beyond", "part"), 16),
         **dict.fromkeys(("waiting", "faces_of_part", "numbers"), 16),
         **{"used": 1, "cut": 4, "steps": 64, "state": 64},
     }

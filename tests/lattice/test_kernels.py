@@ -102,10 +102,13 @@ def test_gels(device, severity, seed):
     assert np.count_nonzero(board.owner >= 0) > 250
 
 
-def test_wide_cells_with_codes(device):
-    image = SCENES["board with codes of 0.85"].view().image
+@pytest.mark.parametrize(
+    ("name", "corners"), [("board with codes of 0.85", 35), ("board in motion, turned by 15", 54)]
+)
+def test_boards(device, name, corners):
+    image = SCENES[name].view().image
     _, board = assert_equal_to_the_oracle(device, image, detect(image))
-    assert np.count_nonzero(board.owner >= 0) == 35
+    assert np.count_nonzero(board.owner >= 0) == corners
 
 
 @pytest.mark.parametrize(("bits", "full_scale"), [(8, 255), (16, 4085)])

@@ -195,6 +195,12 @@ def endless(number: int = 0, wear: float = 0.03, **camera: object) -> View:
     return drawn(plane(**given), SIZE, wear=wear, seed=number)
 
 
+def moving(turn: float) -> View:
+    """Return a turned board that moves by .7 cells to the right while it is seen."""
+    view = drawn(TILTED(cell=24.0, turn=turn), SIZE, BOARD)
+    return view._replace(image=cv2.blur(view.image, (17, 1)))
+
+
 def barred(shape: tuple[int, int], cell: float, turn: float, **hidden: tuple[float, float]) -> View:
     """Return a board, cells of so many px, behind a grey bar.
 
@@ -264,6 +270,10 @@ SCENES: dict[str, Case] = {
         )
         for kind in GROUNDS
         for seed in range(2)
+    },
+    **{
+        f"board in motion, turned by {turn}": Case(functools.partial(moving, turn))
+        for turn in (-20, 15, 25)
     },
     "board with dots": Case(functools.partial(board, mark=dots)),
     **{

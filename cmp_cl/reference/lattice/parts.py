@@ -211,7 +211,8 @@ def links(plane: NDArray[np.integer], corners: Directed, constants: LatticeConst
     """Return the twin of each half-edge, (4 N,), -1 without one.
 
     A half-edge chooses its cheapest candidate. A link is a choice of both its ends, and a side in
-    the image.
+    the image, that no link as short crosses. Half-edges of those that are crossed choose again,
+    among shorter candidates.
     """
     count = len(corners.at)
     if np.count_nonzero(corners.known) < 2:
@@ -222,22 +223,65 @@ def links(plane: NDArray[np.integer], corners: Directed, constants: LatticeConst
     s, along_i = boundary(corners.angle[i], chord)
     t, along_j = boundary(corners.angle[j], -chord)
     straight = F(constants.least_cosine) * length
-    good = (
-        (dot(chord, chord) >= 1) & (along_i > straight) & (along_j > straight) & ((s + t) % 2 == 1)
-    )
+    square = dot(chord, chord)
+    good = (square >= 1) & (along_i > straight) & (along_j > straight) & ((s + t) % 2 == 1)
     cost = length + F(constants.turn_price) * ((length + length) - (along_i + along_j))
     key = np.floor(cost * F(64)).astype(np.int64)
-    h, other, key = (4 * i + s)[good], (4 * j + t)[good], key[good]
+    h, other, key, square = (4 * i + s)[good], (4 * j + t)[good], key[good], square[good]
     order = np.lexsort((other, key, h))
-    h, other = h[order], other[order]
-    first = np.concatenate([[True], h[1:] != h[:-1]]) if len(h) else np.zeros(0, np.bool_)
-    choice = np.full(4 * count, -1)
-    choice[h[first]] = other[first]
-    h = np.flatnonzero((choice >= 0) & (choice[choice] == np.arange(4 * count)))
+    h, other, square = h[order], other[order], square[order]
+
+    def chosen(some: Mask) -> Whole:
+        """Return the first of some candidates of each half-edge, -1 without one."""
+        choice = np.full(4 * count, -1)
+        choice[h[some][::-1]] = other[some][::-1]
+        return choice
+
+    choice = chosen(np.ones(len(h), np.bool_))
+    link = linked(plane, corners, choice, constants)
+    crossed = (link >= 0) & (uncrossed(corners, link) < 0)
+    most = np.zeros(4 * count, np.float32)
+    is_link = other == link[h]
+    most[h[is_link]] = square[is_link]
+    choice = np.where(crossed, chosen(square < most[h]), choice)
+    return uncrossed(corners, linked(plane, corners, choice, constants))
+
+
+def linked(
+    plane: NDArray[np.integer], corners: Directed, choice: Whole, constants: LatticeConstants
+) -> Whole:
+    """Return the links: choices of both their ends, where the image shows a side."""
+    h = np.flatnonzero((choice >= 0) & (choice[choice] == np.arange(len(choice))))
     h = h[has_side(plane, corners, h, choice[h], constants)]
-    twin = np.full(4 * count, -1)
-    twin[h] = choice[h]
-    return twin
+    link = np.full(len(choice), -1)
+    link[h] = choice[h]
+    return link
+
+
+def uncrossed(corners: Directed, twin: Whole) -> Whole:
+    """Return the twins without those that a link as short crosses: a lattice lies in a plane."""
+    h = np.flatnonzero(twin > np.arange(len(twin)))
+    a, b = h >> 2, twin[h] >> 2
+    way = corners.at[b] - corners.at[a]
+    square = dot(way, way)
+
+    def side(one: Whole, other: Whole, corner: Whole) -> Mask:
+        """Return on which side of the lines from one to the other a corner is."""
+        way, off = corners.at[other] - corners.at[one], corners.at[corner] - corners.at[one]
+        is_left: Mask = way.real * off.imag < way.imag * off.real
+        return is_left
+
+    crossed = np.zeros(len(h), np.bool_)
+    for n in range(len(h)):  # by brute force: the kernel looks in bins
+        ends = a[n], b[n]
+        other = (square <= square[n]) & ~np.isin(a, ends) & ~np.isin(b, ends)
+        c, d = a[other], b[other]
+        crossed[n] = np.any(
+            (side(*ends, c) != side(*ends, d)) & (side(c, d, ends[0]) != side(c, d, ends[1]))
+        )
+    left = twin.copy()
+    left[h[crossed]] = left[twin[h[crossed]]] = -1
+    return left
 
 
 def boundary(angle: Whole, chord: Places) -> tuple[Whole, Real]:
