@@ -35,8 +35,9 @@ class Bias:
             for way in step * np.eye(3)
         ]
         change = np.stack(by_axis, axis=1).reshape(len(flat), 9, -1)
-        # (N, 3, 3, 3, 3): axes of the two displacements and of the covariance, in turns
-        self._form = (change @ rig.covariance @ change.transpose(0, 2, 1)).reshape(-1, 3, 3, 3, 3)
+        form = (change @ rig.covariance @ change.transpose(0, 2, 1)).reshape(-1, 3, 3, 3, 3)
+        # (9, 9, N): the axes of the covariance, by those of the two displacements
+        self._form = np.ascontiguousarray(form.transpose(2, 4, 1, 3, 0)).reshape(9, 9, -1)
 
     def covariance(self, displacement: Array) -> Array:
         """Return that of displacements (R, C, 3), in the unit of the rig: (R, C, 3, 3), NaN where
@@ -47,9 +48,9 @@ class Bias:
         u = np.asarray(displacement, np.float64)
         if u.shape != self._shape:
             raise FieldError(f"displacement must be {self._shape}, not {u.shape}")
-        flat = u.reshape(-1, 3)
-        half = np.einsum("njakb,nj->nakb", self._form, flat)
-        covariance: Array = np.einsum("nakb,nk->nab", half, flat).reshape(*u.shape, 3)
+        flat = u.reshape(-1, 3).T
+        both = (flat[:, None] * flat).reshape(9, -1)
+        covariance: Array = np.einsum("abn,bn->na", self._form, both).reshape(*u.shape, 3)
         return covariance
 
     def sigma(self, displacement: Array) -> Array:
