@@ -191,6 +191,12 @@ def run(arguments: argparse.Namespace) -> int:
             "(the array `misfit` says which frames); calibrate again, and record a new frame at "
             "rest"
         )
+    if isinstance(source, Pairs) and not source.live and any(source.after):
+        tell(
+            f"one recording goes on for {counted(max(source.after), 'frame')} after the other. "
+            "Times count from the start of each file: if the cameras did not start together, the "
+            "views of a pair are of different moments, and depths of what moves are wrong"
+        )
     failed = [one_line(error) for error in (ended_by, found.error) if error is not None]
     if failed:
         tell("; ".join(failed))

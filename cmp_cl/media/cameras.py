@@ -201,7 +201,8 @@ class Pairs:
     no times, are paired in order.
 
     The attributes that it shares with `Source` mean the same for pairs. alone: frames of each side
-    that had no partner so far. Raises ConfigError if the sources do not go together.
+    that had no partner so far. after: those of them after the last pair. Raises ConfigError if the
+    sources do not go together.
     """
 
     total: int | None = None
@@ -231,12 +232,12 @@ class Pairs:
         self._within = min(periods) / 2 if periods else _PAIR_WITHIN
         known = len(periods) == len(self._sides)
         self._in_a_pair = [max(periods) / each for each in periods] if known else [1.0, 1.0]
-        self.alone = [0, 0]
+        self.alone, self.after = [0, 0], [0, 0]
 
     def frames(self) -> Generator[Frame, None, None]:
         """Yield all pairs, from the first; one that cannot be read, and one that is missing between
         two others, as a side has no frame, has no image."""
-        self.alone = [0, 0]
+        self.alone, self.after = [0, 0], [0, 0]
         with contextlib.ExitStack() as stack:
             sides = [stack.enter_context(contextlib.closing(s.timed())) for s in self._sides]
             yield from _from_first(self._paired(*sides))
@@ -250,7 +251,9 @@ class Pairs:
         for one, two in paired(left, right, tolerance_ms=self._within, endless=self.live):
             if one is None or two is None:
                 self.alone[one is None] += 1
+                self.after[one is None] += 1
                 continue
+            self.after = [0, 0]
             for _ in range(self._missing(before, (one.index, two.index))):
                 yield Frame(number, None, why="" if self.live else "a view has no frame then")
                 number += 1

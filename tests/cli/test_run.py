@@ -303,19 +303,21 @@ def test_two_recordings_are_measured_as_one_of_both_views(run, recording, press)
     write_video("left.avi", [shot.left.image for shot in press])
     write_video("right.avi", [shot.right.image for shot in press])
     pair = "--left", "left.avi", "--right", "right.avi"
-    status, out, _ = run("run", *pair, *STEREO)
+    status, out, err = run("run", *pair, *STEREO)
     assert status == 0
     assert "without a partner" not in out
+    assert "goes on" not in err
     apart = np.load("press.npz")
     assert apart["time_ms"].tolist() == pytest.approx([0, 40, 80])
     assert run("run", recording, *STEREO)[0] == 0
     np.testing.assert_array_equal(apart["displacement"], np.load("press.npz")["displacement"])
 
     write_video("right.avi", [shot.right.image for shot in press[:2]])
-    status, out, _ = run("run", *pair, *STEREO)
+    status, out, err = run("run", *pair, *STEREO)
     assert status == 0
     assert "2 frames" in out
     assert "1 left and 0 right frames without a partner" in out
+    assert "one recording goes on for 1 frame after the other" in err
 
 
 # What is told
