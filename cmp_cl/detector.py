@@ -41,8 +41,7 @@ class Detector(Closing):
     Detectors of one process and device share a context and its compiled kernels.
 
     shape: (H, W) of every frame. dtype: uint8 or uint16.
-    config: the settings; None means DetectorConfig(), as for every caller: no image is needed to
-        choose them.
+    config: the settings; None means DetectorConfig().
     device: a Device, a text for `select_device`, or None for the default device.
     queue: an in-order pyopencl queue to use instead of one of its own; then `device` must be None.
     mask: (H, W) bool, where corners may be centred; pixels outside are still sampled.

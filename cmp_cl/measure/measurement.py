@@ -42,7 +42,7 @@ class Settings(TypedDict, total=False):
 
     shape: (rows, columns) of the pattern's corners; None takes the shape that is seen at rest.
     config: configuration of the detector; None finds the pattern at rest with `DetectorConfig()`,
-        as every caller does, and then takes `DetectorConfig.for_cell` for its cells.
+        and then takes `DetectorConfig.for_cell` for its cells.
     track: continue the numbers of the previous frame if the frame at rest leaves them ambiguous.
         Frames then come in order, and the pattern as a whole moves by less than half a cell from
         the frame at rest to the first and from each to the next. After two frames without a grid,

@@ -29,7 +29,7 @@ def find_pattern(
     """Find a pattern of unknown cell size; return the side of its cells, px, and its grid.
 
     view, shape, full_scale, device: as in `Settings`. The corners are those of
-        `DetectorConfig()`, the settings of every caller that gives none.
+        `DetectorConfig()`.
 
     Raises GridError if there is no pattern or the pattern seems to have another number of corners,
     and the errors of `Detector`.
@@ -66,9 +66,8 @@ def find_board(
     view: (H, W) uint8 or uint16. shape: (rows, columns) of the board's inner corners. full_scale,
         device: as in `Settings`.
 
-    The corners are those of `DetectorConfig()`, the settings of every caller that gives none. The
-    grid has the nodes that a calibration may use, at their filtered positions: those that were
-    detected, with a sigma of at most 0.2 px.
+    The corners are those of `DetectorConfig()`. The grid has the nodes that a calibration may use,
+    at their filtered positions: those that were detected, with a sigma of at most 0.2 px.
 
     Raises GridError if the view does not show corners of all four sides of the board, or none that
     is sure enough.
