@@ -248,7 +248,7 @@ def decided(
         level = reference(layers[1].response)
     strong = [strong_enough(each, rule, level) for each in layers]
     enough = [
-        each.of((128 << weakened(each)) * each.response >= rule.coarse_share * level)
+        each.of((256 << weakened(each)) * each.response >= rule.coarse_share * level)
         for each in octaves
     ]
     every = [[each for each in strong if not each.halvings], *([each] for each in enough[1:])]

@@ -204,6 +204,16 @@ def test_a_floor_of_squares_is_not_taken_for_the_board_in_silence(seed):
     assert not sized.doubts
 
 
+@pytest.mark.parametrize(("turn", "glare"), [(20, 70), (25, 90)])
+def test_a_reflection_in_the_shadow_on_a_board_hides_no_corner(turn, glare):
+    view = drawn(plane(cell=42, middle=(320, 240), about=(4, 2.5), turn=turn), (480, 640), BOARD)
+    y, x = np.indices(view.image.shape)
+    light = 0.2 + 0.8 / (1 + np.exp((x - 240) / 10))
+    lamp = glare * np.exp(-((x - 430) ** 2 + (y - 280) ** 2) / (2 * 60**2))
+    image = np.clip(view.image * light + lamp, 0, 255).astype(np.uint8)
+    assert scored(grid_of(view._replace(image=image)), view).right == 54
+
+
 @pytest.mark.parametrize("shape", [(3, 3), (3, 4)])
 def test_a_board_of_few_cells_before_a_floor_of_squares_is_found_by_its_size(shape):
     camera = plane(cell=40, middle=(200, 150), about=(1, 1), turn=8)
