@@ -286,3 +286,11 @@ def test_advice_names_a_view_that_fits_worse_than_the_others():
         "a: 4 miss by ",
         "b: 4 miss by ",
     ]
+
+
+def test_advice_tells_a_lens_model_that_turns_back_inside_the_image():
+    found = calibrated(views({"a": THREE["a"]}))
+    assert not any("turns back" in line for line in advice(found))
+    bent = dataclasses.replace(found.cameras["a"], distortion=np.array([-0.6, 0, 0, 0, 0]))
+    said = advice(dataclasses.replace(found, cameras={"a": bent}))
+    assert any("turns back inside the image, so that" in line for line in said), said

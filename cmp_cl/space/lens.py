@@ -8,6 +8,7 @@ import enum
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import CalibrationError, as_numbers
@@ -108,19 +109,28 @@ def rays_of(pixels: Array, matrix: Array, distortion: Array) -> tuple[Array, NDA
 
 
 def fold_of(distortion: Array) -> float:
-    """Return the square of the radius, in the plane at distance 1, at which a lens model turns back
-    or has a pole: beyond it, pixels of other rays come again. 1e12 if it never does.
+    """Return the square of the radius, in the plane at distance 1, at which a lens model turns
+    back: beyond it, pixels of other rays come again. 1e12 if it does not before 88 degrees.
 
     The radius of a pixel is r N(r^2) / D(r^2), with 1 k1 k2 k3 the coefficients of N, 1 k4 k5 k6
-    those of D.
+    those of D. Where both nearly share a root, as in fits of rational lenses, there is a pole of
+    less than a degree, beyond which the model is right again: a median of five passes over it.
     """
     k1, k2, _, _, k3, k4, k5, k6 = np.pad(distortion, (0, 8))[:8]
-    above, below = np.poly1d([k3, k2, k1, 1]), np.poly1d([k6, k5, k4, 1])
-    turned = above.deriv() * below - above * below.deriv()
-    slope = above * below + 2 * np.poly1d([1, 0]) * turned
-    roots = np.concatenate([slope.roots, below.roots])
-    real = roots[np.abs(roots.imag) < 1e-9 * np.abs(roots)].real
-    return float(min(real[real > 0], default=_LARGEST))
+
+    def seen(angle: Array) -> Array:
+        radius = np.tan(np.radians(angle))
+        square = radius * radius
+        above, below = (np.polyval(each, square) for each in ([k3, k2, k1, 1], [k6, k5, k4, 1]))
+        return np.asarray(radius * above / below, np.float64)
+
+    angle = np.arange(0, 88.1, 0.5)
+    extended = np.pad(seen(angle), 2, mode="reflect", reflect_type="odd")
+    falls = np.diff(np.median(sliding_window_view(extended, 5), axis=1)) < 0
+    if not falls.any():
+        return _LARGEST
+    fine = np.linspace(-1.0, 1.5, 1001) + angle[np.argmax(falls)]
+    return float(np.square(np.tan(np.radians(fine[np.argmax(seen(fine))]))))
 
 
 def checked_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -315,21 +315,38 @@ def test_points_that_no_rig_can_see_say_why(run, window):
     assert field.status[8, 9] == (PointStatus.VALID if rig.window is None else PointStatus.BEHIND)
 
 
-def test_points_near_the_fold_of_a_lens_are_right_and_none_lies_beyond_it(run):
-    """The radius of a pixel is 500 (r + r^3 / 2 - 0.3 r^5) px, at most 659 px where r is 1.207."""
-    matrix, lens = np.array([[500.0, 0, 640], [0, 500, 480], [0, 0, 1]]), [0.5, -0.3, 0, 0]
+def wide_views(lens, least, most):
+    """Return a rig of two such lenses of 500 px, points in directions with these tangents, and
+    their grids."""
+    matrix = np.array([[500.0, 0, 640], [0, 500, 480], [0, 0, 1]])
     rig = StereoRig(matrix, lens, matrix, lens, np.eye(3), [-4.0, 0, 0])
     rng = np.random.default_rng(4)
-    angle, tangent = rng.uniform(0, 2 * np.pi, USUAL), rng.uniform(0.9, 1.1, USUAL)
+    angle, tangent = rng.uniform(0, 2 * np.pi, USUAL), rng.uniform(least, most, USUAL)
     wide = 100 * np.dstack([tangent * np.cos(angle), tangent * np.sin(angle), np.ones(USUAL)])
-    rest, now = (views_of(rig, xyz, rng, noise=0.0) for xyz in (surface(*USUAL), wide))
+    grids = views_of(rig, wide, rng, noise=0.0)
+    return rig, wide, [dataclasses.replace(g, image_sigma=0.05 + 0 * g.image_sigma) for g in grids]
+
+
+def test_points_near_the_fold_of_a_lens_are_right_and_none_lies_beyond_it(run):
+    """The radius of a pixel is 500 (r + r^3 / 2 - 0.3 r^5) px, at most 659 px where r is 1.207."""
+    rig, wide, now = wide_views([0.5, -0.3, 0, 0], 0.9, 1.1)
     for grid in now:
-        grid.xy[0] = np.stack([640 + 700 * np.cos(angle[0]), 480 + 700 * np.sin(angle[0])], axis=-1)
-        grid.image_sigma[:] = 0.05
+        ahead = wide[0, :, :2] / np.linalg.norm(wide[0, :, :2], axis=1, keepdims=True)
+        grid.xy[0] = (640, 480) + 700 * ahead
+    rest = views_of(rig, surface(*USUAL), np.random.default_rng(5))
     field = run(rig, rest, now)[2]
     assert (field.status[0] == PointStatus.INCONSISTENT).all()
-    off = field.raw.displacement - (wide - surface(*USUAL))
-    assert np.abs(off[1:]).max() < 0.01
+    found = field.raw.position + field.raw.displacement
+    np.testing.assert_allclose(found[1:], wide[1:], atol=0.01)
+
+
+def test_points_beyond_a_narrow_pole_of_a_fitted_lens_are_right(run):
+    """Above and below nearly share a root, where r is 0.707: 1 - 2.002 r^2 and 1 - 2 r^2."""
+    rig, wide, now = wide_views([-1.902, -0.2002, 0, 0, 0, -1.8, -0.4, 0], 0.8, 1.0)
+    rest = views_of(rig, surface(*USUAL), np.random.default_rng(5))
+    field = run(rig, rest, now)[2]
+    for found in (field.raw.position + field.raw.displacement, rig.triangulate(*now).xyz):
+        np.testing.assert_allclose(found, wide, atol=0.01)
 
 
 @pytest.mark.parametrize(

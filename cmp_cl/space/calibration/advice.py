@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.grid import Grid
-from cmp_cl.space.calibration.calibrate import Calibration
+from cmp_cl.space.calibration.calibrate import Calibration, Camera
+from cmp_cl.space.lens import Lens, rays_of
 
 _PARTS = [
     ["top left", "top", "top right"],
@@ -15,6 +16,7 @@ _PARTS = [
     ["bottom left", "bottom", "bottom right"],
 ]
 COVERAGE = 90  # cells along each side of an image
+_PROBES = 41  # pixels along each side of an image
 _COVERED = 0.3  # share of a part that boards cover; less is worth a word
 _VIEWS = 10  # fewer different views are worth a word
 _ODD = 3.0  # times the median error of a camera's views: a view with more is worth a word
@@ -26,10 +28,10 @@ def advice(found: Calibration, names: Mapping[str, Sequence[str]] | None = None)
 
     found: the calibration. names: by camera, the name of each view; None means their numbers.
 
-    It tells which views fit much worse than the others; which parts of an image show no board, of
-    three by three; whether the boards are hardly tilted (the focal length is then uncertain) or
-    about one axis only; which views are alike; whether there are few; and whether a board that is
-    not square is the same way up in all.
+    It tells which views fit much worse than the others; whether a lens model fails in the image;
+    which parts of an image show no board, of three by three; whether the boards are hardly tilted
+    (the focal length is then uncertain) or about one axis only; which views are alike; whether
+    there are few; and whether a board that is not square is the same way up in all.
     """
     said = []
     for name in found.cameras:
@@ -41,6 +43,12 @@ def advice(found: Calibration, names: Mapping[str, Sequence[str]] | None = None)
                 f"{name}: {_listed([str(i) if names is None else names[name][i] for i in odd])} "
                 f"miss by up to {error[odd].max():.2g} px, others by {usual:.2g}: leave them out "
                 "if the board bent, or moved between the cameras' images"
+            )
+        blind = _blind(found.cameras[name])
+        if blind > 0:
+            said.append(
+                f"{name}: the lens model turns back inside the image, so that {blind:.0%} of it "
+                "give no ray: add views with the board near all borders, or choose another lens"
             )
         side = COVERAGE // len(_PARTS)
         parts = covered(found, name).reshape(len(_PARTS), side, len(_PARTS), side)
@@ -73,6 +81,15 @@ def advice(found: Calibration, names: Mapping[str, Sequence[str]] | None = None)
             "errors of its print cancel"
         )
     return said
+
+
+def _blind(camera: Camera) -> float:
+    """Return the share of the image in which the lens model cannot be inverted."""
+    if camera.lens is Lens.FISHEYE:
+        return 0.0
+    x, y = np.meshgrid(*(np.linspace(0, length - 1, _PROBES) for length in camera.size))
+    pixels = np.column_stack([x.ravel(), y.ravel()])
+    return 1.0 - float(rays_of(pixels, camera.matrix, camera.distortion)[1].mean())
 
 
 def tilts(found: Calibration, name: str) -> NDArray[np.float64]:
