@@ -33,12 +33,15 @@ def joined(units: Units, votes: Votes, k: LatticeConstants) -> Units:
 
     In rounds, each part is asked whether it belongs beside a larger one that begins a board, the
     largest first. Those that are sure are one part from then on. Others are asked about another
-    one, and again where votes are new. A corner, and a number, belongs to the larger of two parts.
+    one, and again where votes are new. A corner, and a number, belongs to the larger of two parts,
+    so parts that begin a board are asked before smaller ones, whose places are less sure.
     """
     refused, surface = np.zeros(0, np.complex128), None
     begin = max(int(np.count_nonzero(units.faces >= k.least_board)), 1)  # the first ones
     while True:
-        asked = _asked(votes.chosen(votes.first < begin), refused)
+        asked = _asked(votes.chosen(votes.second < begin), refused)
+        if not len(asked.first):
+            asked = _asked(votes.chosen(votes.first < begin), refused)
         if not len(asked.first):
             return units.chosen(units.part < begin)
         surface = surface or Surface(units)

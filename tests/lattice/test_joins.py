@@ -121,6 +121,21 @@ def test_a_part_that_begins_no_board_is_only_asked_about_beside_one_that_does(mo
     np.testing.assert_array_equal(alone.corner, units.corner[units.part == 0])
 
 
+def test_parts_that_begin_a_board_are_placed_before_smaller_ones(monkeypatch):
+    units, _ = parts(range(8), range(9, 15), range(19, 25), range(16, 18))
+    bending, asked = Surface.bending, []
+
+    def noted(surface: Surface, votes: Votes, *given: object) -> np.ndarray:
+        asked.append(votes.second.tolist())
+        return bending(surface, votes, *given)
+
+    monkeypatch.setattr(Surface, "bending", noted)
+    first, second = np.zeros(3, np.int64), np.arange(1, 4)
+    votes = Votes(first, second, first, np.array([9, 19, 16]) + 0j, np.full(3, 30.0))
+    joined(units, votes, K)
+    assert asked == [[1, 2], [3]]
+
+
 @pytest.mark.parametrize(("offset", "new"), [(4, range(8, 12)), (10, range(12, 18))])
 def test_numbers_and_corners_belong_to_the_larger_part(offset, new):
     """Two columns of corners are in both parts, at 6."""
