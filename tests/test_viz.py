@@ -207,6 +207,14 @@ def test_a_frame_that_may_be_wrong_is_marked_and_not_what_a_series_shows(tmp_pat
     assert "in 2 frames all displacements may be wrong" in said.err
 
 
+@pytest.mark.parametrize("name", ["p.png", "p.mp4"])
+def test_a_unit_is_no_formula(tmp_path, name):
+    rest = np.dstack([lattice(), np.full((4, 5), 90.0)])
+    with SeriesWriter(tmp_path / "press.npz", rest=rest, unit="$_$") as series:
+        series.append(index=0, time_ms=0, displacement=np.ones_like(rest))
+    assert main(["plot", str(tmp_path / "press.npz"), "--out", str(tmp_path / name)]) == 0
+
+
 def test_a_frame_without_the_pattern_has_no_map(recorded):
     first = recorded[0]
     none = dataclasses.replace(first, rest=np.full_like(first.rest, np.nan))

@@ -37,8 +37,18 @@ def save_figure(path: str | PathLike[str], figure: "Figure") -> None:
     """Write a figure of matplotlib in the format of the suffix, such as .png or .svg, whole or not
     at all; raises OSError, and ValueError for one that matplotlib does not have."""
     kind = suffix_of(path, ConfigError)[1:]
+    _as_written(figure)
     with whole_file(path) as file:
         figure.savefig(file, format=kind, dpi=_DPI)
+
+
+def _as_written(figure: "Figure") -> "Figure":
+    """Take no text for TeX: units and names of files may have any characters."""
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)
+    return figure
 
 
 def map_figure(moment: Moment, quantity: Quantity, *, top: float | None = None) -> "Figure":
@@ -233,7 +243,7 @@ def animate(
     top = max(_top_of(moment.maps(quantity)) for moment in some)
     with VideoFile(path, fps=_RATE) as video:
         for moment in some:
-            canvas: Any = FigureCanvasAgg(map_figure(moment, quantity, top=top))
+            canvas: Any = FigureCanvasAgg(_as_written(map_figure(moment, quantity, top=top)))
             canvas.draw()
             video.add(np.asarray(canvas.buffer_rgba())[..., 2::-1])
             step()
