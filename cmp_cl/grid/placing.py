@@ -71,6 +71,8 @@ def _weighed(board: Board, corners: Corners) -> tuple[NDArray[np.float32], NDArr
     corner = board.owner[row, column]
     fits = (corners.refusal[corner] == Refusal.NONE) & np.isfinite(corners.sigma[corner])
     row, column, corner = row[fits], column[fits], corner[fits]
+    if not len(corner):
+        return xy, sigma
     seen: NDArray[np.float32] = np.pad(xy, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan)
     seen[2:-2, 2:-2][mine] = corners.xy[board.owner[mine]]
 
@@ -83,8 +85,10 @@ def _weighed(board: Board, corners: Corners) -> tuple[NDArray[np.float32], NDArr
         middle = (at(-r, -c) + at(r, c)) / 2
         cubic = (8 * middle - at(-2 * r, -2 * c) - at(2 * r, 2 * c)) / 6
         predicted.append(np.where(np.isnan(cubic), middle, cubic))
-    each = np.ma.masked_invalid(predicted)
-    scatter = each.var(axis=0).mean(axis=1).filled(0)
+    each, known = np.array(predicted), ~np.isnan(predicted)
+    count = np.maximum(known.sum(axis=0), 1)
+    off = each - each.sum(axis=0, where=known) / count
+    scatter = ((off * off).sum(axis=0, where=known) / count).mean(axis=1)
     variance = (WORN * corners.sigma[corner]) ** 2
     share = variance / (variance + scatter)
     xy[row, column] = at(0, 0) + share[:, None] * (xy[row, column] - at(0, 0))
