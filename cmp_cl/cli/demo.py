@@ -54,7 +54,11 @@ def run(arguments: argparse.Namespace) -> int:
     folder = Path(arguments.out)
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"--out {shown(folder)} is a file; give the name of a folder")
-    (folder / "frames").mkdir(parents=True, exist_ok=True)
+    frames = folder / "frames"
+    others = {*folder.glob("*")} - {frames}
+    if others and not (frames / "000-rest.png").exists():  # a rig.yaml there is not of a demo
+        raise ConfigError(f"--out {shown(folder)} holds other files; give the name of a new folder")
+    frames.mkdir(parents=True, exist_ok=True)
     rig = default_rig(VIEW)
     shape = (SCENE.markers, SCENE.markers)
     scenes = SCENE.at_rest(), SCENE
@@ -74,8 +78,8 @@ def run(arguments: argparse.Namespace) -> int:
         spent = statistics.median(times)
     print(f"measured it on {device}", flush=True)
     table = _table(measured, spent, now - rest)
-    media.write_image(folder / "frames" / "000-rest.png", at_rest)
-    media.write_image(folder / "frames" / "001-press.png", pressed)
+    media.write_image(frames / "000-rest.png", at_rest)
+    media.write_image(frames / "001-press.png", pressed)
     rig.save(folder / "rig.yaml")
     for name in FIELDS:
         measured.field.with_strain().save(folder / name)
@@ -88,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
     print(f"wrote sheet.png, {', '.join(FIELDS)}, rig.yaml and frames to {shown(folder)}")
     print(
         "the same through files: "
-        f"cmp-cl run {shown(folder / 'frames')} --stereo {shown(folder / 'rig.yaml')} "
+        f"cmp-cl run {shown(frames)} --stereo {shown(folder / 'rig.yaml')} "
         f"--grid {shape[0]}x{shape[1]} --out press.npz"
     )
     return 0

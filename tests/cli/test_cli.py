@@ -114,6 +114,7 @@ PATTERN = "pattern", "--grid", "4x4"
         (("render", "--out", "g.jpg", "--bits", "12"), ["uint16", "g.jpg", ".png"]),
         (("render", "--out", "g.png", "--truth", "t.npz"), ["--truth t.npz must end in .csv"]),
         (("demo", "--out", "text.png"), ["--out text.png is a file", "a folder"]),
+        (("demo", "--out", "."), ["--out . holds other files", "a new folder"]),
         ((*PATTERN, "--cell", "3", "--out", "a.jpg"), ["suffix"]),
         ((*PATTERN, "--cell", "1e6", "--out", "a.png"), ["cmp-cl: cell must be a number in"]),
     ],
