@@ -540,15 +540,16 @@ void store_covariance(const float variance, __global const float *common,
  * before the filter; NaN where a node has none. A node with a vote takes its mean, a rejected one
  * keeps its value, and one that was not measured, or is rough and rejected, takes the mean of its
  * neighbours. A node that is clearly worse than the lattice, by its images or, where these do not
- * tell, by its distance from the mean, has its own variance. moved: K planes. measured: of NodeStatus; MISSING had no vote at first. points: the
- * covariance of the points. One work-item a node. */
+ * tell, by its distance from the mean, has its own variance. moved: K planes. measured: of
+ * NodeStatus; MISSING had no vote at first. points: the covariance of the points. One work-item a
+ * node. */
 __kernel void finish(__global const float *moved, __global const float *values,
                      __global const uchar *votes, __global const uchar *measured,
                      __global const float *variance, __global const float *mixed_variance,
                      __global const float *mixed_own, __global const float *bound_rest,
-                     __global const float *own,
-                     __global const float *common, __global const float *points,
-                     __global const float *bent, __global const uchar *valid,
+                     __global const float *own, __global const float *common,
+                     __global const float *points, __global const float *bent,
+                     __global const uchar *valid,
                      __global float *displacement, __global float *raw_displacement,
                      __global float *covariance, __global float *raw_covariance,
                      __global int *counts) {
@@ -576,10 +577,10 @@ __kernel void finish(__global const float *moved, __global const float *values,
   if (rejected || (IS_ROUGH(i) && !votes[i] && !is_supported(i / COLUMNS, i % COLUMNS, votes)))
     after = fmax(off, before);
   for (int k = 0; k < K; ++k) {
-    const float own = moved[k * NODES + i];
-    const float found = rejected || isnan(after) ? own : values[k * PLANE + at];
+    const float seen = moved[k * NODES + i];
+    const float found = rejected || isnan(after) ? seen : values[k * PLANE + at];
     displacement[k * NODES + i] = found - bent[k * NODES + i];
-    raw_displacement[k * NODES + i] = own;
+    raw_displacement[k * NODES + i] = seen;
   }
   store_covariance(after, common, points, i, covariance);
   store_covariance(before, common, points, i, raw_covariance);

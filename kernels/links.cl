@@ -1,8 +1,8 @@
 #include "lattice.clh"
 
 /* Links between corners (13.1): of the neighbours along a boundary the cheapest, kept where both
- * ends choose each other and the middle of the side between them has the colours that both claim. A
- * bar or an arm before the pattern leaves only the ends of such a side. */
+ * ends choose each other, the middle of the side between them has the colours that both claim, and no
+ * shorter link crosses. A bar or an arm before the pattern leaves only the ends of such a side. */
 
 #define COSTS_PER_PX 64.0f
 
@@ -152,8 +152,8 @@ bool parts_them(const float2 a, const float2 b, const float2 c, const float2 d) 
   return (way.x * first.y < way.y * first.x) != (way.x * second.y < way.y * second.x);
 }
 
-/* twin[h]: the half-edge at the other end of a link that no link as short crosses: a lattice lies in
- * a plane. One work-item per half-edge; that of the lower end looks for links from corners within
+/* twin[h]: the half-edge at the other end of a link that no link as short crosses: a lattice lies
+ * in a plane. One work-item per half-edge; that of the lower end looks for links from corners within
  * half the length of the link, where one of the ends of a shorter link that crosses is. */
 __kernel void part_links(__global const float *restrict corners, const uint capacity,
                          __global const int *restrict layout, __global const int *restrict starts,
@@ -166,7 +166,8 @@ __kernel void part_links(__global const float *restrict corners, const uint capa
   if (end < h) return;
   __global const float2 *at = POSITIONS(corners);
   const float2 a = at[h >> 2], b = at[end >> 2], way = b - a;
-  const float squared = way.x * way.x + way.y * way.y, near = 0.6f * squared; /* and rounding */
+  const float squared = way.x * way.x + way.y * way.y;
+  const float near = 0.6f * squared; /* half the length, times the length, with room for rounding */
   const Window window = window_around(layout, rows, columns, 0.5f * (a + b), length_of(way));
   bool is_crossed = false;
   FOR_CORNERS_IN(window, j) {
@@ -186,9 +187,9 @@ __kernel void part_links(__global const float *restrict corners, const uint capa
   twin[end] = is_crossed ? NONE : h;
 }
 
-/* choice[h] of a link that was crossed: the cheapest chord that is shorter than the link. Motion over
- * half a cell turns edges so far that the second next row seems to lie along them. One work-item per
- * half-edge. */
+/* choice[h] of a link that was crossed: the cheapest chord that is shorter than the link. Motion
+ * over half a cell turns edges so far that the second next row seems to lie along them. One
+ * work-item per half-edge. */
 __kernel void choose_again(__global const float *restrict corners, const uint capacity,
                            __global const float4 *restrict lines,
                            __global const int *restrict layout, __global const int *restrict starts,
