@@ -13,6 +13,7 @@
 #define MOST_SHARED 0.25f
 #define CHOSEN 1.15f /* times the variance: the weights were chosen by the noise they average */
 #define APART 3.0f /* times the square of how far apart two surfaces are */
+#define TORN 0.02f /* that of a fourth difference: a jump of 1 is a slope of 7 / 12 and one of 3 */
 #define SIDE 3 /* nodes, of the window of a quadratic surface, and of a cubic one */
 #define CUBIC_SIDE 5
 #define WEIGHTS (CUBIC_SIDE * CUBIC_SIDE)
@@ -348,6 +349,25 @@ Window weights_of_cubic(const int i, __global const uchar *valid, __global const
   return none;
 }
 
+/* The weights of the nodes of a window of 5 x 5 in the mean fourth differences of its rows and of
+ * its columns without a missing node; 0 without one. */
+void weights_of_fourth(__global const uchar *valid, const Window window, float (*weight)[WEIGHTS]) {
+  const float fourth[CUBIC_SIDE] = {1, -4, 6, -4, 1};
+  for (int step = 0; step < 2; ++step) {
+    int lines = 0, whole[CUBIC_SIDE];
+    for (int a = 0; a < CUBIC_SIDE; ++a) {
+      whole[a] = 1;
+      for (int b = 0; b < CUBIC_SIDE; ++b)
+        whole[a] &= valid[(window.top + (step ? b : a)) * COLUMNS + window.left + (step ? a : b)];
+      lines += whole[a];
+    }
+    for (int r = 0; r < CUBIC_SIDE; ++r)
+      for (int c = 0; c < CUBIC_SIDE; ++c)
+        weight[step][r * CUBIC_SIDE + c] =
+            whole[step ? c : r] ? fourth[step ? r : c] / (float)lines : 0;
+  }
+}
+
 /* The slopes at node i of K planes, by column and by row, with these weights of the nodes of a
  * window; what is not valid may be NaN. */
 void slopes_at(const int i, __global const float *values, __global const uchar *valid,
@@ -371,12 +391,13 @@ void slopes_at(const int i, __global const float *values, __global const uchar *
  * determine them. They are quadratic ones of 3 x 3 nodes, or of the valid ones of 5 x 5 where one
  * of these is missing, and cubic ones in the middle of 5 x 5 valid ones. slope: of both at the
  * node, by column and by row. apart: how far the slopes of the displacement are between the
- * quadratic one and that of `weights_of_cubic`; 0 without it. own: the variances of the two slopes
- * for independent errors of variance 1. more: over those of a whole window in `slopes`. */
+ * quadratic one and that of `weights_of_cubic`; 0 without it. torn: its fourth differences in the
+ * window of that. own: the variances of the two slopes for independent errors of variance 1. more:
+ * over those of a whole window in `slopes`. */
 int fit_surfaces(const int i, __global const float *rest_position,
                  __global const float *displacement, __global const uchar *valid,
                  __global const float *quadratic, __global const float *cubic,
-                 float3 (*slope)[2], float3 *apart, float *own, float *more) {
+                 float3 (*slope)[2], float3 *apart, float3 *torn, float *own, float *more) {
   if (REACH_DOWN * REACH_ALONG == 0) return 0;
   const Window near = window_around(i, SIDE), wide = window_around(i, CUBIC_SIDE);
   const int near_is_whole = is_whole(valid, near, SIDE);
@@ -388,6 +409,12 @@ int fit_surfaces(const int i, __global const float *rest_position,
   slopes_at(i, displacement, valid, window, weight, moved);
   const Window other = weights_of_cubic(i, valid, cubic, weight_in_cubic);
   slopes_at(i, displacement, valid, other, weight_in_cubic, moved_in_cubic);
+  torn[0] = torn[1] = 0;
+  if (other.down) {
+    float weight_of_fourth[2][WEIGHTS];
+    weights_of_fourth(valid, other, weight_of_fourth);
+    slopes_at(i, displacement, valid, other, weight_of_fourth, torn);
+  }
   const int middle = (other.top + CUBIC_SIDE / 2) * COLUMNS + other.left + CUBIC_SIDE / 2;
   const int follows = i == middle && is_whole(valid, other, CUBIC_SIDE);
   for (int step = 0; step < 2; ++step) {
@@ -413,6 +440,13 @@ int fit_surfaces(const int i, __global const float *rest_position,
   return 1;
 }
 
+/* Add so many times the products of the coordinates of a vector to a covariance. */
+void add_square(const float times, const float3 v, float3 *covariance) {
+  covariance[0] += times * v.x * v;
+  covariance[1] += times * v.y * v;
+  covariance[2] += times * v.z * v;
+}
+
 /* Green-Lagrange strain E11 E22 E12 and its covariance, xx xy xz yy yz zz; NaN where there is none.
  * rest: the position at rest, from the middle of the lattice. slopes, rest_slopes: as in `slopes`.
  * quadratic, cubic: tables of `weights_of_whole`. One work-item a node. */
@@ -427,10 +461,10 @@ __kernel void strain(__global const float *rest_position, __global const float *
   for (int k = 0; k < 3; ++k) strain[k * NODES + i] = NAN;
   for (int p = 0; p < 6; ++p) strain_covariance[p * NODES + i] = NAN;
   if (!valid[i]) return;
-  float3 slope[2][2], apart[2];
+  float3 slope[2][2], apart[2], torn[2];
   float own[2], more[2];
-  if (!fit_surfaces(i, rest_position, displacement, valid, quadratic, cubic, slope, apart, own,
-                    more))
+  if (!fit_surfaces(i, rest_position, displacement, valid, quadratic, cubic, slope, apart, torn,
+                    own, more))
     return;
   const float3 a1 = slope[0][0], a2 = slope[0][1];
   if (!(length(cross(a1, a2)) > 1e-9f * (dot_of(a1, a1) + dot_of(a2, a2)))) return;
@@ -463,9 +497,8 @@ __kernel void strain(__global const float *rest_position, __global const float *
   for (int step = 0; step < 2; ++step) {
     const int at = step * PRODUCTS * NODES;
     of_slope(slopes + at, covariance, i, own[step], more[step], by_step[step]);
-    by_step[step][0] += APART * apart[step].x * apart[step];
-    by_step[step][1] += APART * apart[step].y * apart[step];
-    by_step[step][2] += APART * apart[step].z * apart[step];
+    add_square(APART, apart[step], by_step[step]);
+    add_square(TORN, torn[step], by_step[step]);
     of_slope(rest_slopes + at, rest_covariance, i, own[step], more[step], rest_by_step[step]);
   }
   add_covariance(now_1, now_2, inverse, by_step, found);

@@ -243,6 +243,19 @@ def test_the_sigma_of_a_strain_beside_missing_nodes_counts_what_no_surface_follo
         assert np.mean(known < 1.96) > 0.9
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_sigma_of_a_strain_across_a_tear_is_as_large_as_its_error(turned):
+    """Both sides of the tear are not strained, and part by .7 of a cell."""
+    rest = lattice(24, 24)
+    now = rest + (np.arange(24) >= 11)[:, None, None] * np.array([0.0, 7.0])
+    rest, now = ((each.swapaxes(0, 1)[..., ::-1] if turned else each) for each in (rest, now))
+    field = displacement(noisy(rest, 1), noisy(now, 2)).with_strain()
+    across = field.strain[..., 0 if turned else 1]
+    assert across.max() > 0.3
+    assert (np.abs(field.strain) < 3.5 * field.strain_sigma).mean() > 0.99
+    assert (across < 3 * field.strain_sigma[..., 0 if turned else 1])[np.abs(across) > 0.05].all()
+
+
 def test_cells_of_known_side_give_millimetres_through_a_homography():
     row, column = np.mgrid[:18, :19]
     flat = np.stack([column, row], axis=-1) * 2.5  # mm
