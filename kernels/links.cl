@@ -2,7 +2,7 @@
 
 /* Links between corners (13.1): of the neighbours along a boundary the cheapest, kept where both
  * ends choose each other, the middle of the side between them has the colours that both claim, and no
- * shorter link crosses. A bar or an arm before the pattern leaves only the ends of such a side. */
+ * link as short crosses. A bar or an arm before the pattern leaves only the ends of such a side. */
 
 #define COSTS_PER_PX 64.0f
 
@@ -48,15 +48,17 @@ Boundaries boundaries_along(const float8 ax, const float8 ay, const float8 bx, c
 }
 
 /* Of chords along a boundary of a corner the cheapest in each of eight lanes: how much less than
- * NO_CHORD they cost, 0 without one, and the half-edges at their other ends. */
+ * NO_CHORD they cost, 0 without one, and the half-edges at their other ends; and by how much the
+ * squared length of the nearest is less, as bits. */
 #define NO_CHORD INT_MAX
 typedef struct {
-  int8 saved, end;
+  int8 saved, end, nearer;
 } Chords;
-void keep_cheaper(Chords *best, const int8 saved, const int8 end) {
+void keep_cheaper(Chords *best, const int8 saved, const int8 end, const int8 nearer) {
   const int8 lower = SMALLER(end, best->end), cheaper = saved > best->saved ? end : best->end;
   best->end = saved == best->saved ? lower : cheaper;
   best->saved = LARGER(saved, best->saved);
+  best->nearer = LARGER(nearer, best->nearer);
 }
 int least_of(const int8 v) {
   const int4 four = SMALLER(v.lo, v.hi);
@@ -65,20 +67,23 @@ int least_of(const int8 v) {
 }
 
 /* choice[4 i + s]: the half-edge 4 j + t at the other end of the cheapest chord along boundary s of
- * corner i, the lower one of equals, NONE without one. link and face: NONE, for the kernels below. There is none if it bends too much or joins
+ * corner i, the lower one of equals, NONE without one. passes: whether a chord along it is nearer.
+ * link and face: NONE, for the kernels below. There is none if it bends too much or joins
  * boundaries of one colour. A narrow window is enough if any corner outside of it is farther away
  * than the chords in it cost. Eight corners of a row of bins at a time take .6 of the time that one
  * after the other do. One work-item per corner. */
 #define NARROW 12
 #define EIGHT_OF(T, p) (T)((p)[0], (p)[1], (p)[2], (p)[3], (p)[4], (p)[5], (p)[6], (p)[7])
 #define SPOT(k) EIGHT_OF(float8, spots + (k) * (int)capacity + n)
-#define KEEP_CHEAPER(s) keep_cheaper(best + s, saved & (near.side == s), half_edge);
+#define KEEP_CHEAPER(s) \
+  keep_cheaper(best + s, saved & (near.side == s), half_edge, nearer & (near.side == s));
 __kernel void choose_links(__global const float *restrict corners, const uint capacity,
                            __global const float4 *restrict lines,
                            __global const int *restrict layout, __global const int *restrict starts,
                            __global const int *restrict binned, __global const float *restrict spots,
                            const uint rows, const uint columns, __global int *restrict choice,
-                           __global int *restrict link, __global int *restrict face) {
+                           __global uchar *restrict passes, __global int *restrict link,
+                           __global int *restrict face) {
   const int i = get_global_id(0);
   if (i >= (int)COUNT(corners)) return;
   vstore4((int4)(NONE), i, link);
@@ -90,7 +95,7 @@ __kernel void choose_links(__global const float *restrict corners, const uint ca
   for (int enough = NARROW; !sure; enough = LINK_NEIGHBOURS) {
     const Window window = window_of(layout, starts, row, column, enough);
     Chords best[4];
-    for (int s = 0; s < 4; ++s) best[s].saved = best[s].end = 0;
+    for (int s = 0; s < 4; ++s) best[s].saved = best[s].end = best[s].nearer = 0;
     for (int k = window.top; k < window.bottom; ++k) {
       const int end = starts[k * window.across + window.right];
       for (int n = starts[k * window.across + window.left]; n < end; n += 8) {
@@ -103,6 +108,7 @@ __kernel void choose_links(__global const float *restrict corners, const uint ca
                           (((near.side ^ far.side) & 1) != 0) & (squared >= 1) &
                           ((int8)(0, 1, 2, 3, 4, 5, 6, 7) < end - n);
         const int8 saved = good & (NO_CHORD - convert_int8(price * COSTS_PER_PX));
+        const int8 nearer = good & (NO_CHORD - as_int8(squared));
         const int8 half_edge = 4 * EIGHT_OF(int8, binned + n) + (far.side ^ 2); /* back along it */
         KEEP_CHEAPER(0) KEEP_CHEAPER(1) KEEP_CHEAPER(2) KEEP_CHEAPER(3)
       }
@@ -112,38 +118,32 @@ __kernel void choose_links(__global const float *restrict corners, const uint ca
     for (int s = 0; s < 4; ++s) {
       const int8 costs = NO_CHORD - best[s].saved;
       const int least = least_of(costs);
-      choice[4 * i + s] =
-          least == NO_CHORD ? NONE : least_of(costs == least ? best[s].end : (int8)(INT_MAX));
+      const int end = least_of(costs == least ? best[s].end : (int8)(INT_MAX));
+      choice[4 * i + s] = least == NO_CHORD ? NONE : end;
+      passes[4 * i + s] = 0;
+      if (least != NO_CHORD) {
+        const float2 way = POSITIONS(corners)[end >> 2] - here;
+        const float squared = way.x * way.x + way.y * way.y;
+        passes[4 * i + s] = least_of(NO_CHORD - best[s].nearer) < as_int(squared);
+      }
       sure &= enough == LINK_NEIGHBOURS || (float)least < outside;
     }
   }
 }
 
-/* link[h]: the half-edge at the other end of a link. One work-item per half-edge; that of the lower
- * end looks at the side of both. Tabs of a puzzle, and a side that bends, hide colours near the
- * chord, marks those deeper in the cells, and a bar both. */
+/* Whether the middle of the side from half-edge h to a higher one has the colours that both claim.
+ * Tabs of a puzzle, and a side that bends, hide colours near the chord, marks those deeper in the
+ * cells, and a bar both. */
 #define LEAST_MIDDLE (3 * SIDE_MIDDLE) /* of the contrast, summed over three points */
-__kernel void keep_links(__global const float *restrict corners, const uint capacity,
-                         __global const int *restrict contrast, LEVELS_OF_IMAGE,
-                         __global const int *restrict choice, __global int *restrict link) {
-  const int h = get_global_id(0);
-  if (h >= 4 * (int)COUNT(corners)) return;
-  const int end = choice[h];
-  if (end < h || choice[end] != h || link[h] != NONE) return;
-  __global const float2 *at = POSITIONS(corners);
+bool is_side(__global const float2 *at, __global const int *contrast, LEVELS_OF_IMAGE, const int h,
+             const int end) {
   const float2 a = at[h >> 2], b = at[end >> 2];
   const float product = (float)contrast[h >> 2] * (float)contrast[end >> 2];
   const float root = inverse_root(product), sign = h & 1 ? -2.0f : 2.0f;
   const int near = difference(LEVELS, a, b, MIDDLE);
-  bool is_seen = sign * (float)near * root > LEAST_MIDDLE;
-  if (!is_seen) {
-    const int far = difference_within(LEVELS, a, b, MIDDLE, DEEP_CELLS);
-    is_seen = sign * (float)far * root > LEAST_MIDDLE;
-  }
-  if (is_seen) {
-    link[h] = end;
-    link[end] = h;
-  }
+  if (sign * (float)near * root > LEAST_MIDDLE) return true;
+  const int far = difference_within(LEVELS, a, b, MIDDLE, DEEP_CELLS);
+  return sign * (float)far * root > LEAST_MIDDLE;
 }
 
 /* Whether the line from a to b parts c from d. */
@@ -152,57 +152,51 @@ bool parts_them(const float2 a, const float2 b, const float2 c, const float2 d) 
   return (way.x * first.y < way.y * first.x) != (way.x * second.y < way.y * second.x);
 }
 
-/* twin[h]: the half-edge at the other end of a link that no link as short crosses: a lattice lies
- * in a plane. One work-item per half-edge; that of the lower end looks for links from corners within
- * half the length of the link, where one of the ends of a shorter link that crosses is. */
-__kernel void part_links(__global const float *restrict corners, const uint capacity,
-                         __global const int *restrict layout, __global const int *restrict starts,
-                         __global const int *restrict binned, const uint rows, const uint columns,
-                         __global const int *restrict link, __global int *restrict twin) {
-  const int h = get_global_id(0);
-  if (h >= 4 * (int)COUNT(corners)) return;
-  const int end = link[h];
-  if (end == NONE) twin[h] = NONE;
-  if (end < h) return;
-  __global const float2 *at = POSITIONS(corners);
+/* Whether a link as short crosses the chord from half-edge h to a higher one. One of its ends is
+ * within half the length of the chord. */
+bool is_crossed(__global const float2 *at, __global const int *layout, __global const int *starts,
+                __global const int *binned, const uint rows, const uint columns,
+                __global const int *link, const int h, const int end) {
   const float2 a = at[h >> 2], b = at[end >> 2], way = b - a;
   const float squared = way.x * way.x + way.y * way.y;
-  const float near = 0.6f * squared; /* half the length, times the length, with room for rounding */
-  const Window window = window_around(layout, rows, columns, 0.5f * (a + b), length_of(way));
-  bool is_crossed = false;
+  const Window window = window_around(layout, rows, columns, 0.5f * (a + b), length_of(way) + 1);
+  bool found = false;
   FOR_CORNERS_IN(window, j) {
-    const float2 off = at[j] - a;
-    const float beside = way.x * off.y - way.y * off.x, along = way.x * off.x + way.y * off.y;
-    if (MAGNITUDE(beside) > near || along < -near || along > squared + near) continue;
-    if (j == h >> 2 || j == end >> 2) continue;
     for (int g = 4 * j; g < 4 * j + 4; ++g) {
-      if (link[g] == NONE) continue;
+      if (link[g] == NONE || j == h >> 2 || j == end >> 2) continue;
+      if (link[g] >> 2 == h >> 2 || link[g] >> 2 == end >> 2) continue;
       const float2 c = at[SMALLER(g, link[g]) >> 2], d = at[LARGER(g, link[g]) >> 2], its = d - c;
-      is_crossed |= link[g] >> 2 != h >> 2 && link[g] >> 2 != end >> 2 &&
-                    its.x * its.x + its.y * its.y <= squared && parts_them(a, b, c, d) &&
-                    parts_them(c, d, a, b);
+      found |= its.x * its.x + its.y * its.y <= squared && parts_them(a, b, c, d) &&
+               parts_them(c, d, a, b);
     }
   }
-  twin[h] = is_crossed ? NONE : end;
-  twin[end] = is_crossed ? NONE : h;
+  return found;
 }
 
-/* choice[h] of a link that was crossed: the cheapest chord that is shorter than the link. Motion
- * over half a cell turns edges so far that the second next row seems to lie along them. One
- * work-item per half-edge. */
-__kernel void choose_again(__global const float *restrict corners, const uint capacity,
-                           __global const float4 *restrict lines,
-                           __global const int *restrict layout, __global const int *restrict starts,
-                           __global const int *restrict binned, const uint rows,
-                           const uint columns, __global const int *restrict twin,
-                           __global int *restrict link, __global int *restrict choice) {
-  const int h = get_global_id(0), i = h >> 2;
-  if (h >= 4 * (int)COUNT(corners) || link[h] == NONE || twin[h] != NONE) return;
-  __global const float2 *at = POSITIONS(corners);
-  const int shift = layout[BIN_SHIFT];
+/* link[h]: the half-edge at the other end of a side that both ends choose. One work-item per
+ * half-edge; that of the lower end does the work of both, in the kernels below too. */
+__kernel void keep_links(__global const float *restrict corners, const uint capacity,
+                         __global const int *restrict contrast, LEVELS_OF_IMAGE,
+                         __global const int *restrict choice, __global int *restrict link) {
+  const int h = get_global_id(0);
+  if (h >= 4 * (int)COUNT(corners)) return;
+  const int end = choice[h];
+  if (end < h || choice[end] != h) return;
+  if (!is_side(POSITIONS(corners), contrast, LEVELS, h, end)) return;
+  link[h] = end;
+  link[end] = h;
+}
+
+/* The half-edge at the other end of the cheapest chord along half-edge h that is shorter than its
+ * link, NONE without one. */
+int chosen_again(__global const float2 *at, __global const float4 *lines,
+                 __global const int *layout, __global const int *starts,
+                 __global const int *binned, const uint rows, const uint columns, const int h,
+                 const int end) {
+  const int i = h >> 2, shift = layout[BIN_SHIFT];
   const Window window =
       window_of(layout, starts, BIN_ROW(at[i]), BIN_COLUMN(at[i]), LINK_NEIGHBOURS);
-  const float2 before = at[link[h] >> 2] - at[i];
+  const float2 before = at[end >> 2] - at[i];
   const float most = before.x * before.x + before.y * before.y;
   int least = NO_CHORD, best = NONE;
   FOR_CORNERS_IN(window, j) {
@@ -215,12 +209,54 @@ __kernel void choose_again(__global const float *restrict corners, const uint ca
     if (near.side != (h & 3) || !((near.side ^ far.side) & 1)) continue;
     if (!(SMALLER(near.length, far.length) > LEAST_COSINE * length)) continue;
     const float price = length + TURN_PRICE * ((length + length) - (near.length + far.length));
-    const int cost = (int)(price * COSTS_PER_PX), end = 4 * j + (far.side ^ 2);
-    if (cost < least || (cost == least && end < best)) {
+    const int cost = (int)(price * COSTS_PER_PX), other = 4 * j + (far.side ^ 2);
+    if (cost < least || (cost == least && other < best)) {
       least = cost;
-      best = end;
+      best = other;
     }
   }
-  choice[h] = best;
-  link[h] = NONE;
+  return best;
+}
+
+/* twin[h]: the half-edge at the other end of a link, but for one that passes over a nearer corner and
+ * that another link as short crosses: a lattice lies in a plane. Its ends choose again, among nearer
+ * corners: motion over half a cell turns edges so far that the second next row seems to lie along
+ * them. One work-item per half-edge. */
+__kernel void part_links(__global const float *restrict corners, const uint capacity,
+                         __global const float4 *restrict lines, __global const int *restrict layout,
+                         __global const int *restrict starts, __global const int *restrict binned,
+                         const uint rows, const uint columns,
+                         __global const uchar *restrict passes, __global const int *restrict link,
+                         __global int *restrict choice, __global int *restrict twin) {
+  const int h = get_global_id(0);
+  if (h >= 4 * (int)COUNT(corners)) return;
+  const int end = link[h];
+  if (end == NONE) twin[h] = NONE;
+  if (end < h) return;
+  __global const float2 *at = POSITIONS(corners);
+  twin[h] = end;
+  twin[end] = h;
+  if (!passes[h] && !passes[end]) return;
+  if (!is_crossed(at, layout, starts, binned, rows, columns, link, h, end)) return;
+  twin[h] = twin[end] = NONE;
+  choice[h] = chosen_again(at, lines, layout, starts, binned, rows, columns, h, end);
+  choice[end] = chosen_again(at, lines, layout, starts, binned, rows, columns, end, h);
+}
+
+/* twin[h] of sides that both ends choose now, and that no link as short crosses. One work-item per
+ * half-edge. */
+__kernel void link_again(__global const float *restrict corners, const uint capacity,
+                         __global const int *restrict contrast, LEVELS_OF_IMAGE,
+                         __global const int *restrict layout, __global const int *restrict starts,
+                         __global const int *restrict binned, __global const int *restrict choice,
+                         __global const int *restrict link, __global int *restrict twin) {
+  const int h = get_global_id(0);
+  if (h >= 4 * (int)COUNT(corners)) return;
+  const int end = choice[h];
+  if (end < h || choice[end] != h || twin[h] != NONE) return;
+  __global const float2 *at = POSITIONS(corners);
+  if (!is_side(at, contrast, LEVELS, h, end)) return;
+  if (is_crossed(at, layout, starts, binned, rows, columns, link, h, end)) return;
+  twin[h] = end;
+  twin[end] = h;
 }

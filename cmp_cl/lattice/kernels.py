@@ -45,9 +45,7 @@ PARTS_OF_CORNERS: tuple[Kernel, ...] = (
     ("choose_links", Over.CORNERS),
     ("keep_links", Over.HALF_EDGES),
     ("part_links", Over.HALF_EDGES),
-    ("choose_again", Over.HALF_EDGES),
-    ("keep_links", Over.HALF_EDGES),
-    ("part_links", Over.HALF_EDGES),
+    ("link_again", Over.HALF_EDGES),
     ("close_faces", Over.HALF_EDGES),
     ("number_parts", Over.GROUP),
 )
@@ -69,7 +67,7 @@ def sizes(*, corners: int, places: int, rows: int, columns: int, step: int) -> d
     # A bin is as large as a quarter of the area of a corner, or larger, and 4 px wide or wider.
     bins = 4 * corners + rows // 4 + columns // 4 + 2
     of_corners = {
-        **dict.fromkeys(("contrast", "claim"), 4),
+        **dict.fromkeys(("contrast", "claim", "passes"), 4),
         **dict.fromkeys(("lines", "choice", "link", "twin", "face", "beyond", "part"), 16),
         **dict.fromkeys(("waiting", "faces_of_part", "numbers"), 16),
         **{"used": 1, "cut": 4, "steps": 64, "state": 64},

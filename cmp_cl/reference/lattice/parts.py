@@ -211,8 +211,8 @@ def links(plane: NDArray[np.integer], corners: Directed, constants: LatticeConst
     """Return the twin of each half-edge, (4 N,), -1 without one.
 
     A half-edge chooses its cheapest candidate. A link is a choice of both its ends, and a side in
-    the image, that no link as short crosses. Half-edges of those that are crossed choose again,
-    among shorter candidates.
+    the image. If it passes over a nearer candidate and a link as short crosses it, its ends choose
+    again, among nearer ones.
     """
     count = len(corners.at)
     if np.count_nonzero(corners.known) < 2:
@@ -239,12 +239,16 @@ def links(plane: NDArray[np.integer], corners: Directed, constants: LatticeConst
 
     choice = chosen(np.ones(len(h), np.bool_))
     link = linked(plane, corners, choice, constants)
-    crossed = (link >= 0) & (uncrossed(corners, link) < 0)
-    most = np.zeros(4 * count, np.float32)
+    most, least = np.zeros(4 * count, np.float32), np.full(4 * count, np.inf, np.float32)
     is_link = other == link[h]
     most[h[is_link]] = square[is_link]
+    np.minimum.at(least, h, square)
+    passes = least < most
+    twin = np.where(passes | passes[link], uncrossed(corners, link, link), link)
+    crossed = (link >= 0) & (twin < 0)
     choice = np.where(crossed, chosen(square < most[h]), choice)
-    return uncrossed(corners, linked(plane, corners, choice, constants))
+    again = np.where(twin < 0, linked(plane, corners, choice, constants), -1)
+    return np.maximum(twin, uncrossed(corners, again, link))
 
 
 def linked(
@@ -258,12 +262,13 @@ def linked(
     return link
 
 
-def uncrossed(corners: Directed, twin: Whole) -> Whole:
-    """Return the twins without those that a link as short crosses: a lattice lies in a plane."""
-    h = np.flatnonzero(twin > np.arange(len(twin)))
-    a, b = h >> 2, twin[h] >> 2
-    way = corners.at[b] - corners.at[a]
-    square = dot(way, way)
+def uncrossed(corners: Directed, twin: Whole, others: Whole) -> Whole:
+    """Return the twins without those that another link as short crosses: a lattice lies in a
+    plane."""
+    h, g = (np.flatnonzero(each > np.arange(len(each))) for each in (twin, others))
+    (a, b), (c, d) = (h >> 2, twin[h] >> 2), (g >> 2, others[g] >> 2)
+    own, its = corners.at[b] - corners.at[a], corners.at[d] - corners.at[c]
+    square, its_square = dot(own, own), dot(its, its)
 
     def side(one: Whole, other: Whole, corner: Whole) -> Mask:
         """Return on which side of the lines from one to the other a corner is."""
@@ -271,16 +276,13 @@ def uncrossed(corners: Directed, twin: Whole) -> Whole:
         is_left: Mask = way.real * off.imag < way.imag * off.real
         return is_left
 
-    crossed = np.zeros(len(h), np.bool_)
+    left = twin.copy()
     for n in range(len(h)):  # by brute force: the kernel looks in bins
         ends = a[n], b[n]
-        other = (square <= square[n]) & ~np.isin(a, ends) & ~np.isin(b, ends)
-        c, d = a[other], b[other]
-        crossed[n] = np.any(
-            (side(*ends, c) != side(*ends, d)) & (side(c, d, ends[0]) != side(c, d, ends[1]))
-        )
-    left = twin.copy()
-    left[h[crossed]] = left[twin[h[crossed]]] = -1
+        some = (its_square <= square[n]) & ~np.isin(c, ends) & ~np.isin(d, ends)
+        e, f = c[some], d[some]
+        if ((side(*ends, e) != side(*ends, f)) & (side(e, f, a[n]) != side(e, f, b[n]))).any():
+            left[h[n]] = left[twin[h[n]]] = -1
     return left
 
 
