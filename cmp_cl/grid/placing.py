@@ -4,12 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners, Refusal
-from cmp_cl.grid.choice import NOTHING, Asked, Found, Told
+from cmp_cl.grid.choice import NOTHING, Asked, Found, K, Told
 from cmp_cl.grid.grid import Grid, NodeStatus, Rival, Sides, check_size
 from cmp_cl.lattice.arrays import LOOKED, Board, Mask
 from cmp_cl.lattice.numbers import Decision, Numbering, seen_lines
 
-WORN = 10.0  # sigmas, by which wear moves a corner that fits the corner model
 LINES = ((0, 1), (1, 0))
 CELLS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
@@ -89,7 +88,7 @@ def _weighed(board: Board, corners: Corners) -> tuple[NDArray[np.float32], NDArr
     count = np.maximum(known.sum(axis=0), 1)
     off = each - each.sum(axis=0, where=known) / count
     scatter = ((off * off).sum(axis=0, where=known) / count).mean(axis=1)
-    variance = (WORN * corners.sigma[corner]) ** 2
+    variance = (K.worn_sigmas * corners.sigma[corner]) ** 2
     share = variance / (variance + scatter)
     xy[row, column] = at(0, 0) + share[:, None] * (xy[row, column] - at(0, 0))
     sigma[row, column] = np.maximum(corners.sigma[corner], np.sqrt(share * scatter))
