@@ -20,7 +20,7 @@ from cmp_cl.cli.arguments import (
     positive_number,
     views_of,
 )
-from cmp_cl.cli.messages import one_line, progress, shown, tell
+from cmp_cl.cli.messages import one_line, shown, tell
 from cmp_cl.cli.window import add_window, through_window, window_files
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
 from cmp_cl.grid import Grid
@@ -160,32 +160,29 @@ def _boards(
     grids: dict[str, list[Grid | None]] = {name: [] for name in files}
     sizes: dict[str, tuple[int, int]] = {}
     left_out: list[tuple[str, str]] = []  # the camera, and why
-    moments = list(zip(*files.values(), strict=True))
-    with progress(len(moments), "views") as bar:
-        for paths in moments:
-            read: dict[Path, tuple[GreyImage, ...]] = {}  # a file with two views is read once
-            for side, (name, path) in enumerate(zip(files, paths, strict=True)):
-                grid = None
-                try:
-                    if path not in read:
-                        read[path] = views_of(path, arguments)
-                    image = read[path][side if arguments.stereo else 0]
-                    size = (image.shape[1], image.shape[0])
-                    if sizes.get(name, size) != size:
-                        raise GridError(
-                            "it has {} x {} px, earlier views {} x {}".format(*size, *sizes[name])
-                        )
-                    grid = find_board(
-                        image, arguments.board, full_scale=arguments.full_scale, device=device
+    for paths in zip(*files.values(), strict=True):
+        read: dict[Path, tuple[GreyImage, ...]] = {}  # a file with two views is read once
+        for side, (name, path) in enumerate(zip(files, paths, strict=True)):
+            grid = None
+            try:
+                if path not in read:
+                    read[path] = views_of(path, arguments)
+                image = read[path][side if arguments.stereo else 0]
+                size = (image.shape[1], image.shape[0])
+                if sizes.get(name, size) != size:
+                    raise GridError(
+                        "it has {} x {} px, earlier views {} x {}".format(*size, *sizes[name])
                     )
-                    sizes[name] = size
-                except ImageError as error:  # of a file, which may show two views
-                    left_out.append((name, one_line(error)))
-                except GridError as error:
-                    which = f" ({name})" if arguments.stereo else ""
-                    left_out.append((name, f"{shown(path)}{which}: {one_line(error)}"))
-                grids[name].append(grid)
-            bar.update()
+                grid = find_board(
+                    image, arguments.board, full_scale=arguments.full_scale, device=device
+                )
+                sizes[name] = size
+            except ImageError as error:  # of a file, which may show two views
+                left_out.append((name, one_line(error)))
+            except GridError as error:
+                which = f" ({name})" if arguments.stereo else ""
+                left_out.append((name, f"{shown(path)}{which}: {one_line(error)}"))
+            grids[name].append(grid)
     for name in files:
         if name not in sizes:
             rows, columns = arguments.board

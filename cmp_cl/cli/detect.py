@@ -18,7 +18,7 @@ from cmp_cl.cli.arguments import (
     check_suffix,
     grid_shape,
 )
-from cmp_cl.cli.messages import NoBar, counted, one_line, progress, shown, tell
+from cmp_cl.cli.messages import counted, one_line, shown, tell
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners, Method, Refusal
 from cmp_cl.detector import kept_detector
@@ -126,38 +126,35 @@ def _searched(
         config = config.replace(full_scale=info.full_scale)
     broken, advice, doubtful = list[Frame](), "", 0
     counts, times = list[int](), list[float]()  # corners or nodes of each frame, and ms
-    with progress(info.frames, "frames") if video else NoBar() as bar:
-        for frame in media.read_frames(path):
-            bar.update()
-            image = frame.image
-            if image is None:
-                broken.append(frame)
-                continue
-            name = shown(path) if not frame.index else f"{shown(path)}, frame {frame.index}"
-            for _ in range(1 if video else 2):  # the first time kernels may have to be compiled
-                start = time.perf_counter()
-                corners = kept_detector(image.shape, image.dtype, config, device)(image)
-                grid, doubts = None, list[str]()
-                if shape is not None:
-                    grid, doubts = _numbered(corners, image, shape, device)
-                ms = 1e3 * (time.perf_counter() - start)
-            times.append(ms)
-            nodes = 0 if grid is None else int(grid.valid.sum())
-            counts.append(len(corners) if shape is None else nodes)
-            if not video:
-                said = f"{len(corners)} corners"
-                said += "" if grid is None else f", {nodes} of {grid.valid.size} nodes"
-                print(f"{name}: {said} in {ms:.2f} ms on {device}", flush=True)
-            if not advice and (len(counts) == 1 or not len(corners)):
-                sure = nodes > 0 and not doubts
-                advice = corners.advice(image, config.full_scale, numbered=sure)
-                doubts += [advice] if advice else []
-            if not (video and doubtful):
-                bar.clear()
-                for doubt in doubts:
-                    tell(f"{name}: {doubt}")
-            doubtful += bool(doubts)
-            yield frame.index, image, corners, grid
+    for frame in media.read_frames(path):
+        image = frame.image
+        if image is None:
+            broken.append(frame)
+            continue
+        name = shown(path) if not frame.index else f"{shown(path)}, frame {frame.index}"
+        for _ in range(1 if video else 2):  # the first time kernels may have to be compiled
+            start = time.perf_counter()
+            corners = kept_detector(image.shape, image.dtype, config, device)(image)
+            grid, doubts = None, list[str]()
+            if shape is not None:
+                grid, doubts = _numbered(corners, image, shape, device)
+            ms = 1e3 * (time.perf_counter() - start)
+        times.append(ms)
+        nodes = 0 if grid is None else int(grid.valid.sum())
+        counts.append(len(corners) if shape is None else nodes)
+        if not video:
+            said = f"{len(corners)} corners"
+            said += "" if grid is None else f", {nodes} of {grid.valid.size} nodes"
+            print(f"{name}: {said} in {ms:.2f} ms on {device}", flush=True)
+        if not advice and (len(counts) == 1 or not len(corners)):
+            sure = nodes > 0 and not doubts
+            advice = corners.advice(image, config.full_scale, numbered=sure)
+            doubts += [advice] if advice else []
+        if not (video and doubtful):
+            for doubt in doubts:
+                tell(f"{name}: {doubt}")
+        doubtful += bool(doubts)
+        yield frame.index, image, corners, grid
     if not counts:
         raise ImageError(f"{str(path)!r} has no frame that can be read")
     if video:

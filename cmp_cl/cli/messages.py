@@ -1,11 +1,8 @@
-"""What commands print: names, errors and counts in one line, and a progress bar."""
+"""What commands print: names, errors and counts in one line."""
 
 import os
 import sys
 from pathlib import Path
-from typing import Any
-
-from cmp_cl.closing import Closing
 
 _LONGEST = 1000  # characters of a message; a refused value may have any length
 
@@ -37,25 +34,3 @@ def counted(count: int, noun: str) -> str:
 def tell(line: str) -> None:
     """Print a line of this program on stderr."""
     print(f"cmp-cl: {line}", file=sys.stderr, flush=True)
-
-
-class NoBar(Closing):
-    """In the place of a bar, for example where tqdm is not installed."""
-
-    def update(self, *_: Any) -> None: ...
-    def set_postfix_str(self, *_: Any, **__: Any) -> None: ...
-    def clear(self) -> None: ...
-    def close(self) -> None: ...
-
-
-def progress(total: int | None, unit: str) -> Any:
-    """Return a bar of tqdm on stderr, if that is installed and stderr a terminal, for a with
-    statement.
-
-    total: number of steps, None if unknown. unit: what is counted.
-    """
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        return NoBar()
-    return tqdm(total=total, unit=f" {unit}", disable=None, leave=False)

@@ -3,7 +3,7 @@
 import argparse
 
 from cmp_cl.cli.arguments import add, check_files, check_suffix
-from cmp_cl.cli.messages import counted, progress, shown, tell
+from cmp_cl.cli.messages import counted, shown, tell
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.series import read_series
 from cmp_cl.viz import Quantity, map_figure, save_figure, sheet_figure
@@ -46,9 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
             "arrays `ambiguous` and `misfit` say which): cmp-cl run says why"
         )
     if moving:
-        with progress(None, "frames") as bar:
-            quantity = Quantity(arguments.what or Quantity.DISPLACEMENT.value)
-            count = animate(arguments.out, moments, quantity, step=bar.update)
+        quantity = Quantity(arguments.what or Quantity.DISPLACEMENT.value)
+        count = animate(arguments.out, moments, quantity)
         print(f"wrote {shown(arguments.out)}: {count} of {frames}")
         return 0
     moment = summary.moment

@@ -18,7 +18,7 @@ from cmp_cl.cli.arguments import (
     positive_number,
     split_of,
 )
-from cmp_cl.cli.messages import counted, one_line, progress, shown, tell
+from cmp_cl.cli.messages import counted, one_line, shown, tell
 from cmp_cl.cli.running.pace import Pace
 from cmp_cl.cli.running.recording import Recording, missing_numbers
 from cmp_cl.cli.running.results import Results
@@ -277,21 +277,15 @@ def _flow(
 
     Whatever ends it, all that was measured is written.
     """
-    with (
-        Ahead(_measured(recording, measure, pace, stop), _AHEAD) as results,
-        progress(recording.source.total, "frames") as bar,
-    ):
+    with Ahead(_measured(recording, measure, pace, stop), _AHEAD) as results:
         try:
             for frame, measured in results:
-                bar.set_postfix_str(pace.limit, refresh=False)
-                bar.update()
                 if measured is not None:
                     # The others have the numbers of the frame at rest.
                     ambiguous = measured.ambiguous and frame.index != recording.number
                     with pace.spent("writing"):
                         found.write(frame, measured, ambiguous=ambiguous)
                     if measured.differing:
-                        bar.clear()
                         tell(
                             f"frame {frame.index}: tracking had another corner for "
                             f"{counted(measured.differing, 'node')} than the numbers that an audit "
@@ -301,7 +295,6 @@ def _flow(
                     continue
                 found.left_out += 1
                 if found.left_out <= _LINES_OF_BROKEN:
-                    bar.clear()
                     tell(recording.why_left_out(frame))
         finally:
             ignore()  # no signal stops the end of what is written

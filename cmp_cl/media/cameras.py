@@ -51,8 +51,7 @@ class Source:
         is a number, or a text of one; fourcc, the format of pixels, is four letters such as MJPG.
     live: whether it is a camera or a stream, whose frames arrive whether or not they are read.
     paths: the files, () of a live source. period_ms: time between frames, NaN if unknown.
-    full_scale: largest grey level, None if unknown. total: how many frames, or how many files if
-    there are several; None if unknown.
+    full_scale: largest grey level, None if unknown.
 
     Raises ConfigError for a name of another type, or settings for a file; FileNotFoundError and
     ImageError as `cmp_cl.media` does.
@@ -69,7 +68,6 @@ class Source:
         self.paths = () if self.live else tuple(find_inputs([name]))
         info = video_info(self.paths[0]) if len(self.paths) == 1 else VideoInfo()
         self.full_scale = info.full_scale
-        self.total = len(self.paths) if len(self.paths) > 1 else info.frames
         rate = self._settings["fps"][1] if "fps" in self._settings else info.rate
         self.period_ms = 1e3 / rate if rate else math.nan
 
@@ -204,8 +202,6 @@ class Pairs:
     that had no partner so far. after: those of them after the last pair. Raises ConfigError if the
     sources do not go together.
     """
-
-    total: int | None = None
 
     def __init__(self, left: Source, right: Source) -> None:
         if left.live != right.live:

@@ -1,6 +1,6 @@
 """Figures of a series: maps of a frame, one sheet of everything, and an animation."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -225,16 +225,10 @@ def _top_of(maps: Sequence[Map]) -> float:
     return top if top > _ROUNDING else 1.0
 
 
-def animate(
-    path: str | PathLike[str],
-    moments: Sequence[Moment],
-    quantity: Quantity,
-    *,
-    step: Callable[[], object] = lambda: None,
-) -> int:
+def animate(path: str | PathLike[str], moments: Sequence[Moment], quantity: Quantity) -> int:
     """Write the map of a quantity over all frames, on one scale, as a video, .mp4.
 
-    Of more than 300 frames it shows every second one, and so on. step: called after each. Returns
+    Of more than 300 frames it shows every second one, and so on. Returns
     the number of frames shown. Raises FieldError, ConfigError without matplotlib or PyAV, OSError.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -246,5 +240,4 @@ def animate(
             canvas: Any = FigureCanvasAgg(_as_written(map_figure(moment, quantity, top=top)))
             canvas.draw()
             video.add(np.asarray(canvas.buffer_rgba())[..., 2::-1])
-            step()
     return len(some)
