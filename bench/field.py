@@ -293,9 +293,15 @@ def from_a_file(film: Film) -> Row:
         command = [sys.executable, "-m", "cmp_cl", "run", "film.avi", "--stereo", "rig.yaml"]
         command += ["--grid", f"{MARKERS}x{MARKERS}", "--out", "film.h5"]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
-    rate, limit = re.search(r"([\d.]+) frames a second, (limited by [^;]+);", done.stdout).groups()
-    case = f"two views, to .h5, {limit}"
-    return "cmp-cl run from MJPG", case, FILE_FRAMES, float(rate), "1/s", "at least 100"
+    rate = re.search(r"([\d.]+) frames a second", done.stdout)[1]
+    return (
+        "cmp-cl run from MJPG",
+        "two views, to .h5",
+        FILE_FRAMES,
+        float(rate),
+        "1/s",
+        "at least 100",
+    )
 
 
 def measured(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:

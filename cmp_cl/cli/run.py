@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import re
 import sys
+import time
 from collections.abc import Generator
 
 from cmp_cl.cli.arguments import (
@@ -19,7 +20,6 @@ from cmp_cl.cli.arguments import (
     split_of,
 )
 from cmp_cl.cli.messages import counted, one_line, shown, tell
-from cmp_cl.cli.running.pace import Pace
 from cmp_cl.cli.running.recording import Recording, missing_numbers
 from cmp_cl.cli.running.results import Results
 from cmp_cl.cli.running.stopping import Stop, handled, ignore
@@ -150,23 +150,22 @@ def run(arguments: argparse.Namespace) -> int:
             period_ms=source.period_ms,
         )
         stack.enter_context(found)
-        pace = Pace("the camera" if source.live else "decoding")
+        start = time.perf_counter()
         try:
-            _flow(recording, measure, found, pace, stop)
+            _flow(recording, measure, found, stop)
         except (CmpClError, OSError) as error:
             if isinstance(error, BrokenPipeError) or not found.frames:
                 raise  # the reader of a pipe has gone, or there is nothing to keep
             ended_by = error
         if stop.name and not found.frames:  # an older series stays
             raise KeyboardInterrupt
-        with pace.spent("writing"):
-            found.complete()
-        speed = pace.line(found.frames)
+        found.complete()
+        rate = found.frames / (time.perf_counter() - start)
         pictures = found.pictures()
     lengths = "" if rig or arguments.cell else " in the image: --stereo or --cell give lengths"
     if rig and rig.window is None:
         lengths = ", depth as in air: calibrate --window is for acrylic or gel"
-    said = f"{found.line(lengths)}; {speed}; measured on {device}"
+    said = f"{found.line(lengths)}; {rate:.3g} frames a second; measured on {device}"
     if isinstance(source, Pairs) and any(source.alone):
         left, right = source.alone
         said += f"; {left} left and {right} right frames without a partner"
@@ -270,21 +269,18 @@ def _measurement(
     return measure
 
 
-def _flow(
-    recording: Recording, measure: OneView | TwoViews, found: Results, pace: Pace, stop: Stop
-) -> None:
+def _flow(recording: Recording, measure: OneView | TwoViews, found: Results, stop: Stop) -> None:
     """Measure each frame while the next ones are decoded and the one before is written.
 
     Whatever ends it, all that was measured is written.
     """
-    with Ahead(_measured(recording, measure, pace, stop), _AHEAD) as results:
+    with Ahead(_measured(recording, measure, stop), _AHEAD) as results:
         try:
             for frame, measured in results:
                 if measured is not None:
                     # The others have the numbers of the frame at rest.
                     ambiguous = measured.ambiguous and frame.index != recording.number
-                    with pace.spent("writing"):
-                        found.write(frame, measured, ambiguous=ambiguous)
+                    found.write(frame, measured, ambiguous=ambiguous)
                     if measured.differing:
                         tell(
                             f"frame {frame.index}: tracking had another corner for "
@@ -301,15 +297,12 @@ def _flow(
 
 
 def _measured(
-    recording: Recording, measure: OneView | TwoViews, pace: Pace, stop: Stop
+    recording: Recording, measure: OneView | TwoViews, stop: Stop
 ) -> Generator[tuple[Frame, Measured | None], None, None]:
     """Yield each frame with what is measured in it, None if it is not like the frame at rest."""
     with Ahead(recording.frames, _AHEAD) as decoded:
-        frames = iter(decoded)
-        while not stop.name:
-            with pace.spent(pace.source):
-                frame = next(frames, None)
-            if frame is None:
+        for frame in decoded:
+            if stop.name:
                 return
             if frame.image is None or recording.why_left_out(frame):
                 measure.skip()

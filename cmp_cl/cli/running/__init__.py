@@ -1,1 +1,1 @@
-"""What `cmp-cl run` is made of: a recording, its pace, its results, and what stops it."""
+"""What `cmp-cl run` is made of: a recording, its results, and what stops it."""
