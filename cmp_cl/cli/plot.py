@@ -4,52 +4,39 @@ import argparse
 
 from cmp_cl.cli.arguments import add, check_files, check_suffix
 from cmp_cl.cli.messages import counted, shown, tell
-from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl.errors import FieldError
 from cmp_cl.series import read_series
 from cmp_cl.viz import Quantity, map_figure, save_figure, sheet_figure
 from cmp_cl.viz.moments import NEEDED, Summary, moments_of
-from cmp_cl.viz.plots import animate
 
 DESCRIPTION = """\
 Draws a series of cmp-cl run: by default one sheet with the maps of the frame of the largest
-displacement, and curves over time; a name that ends in .mp4 is an animation of one map. With one
-view, lengths are in px, or in mm if run had --cell, and strain is in the plane; with two views,
-lengths are in the rig's unit, and strain is in the surface.
+displacement, and curves over time. With one view, lengths are in px, or in mm if run had --cell,
+and strain is in the plane; with two views, lengths are in the rig's unit, and strain is in the
+surface.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = "the series, .npz or .h5, or its .part while it is written or after a kill"
     add(parser, "series SERIES", what)
-    add(parser, "--out FILE", "a picture, .png, or an animation, .mp4", required=True)
-    what = (
-        "one map in place of the sheet (strain is two, the principal strains); default of an "
-        "animation: displacement"
-    )
+    add(parser, "--out FILE", "the picture, .png", required=True)
+    what = "one map in place of the sheet (strain is two, the principal strains)"
     add(parser, "--what", what, choices=[quantity.value for quantity in Quantity])
     what = "number of the frame; default: that of the largest displacement that is not in doubt"
     add(parser, "--frame N", what, type=int)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    check_suffix("--out", arguments.out, ".png", ".mp4")
+    check_suffix("--out", arguments.out, ".png")
     check_files([arguments.series], [arguments.out])
-    moving = arguments.out.lower().endswith(".mp4")
-    if moving and arguments.frame is not None:
-        raise ConfigError("an animation shows all frames: leave out --frame, or name a .png")
     moments = moments_of(read_series(arguments.series, NEEDED))
-    frames = counted(len(moments), "frame")
     summary = Summary(moments)
     if any(summary.doubtful):
         tell(
             f"in {counted(sum(summary.doubtful), 'frame')} all displacements may be wrong (the "
             "arrays `ambiguous` and `misfit` say which): cmp-cl run says why"
         )
-    if moving:
-        quantity = Quantity(arguments.what or Quantity.DISPLACEMENT.value)
-        count = animate(arguments.out, moments, quantity)
-        print(f"wrote {shown(arguments.out)}: {count} of {frames}")
-        return 0
     moment = summary.moment
     if arguments.frame is not None:
         moment = next((each for each in moments if each.index == arguments.frame), None)
@@ -64,5 +51,6 @@ def run(arguments: argparse.Namespace) -> int:
         else map_figure(moment, Quantity(arguments.what))
     )
     save_figure(arguments.out, figure)
+    frames = counted(len(moments), "frame")
     print(f"wrote {shown(arguments.out)}: frame {moment.index}, one of {frames}")
     return 0

@@ -1,4 +1,4 @@
-"""Figures of a series: maps of a frame, one sheet of everything, and an animation."""
+"""Figures of a series: maps of a frame, and one sheet of everything."""
 
 from collections.abc import Sequence
 from os import PathLike
@@ -10,7 +10,6 @@ from cmp_cl.errors import ConfigError, extra
 from cmp_cl.files import suffix_of, whole_file
 from cmp_cl.points import corners_of_cells, of_cells
 from cmp_cl.viz.moments import Map, Moment, Quantity, Summary, plane_of
-from cmp_cl.viz.video import VideoFile
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,8 +21,6 @@ _ARROWS = 16  # along the longer side of a pattern
 _DPI = 120  # pixels per inch of a picture
 _PANEL, _CURVE = (5.6, 4.9), 3.2  # in, width and height of a map, and the height of the curve
 _LEAST_OF_CURVE = 3  # frames; fewer make no curve
-_MOST_ANIMATED = 300  # frames of an animation
-_RATE = 12.5  # frames per second of an animation
 
 
 def new_figure(size: tuple[float, float]) -> "Figure":
@@ -37,28 +34,21 @@ def save_figure(path: str | PathLike[str], figure: "Figure") -> None:
     """Write a figure of matplotlib in the format of the suffix, such as .png or .svg, whole or not
     at all; raises OSError, and ValueError for one that matplotlib does not have."""
     kind = suffix_of(path, ConfigError)[1:]
-    _as_written(figure)
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):  # no TeX: units and names of files may have any characters
+        text.set_parse_math(False)
     with whole_file(path) as file:
         figure.savefig(file, format=kind, dpi=_DPI)
 
 
-def _as_written(figure: "Figure") -> "Figure":
-    """Take no text for TeX: units and names of files may have any characters."""
-    from matplotlib.text import Text
-
-    for text in figure.findobj(Text):
-        text.set_parse_math(False)
-    return figure
-
-
-def map_figure(moment: Moment, quantity: Quantity, *, top: float | None = None) -> "Figure":
+def map_figure(moment: Moment, quantity: Quantity) -> "Figure":
     """Draw a quantity of a moment, cell by cell on the pattern at rest, with a colour bar.
 
     The value of a cell is the mean of its four nodes. Signed values have a scale that is white
-    at 0. top: the end of the scale; None means the largest value. Raises FieldError, and
-    ConfigError without matplotlib.
+    at 0. Raises FieldError, and ConfigError without matplotlib.
     """
-    return _page(moment, [quantity], top=top)
+    return _page(moment, [quantity])
 
 
 def sheet_figure(moment: Moment, summary: Summary | None = None, *, title: str = "") -> "Figure":
@@ -83,13 +73,12 @@ def _page(
     moment: Moment,
     quantities: Sequence[Quantity],
     *,
-    top: float | None = None,
     title: str = "",
     surface: bool = False,
     curves: Summary | None = None,
 ) -> "Figure":
     """Return a figure with the maps of the quantities, those of one on one scale, the surface and
-    below them the curves. top: the end of the scale; None means the largest value."""
+    below them the curves."""
     maps = [(each, _top_of(group)) for group in map(moment.maps, quantities) for each in group]
     count = len(maps) + surface
     across = 3 if count > 4 else min(count, 2)
@@ -103,7 +92,7 @@ def _page(
     grid = figure.add_gridspec(len(heights), across, height_ratios=heights)
     for number, (shown, largest) in enumerate(maps):
         axes = figure.add_subplot(grid[divmod(number, across)])
-        _draw_map(axes, moment, shown, largest if top is None else top)
+        _draw_map(axes, moment, shown, largest)
     if surface:
         place = grid[divmod(len(maps), across)]
         _draw_surface(figure.add_subplot(place, projection="3d"), moment)
@@ -223,21 +212,3 @@ def _top_of(maps: Sequence[Map]) -> float:
     """Return the upper end of the colour scale of some maps: the largest size of a known value."""
     top = float(np.nan_to_num(np.abs([each.cells for each in maps])).max(initial=0))
     return top if top > _ROUNDING else 1.0
-
-
-def animate(path: str | PathLike[str], moments: Sequence[Moment], quantity: Quantity) -> int:
-    """Write the map of a quantity over all frames, on one scale, as a video, .mp4.
-
-    Of more than 300 frames it shows every second one, and so on. Returns
-    the number of frames shown. Raises FieldError, ConfigError without matplotlib or PyAV, OSError.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    some = moments[:: -(-len(moments) // _MOST_ANIMATED)]
-    top = max(_top_of(moment.maps(quantity)) for moment in some)
-    with VideoFile(path, fps=_RATE) as video:
-        for moment in some:
-            canvas: Any = FigureCanvasAgg(_as_written(map_figure(moment, quantity, top=top)))
-            canvas.draw()
-            video.add(np.asarray(canvas.buffer_rgba())[..., 2::-1])
-    return len(some)
