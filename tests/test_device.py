@@ -31,13 +31,6 @@ def lab(monkeypatch):
     return monkeypatch
 
 
-@pytest.mark.parametrize("count", ["-1", " -3 ", "100000"])
-def test_a_number_of_workers_that_would_end_the_process_is_refused(monkeypatch, count):
-    monkeypatch.setenv("POCL_MAX_PTHREAD_COUNT", count)
-    with pytest.raises(DeviceError, match="POCL_MAX_PTHREAD_COUNT is"):
-        list_devices()
-
-
 def test_a_cache_that_pocl_cannot_write_is_named_where_no_device_is_found(monkeypatch, tmp_path):
     monkeypatch.setattr("cmp_cl.opencl.device._platforms", list)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file" / "under"))

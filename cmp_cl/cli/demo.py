@@ -11,12 +11,9 @@ from numpy.typing import NDArray
 from cmp_cl import media
 from cmp_cl.cli.arguments import add, add_device
 from cmp_cl.cli.messages import shown
-from cmp_cl.detector import detect
 from cmp_cl.errors import ConfigError
-from cmp_cl.grid import build_grid
 from cmp_cl.measure import Measured, TwoViews
-from cmp_cl.media.ahead import Ahead
-from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.opencl.device import select_device
 from cmp_cl.space import BinocularSplit
 from cmp_cl.synthetic import Indenter, Mode, Scene, binocular_frame, default_rig, render_stereo
 from cmp_cl.viz import Moment, save_figure, sheet_figure
@@ -61,10 +58,8 @@ def run(arguments: argparse.Namespace) -> int:
     frames.mkdir(parents=True, exist_ok=True)
     rig = default_rig(VIEW)
     shape = (SCENE.markers, SCENE.markers)
-    scenes = SCENE.at_rest(), SCENE
-    with Ahead((render_stereo(scene, rig) for scene in scenes), len(scenes)) as rendered:
-        _compile(device)  # meanwhile
-        (*at_rest_views, rest), (*pressed_views, now) = rendered
+    *at_rest_views, rest = render_stereo(SCENE.at_rest(), rig)
+    *pressed_views, now = render_stereo(SCENE, rig)
     at_rest, pressed = binocular_frame(*at_rest_views), binocular_frame(*pressed_views)
     rows, columns = pressed.shape
     print(f"rendered a gel at rest and pressed, {columns} x {rows} px", flush=True)
@@ -96,12 +91,6 @@ def run(arguments: argparse.Namespace) -> int:
         f"--grid {shape[0]}x{shape[1]} --out press.npz"
     )
     return 0
-
-
-def _compile(device: Device) -> None:
-    """Have the kernels compiled that do not depend on the frames, by numbering a drawn board."""
-    board = (np.indices((180, 200)) // 20).sum(axis=0).astype(np.uint8) % 2 * 200
-    build_grid(detect(board, device=device), board, device=device)
 
 
 def _table(measured: Measured, spent: float, truth: NDArray[np.float64]) -> list[tuple[str, str]]:

@@ -3,7 +3,6 @@
 import argparse
 import os
 import statistics
-import sys
 import time
 from collections.abc import Sequence
 
@@ -21,21 +20,6 @@ from cmp_cl.opencl.device import (
 from cmp_cl.synthetic import random_scene, render
 from cmp_cl.synthetic.scoring import score
 
-INSTALL = """\
-What to install for a device:
-  Linux, x86-64      pip install "pyopencl[pocl]": PoCL, which runs on every such CPU and needs a
-                     linker: apt install gcc libc6-dev, or dnf install gcc glibc-devel
-  Linux, other CPUs  apt install pocl-opencl-icd (Debian, Ubuntu) or dnf install pocl (Fedora)
-  Windows            the graphics driver of NVIDIA, AMD or Intel, or Intel's CPU Runtime for OpenCL
-  macOS              conda install -c conda-forge pyopencl pocl; for Apple's own OpenCL
-                     ocl_icd_wrapper_apple instead of pocl
-  Jetson             NVIDIA ships no OpenCL for it; apt install pocl-opencl-icd uses its CPU
-  NVIDIA             the driver; on Debian also nvidia-opencl-icd; in a container
-                     NVIDIA_DRIVER_CAPABILITIES=compute,utility and a file
-                     /etc/OpenCL/vendors/nvidia.icd that says libnvidia-opencl.so.1
-  Intel              GPU: apt install intel-opencl-icd; CPU: Intel's CPU Runtime for OpenCL
-  AMD                ROCm's rocm-opencl-runtime, or apt install mesa-opencl-icd and
-                     RUSTICL_ENABLE=radeonsi"""
 FRAMES = 100  # timed on each device
 WARM_UP = 5
 
@@ -53,7 +37,6 @@ def run(arguments: argparse.Namespace) -> int:
     devices = list_devices()
     if not devices:
         tell(f"no OpenCL device was found: {why_none()}")
-        print(INSTALL, file=sys.stderr)
         return 1
     _print_table(
         [("index", "name", "platform", "driver", "kind", "memory MB")]

@@ -17,7 +17,7 @@ _VENDORS_VARIABLE = "OCL_ICD_VENDORS"
 _VENDORS = "/etc/OpenCL/vendors"  # where the loader of OpenCL looks for drivers
 _INSTALL_HINT = (
     "pip install 'pyopencl[pocl]' installs one for the CPU (Linux, x86-64), a GPU needs its "
-    "vendor's; `cmp-cl devices` says more"
+    "vendor's; docs/devices.md lists them"
 )
 
 
@@ -97,12 +97,10 @@ def clear_errors(device: cl.Device, needed: int = 0) -> Iterator[None]:
 def list_devices() -> list[Device]:
     """Return all OpenCL devices, in the order of the platforms; empty if there is none.
 
-    Raises DeviceError in a forked child of a process that has used OpenCL, and if
-    POCL_MAX_PTHREAD_COUNT would end the process.
+    Raises DeviceError in a forked child of a process that has used OpenCL.
     """
     global _started_in
     check_process()
-    pocl.check_workers()
     _started_in = os.getpid()
     with pocl.workers_on_own_cores():
         return [
@@ -143,36 +141,9 @@ def select_device(text: Device | str | None = None) -> Device:
 
 def why_none() -> str:
     """Return why no device is found, as far as that can be seen."""
+    folder = os.environ.get(_VENDORS_VARIABLE) or _VENDORS
     stuck = pocl.reason_stuck()
-    if stuck:
-        return stuck
-    named = os.environ.get(_VENDORS_VARIABLE)
-    if named and not os.path.exists(named):
-        return f"{_VENDORS_VARIABLE} names {named!r}, which does not exist; unset it or correct it"
-    limit = _memory_limit()
-    if limit is not None:
-        return (
-            f"the memory of a process is limited to {limit >> 20} MB here, and a driver may not "
-            "fit; raise the limit, for example by ulimit -v unlimited"
-        )
-    folder = named or _VENDORS
-    if os.path.isdir(folder):
-        drivers = sorted(name for name in os.listdir(folder) if name.endswith(".icd"))
-    else:
-        drivers = [folder] if os.path.isfile(folder) else []
-    if drivers:
-        return f"{', '.join(drivers)} in {folder} cannot be loaded or have no device"
-    return f"no driver is registered in {folder}; {_INSTALL_HINT}"
-
-
-def _memory_limit() -> int | None:
-    """Return the most bytes of memory that this process may have; None without a limit."""
-    try:
-        import resource
-    except ImportError:  # Windows has no such limit
-        return None
-    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
-    return None if soft == resource.RLIM_INFINITY else soft
+    return stuck or f"no driver in {folder} can be loaded and has a device; {_INSTALL_HINT}"
 
 
 def describe_handle(handle: cl.Device) -> Device:

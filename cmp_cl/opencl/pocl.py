@@ -20,7 +20,6 @@ import pyopencl as cl
 
 from cmp_cl.errors import DeviceError
 
-_MOST_WORKERS = 4096
 _POCL_WORKERS = ("POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
 _LEAST_FREE = 32 << 20  # bytes; a plan's kernels take some 10 MB in PoCL's cache
 _PROBE_S = 60.0
@@ -77,15 +76,6 @@ def _text_at(memory: int, address: int) -> bytes:
     with contextlib.suppress(OSError, OverflowError):
         return os.pread(memory, _LONGEST, address).partition(b"\0")[0]
     return b""
-
-
-def check_workers() -> None:
-    """Raise DeviceError if the number of workers is one with which PoCL ends the process."""
-    text = os.environ.get("POCL_MAX_PTHREAD_COUNT", "")
-    if re.fullmatch(r"\s*[+-]?\d+\s*", text) and not 0 <= int(text) <= _MOST_WORKERS:
-        raise DeviceError(
-            f"POCL_MAX_PTHREAD_COUNT is {text!r}, and PoCL takes 1 to {_MOST_WORKERS} workers"
-        )
 
 
 @contextlib.contextmanager

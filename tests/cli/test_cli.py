@@ -50,7 +50,7 @@ def test_devices_lists_what_there_is_and_why_one_is_the_default(run, monkeypatch
     fails_in_one_line(run("devices"), "no such device", "CMP_CL_DEVICE")
 
 
-def test_without_a_device_devices_says_why_and_what_to_install(run, monkeypatch, tmp_path):
+def test_without_a_device_devices_says_where_drivers_are_sought(run, monkeypatch, tmp_path):
     def no_platform():
         raise cl.LogicError("clGetPlatformIDs failed: PLATFORM_NOT_FOUND_KHR")
 
@@ -60,13 +60,7 @@ def test_without_a_device_devices_says_why_and_what_to_install(run, monkeypatch,
     fails_in_one_line(asked, "no OpenCL device was found", "pip install 'pyopencl[pocl]'")
     status, out, err = run("devices")
     assert (status, out) == (1, "")
-    assert f"no driver is registered in {tmp_path};" in err
-    places = ("Linux", "Windows", "macOS", "Jetson", "NVIDIA", "Intel", "AMD")
-    assert all(place in err for place in places)
-    (tmp_path / "broken.icd").write_text("libmissing.so")
-    assert f"broken.icd in {tmp_path} cannot be loaded or have no device\n" in run("devices")[2]
-    monkeypatch.setenv("OCL_ICD_VENDORS", str(tmp_path / "elsewhere"))
-    assert "elsewhere', which does not exist" in run("devices")[2]
+    assert f"no driver in {tmp_path} can be loaded and has a device; pip install" in err
 
 
 def test_each_device_is_timed_and_its_answer_is_checked(run, monkeypatch):
