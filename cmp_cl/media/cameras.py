@@ -27,7 +27,6 @@ _WAITING = 64  # the most frames of a camera that wait to be measured
 _LONGEST_WAIT = 10.0  # s, the longest wait for a frame of a camera
 _EARLY = 0.1  # of a pair: a step this much shorter is one of it
 _PAIR_WITHIN = 20.0  # ms, between frames that are paired if their interval is unknown
-_DEVICES = Path("/dev")  # where Linux has its cameras
 
 
 def is_live(name: str) -> bool:
@@ -111,9 +110,10 @@ class Source:
         with contextlib.suppress(cv2.error):  # of a number that no camera can have
             capture = cv2.VideoCapture(self._opened_as)
         if capture is None or not capture.isOpened():
-            what = "stream" if "://" in self.name else "camera"
-            there = "check the address" if what == "stream" else _cameras_here()
-            raise ImageError(f"there is no {what} {self.name} that OpenCV can open; {there}")
+            raise ImageError(
+                f"there is no camera {self.name} that OpenCV can open: check its number or "
+                "address, its permissions, and that no other program has it open"
+            )
         for what, (key, value) in self._settings.items():
             if not capture.set(key, value):
                 capture.release()
@@ -271,11 +271,3 @@ def _of_both(number: int, one: Frame, two: Frame) -> Frame:
         why = f"the left view is {left}, the right one {right}"
         return Frame(number, None, one.time_ms, why)
     return Frame(number, cast(GreyImage, np.hstack([one.image, two.image])), one.time_ms)
-
-
-def _cameras_here() -> str:
-    """Return which cameras there are, as far as the folder of devices tells."""
-    devices = sorted(str(path) for path in _DEVICES.glob("video*"))
-    if not devices:
-        return "none is seen in /dev: connect one, or check its driver and its permissions"
-    return f"{', '.join(devices)} can be given, if no other program has it open"
