@@ -145,8 +145,7 @@ def _are_sure(surface: Surface, asked: Votes, k: LatticeConstants) -> Mask:
     parts, which makes counts too short; and where cells are long the surface expects more of them.
     Behind a bar few colours are seen, but a flat board goes on nowhere else.
     """
-    least = k.join_votes / np.maximum(asked.weight, np.finfo(np.float64).eps)
-    sure: Mask = asked.weight * factor(surface.bending(asked, least, k)) > k.join_votes
+    sure: Mask = asked.weight * factor(surface.bending(asked, k)) > k.join_votes
     return sure
 
 
@@ -177,5 +176,4 @@ def goes_on(board: Board, some: Mask, k: LatticeConstants) -> bool:
         at=board.at[row, column],
         faces=np.zeros(2, np.int64),
     ).chosen(np.argsort(part, kind="stable"))
-    least = math.exp(k.sure_nats)
-    return bool(factor(Surface(nodes).bending(BESIDE, np.full(1, least), k))[0] >= least)
+    return bool(factor(Surface(nodes).bending(BESIDE, k))[0] >= math.exp(k.sure_nats))
