@@ -59,8 +59,7 @@ __kernel void cut_board(const uint rows, const uint columns, __global const int 
                         __global int *restrict node_owner, __global uchar *restrict node_kind,
                         __global int *restrict border) {
   const int width = layout[BOARD_COLUMNS];
-  const int first = layout[EMPTY_LINES];
-  int4 box = (int4)(first, layout[BOARD_ROWS] - first, first, width - first);
+  int4 box = (int4)(0, layout[BOARD_ROWS], 0, width);
   __local int there[SIDES], asked[SIDES], firm[SIDES];
   for (;;) {
     const int height = box.y - box.x, across = box.w - box.z;
@@ -322,21 +321,18 @@ __kernel void measure_border(LEVELS_OF_IMAGE, __global const float2 *restrict no
       for (int k = 0; k < 2; ++k) change += MAGNITUDE_OF(LEVEL(n, 0, k) - LEVEL(n, 1, k));
       squares[start + some++] = squares[n];
     }
-    const bool read = some && 2 * some >= pairs[side];
     const float whole = (float)MAGNITUDE_OF(inside);
-    int reached = read && (float)MAGNITUDE_OF(beyond) < PASSING * whole
+    int reached = some && (float)MAGNITUDE_OF(beyond) < PASSING * whole
                       ? common_reach(squares + start, some)
                       : UNSEEN;
-    const bool follows = read && (float)change < 2.0f * PASSING * whole;
     /* What reaches farther than a square is not the last one. */
     const float reach = REACH(reached) * last_over_next(OF_BOARD, side);
     if (reached != UNSEEN && reach > 1 + BORDER_STEP_CELLS) {
       reached = UNSEEN;
       any_longer = 1;
     }
-    border[FOLLOWS_OF + side] = follows;
+    border[FOLLOWS_OF + side] = some && (float)change < 2.0f * PASSING * whole;
     border[REACH_OF + side] = reached == UNSEEN ? UNSEEN : floor_of(WHOLE * reach);
-    room[side] = room[side] && !follows;
   }
   ALL_TOGETHER;
   FOR_ALL(side, SIDES) border[ROOM_OF + side] = room[side] && !any_longer;

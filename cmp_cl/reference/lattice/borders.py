@@ -103,7 +103,7 @@ class Sides:
         longer = cells > F(1) + F(k.border_step_cells)
         reach[longer] = 0
         self.reach = np.where(reach > 0, np.floor(F(WHOLE) * cells), UNSEEN).astype(np.int64)
-        self.room &= ~(self.follows | longer.any())
+        self.room &= ~longer.any()
 
     def found(self) -> list[int]:
         """Return all in the order of the kernel, after rows, columns and sign."""
@@ -145,7 +145,7 @@ class Sides:
         seen = [self._in_view(at(depth, F(0))).all(axis=1) for depth in cells]
         near = bool(2 * np.count_nonzero(seen[0]) < asked)
         both = both[seen[near]]
-        if not len(both) or 2 * len(both) < asked:
+        if not len(both):
             return False, F(0)
         step = F(self.k.border_step_cells)
         depths = [F(-0.5), cells[near], *(step * F(n) for n in DEPTHS)]
