@@ -103,14 +103,14 @@ __kernel void fill_bins(__global const float *restrict corners, const uint capac
   for (uint k = me; k <= across * down; k += all) starts[k] = 0;
   barrier(CLK_GLOBAL_MEM_FENCE);
   for (uint i = me; i < count; i += all)
-    if (IS_PLACED(i)) ADD(starts + BIN_OF(at[i]), 1);
+    if (IS_PLACED(i)) atomic_add(starts + BIN_OF(at[i]), 1);
   barrier(CLK_GLOBAL_MEM_FENCE);
   if (me == 0) /* the ends of the bins; filling them backwards makes these their starts */
     for (uint k = 0, sum = 0; k <= across * down; ++k) starts[k] = sum += starts[k];
   barrier(CLK_GLOBAL_MEM_FENCE);
   for (uint i = me; i < count; i += all) {
     if (!IS_PLACED(i)) continue;
-    const int n = ADD(starts + BIN_OF(at[i]), -1) - 1;
+    const int n = atomic_add(starts + BIN_OF(at[i]), -1) - 1;
     const float spot[] = {at[i].x, at[i].y, lines[i].x, lines[i].y, lines[i].z, lines[i].w};
     binned[n] = i;
     for (int k = 0; k < 6; ++k) spots[k * capacity + n] = spot[k];

@@ -61,7 +61,7 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   ALL_TOGETHER;
   FOR_ALL(i, all ? count : 0) {
     const int4 n = numbers[i];
-    if (n.w == 1) LOWER(owner + (n.y - origin_y) * width + n.x - origin_x, i);
+    if (n.w == 1) atomic_min(owner + (n.y - origin_y) * width + n.x - origin_x, i);
   }
   ALL_TOGETHER;
   FOR_ALL(place, all) {
@@ -77,8 +77,8 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
     seen[place] = POSITIONS(corners)[i];
     torn[place] = IS_TORN(i);
     used[i] = 1;
-    ADD(&nodes, 1);
-    ADD(&sum, (n.z ^ (n.x - origin_x + n.y - origin_y)) & 1 ? -1 : 1);
+    atomic_add(&nodes, 1);
+    atomic_add(&sum, (n.z ^ (n.x - origin_x + n.y - origin_y)) & 1 ? -1 : 1);
   }
   ALL_TOGETHER;
   if (get_local_id(0)) return;
@@ -388,7 +388,7 @@ enum { CHANGED, MOVED, BLENDED, MEASURED, SCORED, JUDGED, LOOKED, ASKING, LISTS 
 #define OF_PLACES marks, lists, places, counts
 __attribute__((noinline)) void list_place(LISTS_OF_PLACES, const int kind, const int place) {
   if (READ(marks + place) >> kind & 1 || atomic_or(marks + place, 1 << kind) >> kind & 1) return;
-  LIST_OF(kind)[ADD(counts + kind, 1)] = place;
+  LIST_OF(kind)[atomic_add(counts + kind, 1)] = place;
 }
 /* Empty a list, once all work-items have read it. */
 void empty_list(LISTS_OF_PLACES, const int kind) {
@@ -457,11 +457,10 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
       seen[place] = (float2)(NAN, NAN);
       torn[place] = 0;
       list_place(OF_PLACES, CHANGED, place);
-      ADD(&nodes, -1);
+      atomic_add(&nodes, -1);
     }
     if (get_local_id(0) == 0) {
       candidates = 0;
-      layout[EMPTY_LINES] = MARGIN - round;
     }
     ALL_TOGETHER;
     empty_list(OF_PLACES, JUDGED);
@@ -482,8 +481,8 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
         if (own.owner == NONE) continue;
         candidate[place] = own.owner;
         found[place] = own.at;
-        if (own.owner != PLACE) LOWER(claim + own.owner, place);
-        listed[ADD(&candidates, 1)] = place;
+        if (own.owner != PLACE) atomic_min(claim + own.owner, place);
+        listed[atomic_add(&candidates, 1)] = place;
       }
       ALL_TOGETHER;
       empty_list(OF_PLACES, LOOKED);
@@ -497,7 +496,7 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
       torn[place] = own == PLACE || IS_TORN(own);
       if (own >= 0) used[own] = 1;
       list_place(OF_PLACES, CHANGED, place);
-      ADD(&nodes, 1);
+      atomic_add(&nodes, 1);
     }
     ALL_TOGETHER;
     FOR_ALL(k, candidates) {

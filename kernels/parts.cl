@@ -16,7 +16,7 @@ int root_of(__global volatile int *part, int f) {
 void unite(__global volatile int *part, int a, int b) {
   while ((a = root_of(part, a)) != (b = root_of(part, b))) {
     const int low = SMALLER(a, b), high = LARGER(a, b);
-    b = LOWER(part + high, low);
+    b = atomic_min(part + high, low);
     if (b == high) return;
     a = low;
   }
@@ -66,10 +66,10 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
     FOR_ALL(h, ends) {
       if (face[h] != h) continue;
       const int root = root_of(part, h);
-      REPLACE(part + h, root);
-      ADD(faces_of_part + root, 1);
+      atomic_xchg(part + h, root);
+      atomic_add(faces_of_part + root, 1);
       state[h] = (int4)(0, 0, 0, root == h ? 0 : WAITING);
-      if (root == h) waiting[ADD(&listed, 1)] = h;
+      if (root == h) waiting[atomic_add(&listed, 1)] = h;
     }
     ALL_TOGETHER;
     /* The numbers spread from the roots, face by face. A face waits with the half-edge across which
@@ -86,9 +86,9 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
           const int other = beyond[h];
           if (other != NONE) {
             __global volatile int *reached = (__global volatile int *)(state + face[other]) + 3;
-            if (READ(reached) == WAITING && REPLACE(reached, 0) == WAITING) {
+            if (READ(reached) == WAITING && atomic_xchg(reached, 0) == WAITING) {
               state[other].xyz = STEP(here, 2).xyz;
-              waiting[ADD(&listed, 1)] = other;
+              waiting[atomic_add(&listed, 1)] = other;
             }
           }
           here = STEP(here, 1);
@@ -124,7 +124,7 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
   FOR_ALL(h, ends)
     if (part[h] == h && faces_of_part[h]) {
       if (faces_of_part[h] > READ(&most)) atomic_max(&most, faces_of_part[h]);
-      if (faces_of_part[h] > 1) ADD(&parts, 1); /* one face agrees with none */
+      if (faces_of_part[h] > 1) atomic_add(&parts, 1); /* one face agrees with none */
     }
   ALL_TOGETHER;
   FOR_ALL(h, ends)

@@ -105,7 +105,6 @@ class LatticePlan:
         return {
             **kernels.macros(self.constants),
             "PIXEL": "uchar" if self.dtype == np.uint8 else "ushort",
-            "IS_CPU": int(self.device.kind is DeviceKind.CPU),
             "PAD": self.pad,
             "WHOLE_LEVELS": int(whole),
             "HEAD": RESULT_HEAD,
