@@ -19,7 +19,7 @@ from typing import Any
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import kept_detector
-from cmp_cl.errors import ConfigError, check_kind, extra
+from cmp_cl.errors import ConfigError
 from cmp_cl.image import GreyImage, check_image
 
 _ONE_PART = threading.Lock()  # at a time in a worker process
@@ -43,13 +43,10 @@ def detect(
     config: None means DetectorConfig().
     part: how many frames a worker is given at a time.
 
-    A few parts are on their way while one is used, so memory is bounded. Raises ConfigError without
-    Dask, for another client, or if part is under 1, the errors of `read` and of the detector on a
+    A few parts are on their way while one is used, so memory is bounded. Raises ConfigError if
+    part is under 1, the errors of `read` and of the detector on a
     worker, and distributed.KilledWorker if a part has ended several workers.
     """
-    with extra("dask", "a cluster"):
-        import distributed
-    check_kind("client", client, distributed.Client, ConfigError)
     if part < 1:
         raise ConfigError(f"part must be 1 or more, not {part}")
     config = DetectorConfig() if config is None else config

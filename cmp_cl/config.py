@@ -17,7 +17,7 @@ from typing import Annotated, Any, NamedTuple, Self, TypeVar
 import numpy as np
 
 from cmp_cl.errors import ConfigError, check_range
-from cmp_cl.files import check_path, read_toml, write_text
+from cmp_cl.files import read_toml, write_text
 from cmp_cl.image import check_dtype
 
 Part = TypeVar("Part", bound="Settings")
@@ -306,7 +306,6 @@ class DetectorConfig(Settings):
         Raises ConfigError if the file cannot be read, is not TOML, or has an unknown
         key or a value outside its range.
         """
-        check_path(path, ConfigError)
         try:
             return _made(read_toml(path), cls)
         except OSError as error:

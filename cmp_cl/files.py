@@ -20,8 +20,6 @@ from zipfile import ZipFile, is_zipfile
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import CmpClError
-
 _MOST_TOML = 1 << 16  # bytes
 _WRITABLE = 0o222  # mode bits that allow writing
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -35,18 +33,8 @@ def version() -> str:
         return "unknown"
 
 
-def check_path(path: object, error: type[CmpClError | OSError]) -> None:
-    """Raise the error if a path is neither a text nor a PathLike of one, is empty, or holds a null
-    character, which no system allows."""
-    name = os.fspath(path) if isinstance(path, str | PathLike) else None
-    if not isinstance(name, str) or not name or "\0" in name:
-        said = " ".join(repr(path).split())
-        raise error(f"path must be the name of a file, not {said}")
-
-
-def suffix_of(path: str | PathLike[str], error: type[CmpClError]) -> str:
-    """Return the suffix of a path in small letters; raises the error as `check_path` does."""
-    check_path(path, error)
+def suffix_of(path: str | PathLike[str]) -> str:
+    """Return the suffix of a path in small letters."""
     return Path(path).suffix.lower()
 
 
@@ -83,10 +71,9 @@ def whole_path(path: str | PathLike[str], suffix: str = ".tmp") -> Iterator[Path
 def check_target(path: str | PathLike[str]) -> Path:
     """Return the file that an output path names, with links resolved.
 
-    Raises OSError if the path is no name of a file, is a folder, a device or a read-only file, or
+    Raises OSError if the path is a folder, a device or a read-only file, or
     lies in a folder that does not exist or cannot be written.
     """
-    check_path(path, FileNotFoundError)
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
         raise OSError(errno.EINVAL, "it is a folder or a device, not a file", str(path))

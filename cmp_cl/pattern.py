@@ -59,7 +59,7 @@ class Checkerboard:
         Raises ConfigError on another suffix, a dpi outside 10 to 10 000, no pixel, more than 100
         million or without matplotlib, OSError if the file cannot be written.
         """
-        suffix = suffix_of(path, ConfigError)
+        suffix = suffix_of(path)
         if suffix not in (".svg", ".png"):
             raise ConfigError(f"{str(path)!r}: the suffix must be .svg or .png")
         check_range("dpi", dpi, 10, 10_000)

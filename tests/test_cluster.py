@@ -75,6 +75,4 @@ def test_errors_of_a_worker_are_raised_where_the_corners_are_asked_for(client):
         next(cluster.detect(client, colour_frame, range(2)))
     with pytest.raises(ConfigError, match="part must be"):
         next(cluster.detect(client, frame, range(2), part=0))
-    with pytest.raises(ConfigError, match="client must be of type Client, not str"):
-        next(cluster.detect("tcp://scheduler:8786", frame, range(2)))
     assert list(cluster.detect(client, frame, [])) == []

@@ -315,8 +315,9 @@ def test_a_folder_stands_for_its_images_and_videos_by_name(tmp_path):
     assert [path.name for path in found] == ["a.JPG", "b.png", "c.avi", "notes.txt"]
     with pytest.raises(FileNotFoundError, match="no image and no video in the folder"):
         media.find_inputs([tmp_path / "e.png"])
-    with pytest.raises(FileNotFoundError, match="there is no file"):
-        media.find_inputs([tmp_path / "missing.png"])
+    for name in (tmp_path / "missing.png", ""):
+        with pytest.raises(FileNotFoundError, match="there is no file"):
+            media.find_inputs([name])
 
 
 def test_a_file_pattern_that_the_shell_did_not_expand_stands_for_its_files(tmp_path):

@@ -153,7 +153,7 @@ class DisplacementField:
         ParaView. The raw field is written beside a filtered one; the names of its arrays begin with
         raw_. Raises ConfigError on another suffix, OSError if the file cannot be written.
         """
-        suffix = suffix_of(path, ConfigError)
+        suffix = suffix_of(path)
         arrays: dict[str, NDArray[Any]] = {}
         for begin, each in (("", self), ("raw_", self.raw)):
             named = {f"{begin}{name}": getattr(each, name, None) for name in _IN_FILES}

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, GridError, check_kind, check_positive
-from cmp_cl.files import check_path, read_npz, suffix_of, whole_file
+from cmp_cl.files import read_npz, suffix_of, whole_file
 from cmp_cl.fits import bent_sigma
 from cmp_cl.grid.curves import points_between
 from cmp_cl.grid.saved import SAVED, check_shapes, packed, unpacked
@@ -287,7 +287,7 @@ class Grid:
         Its arrays have the names of the attributes; one that is None has no elements. Raises
         GridError on another suffix, OSError if the file cannot be written.
         """
-        if suffix_of(path, GridError) != ".npz":
+        if suffix_of(path) != ".npz":
             raise GridError(f"a grid is saved as .npz, not as {str(path)!r}")
         with whole_file(path) as file:
             np.savez(file, **packed(self))
@@ -299,7 +299,6 @@ class Grid:
         Raises OSError if the file cannot be read; GridError if it is damaged or holds no grid: the
         message says which array is wrong, what was expected and what was found.
         """
-        check_path(path, FileNotFoundError)
         try:
             found = unpacked(read_npz(path, SAVED, check_shapes))
         except ValueError as error:

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ImageError, check_kind
-from cmp_cl.files import check_path, suffix_of, write_bytes
+from cmp_cl.errors import ImageError
+from cmp_cl.files import suffix_of, write_bytes
 from cmp_cl.image import AnyImage, GreyImage
 
 IMAGE_SUFFIXES = frozenset(
@@ -40,9 +40,8 @@ def write_image(path: str | PathLike[str], image: AnyImage) -> None:
     image: (H, W) or (H, W, 3) BGR. Raises ImageError if the suffix is not that of an image format,
         or the format cannot hold such pixels; OSError if the folder is missing or not writable.
     """
-    check_kind("image", image, np.ndarray, ImageError)
     known = IMAGE_SUFFIXES if image.dtype == np.uint8 else _OF_16_BITS
-    written = suffix_of(path, ImageError) in known and image.dtype in (np.uint8, np.uint16)
+    written = suffix_of(path) in known and image.dtype in (np.uint8, np.uint16)
     if written:
         try:
             written, data = cv2.imencode(Path(path).suffix, image)
@@ -75,7 +74,6 @@ def read_pages(path: str | PathLike[str]) -> Iterator[GreyImage]:
     that is cut off, the pages before the cut are read. The first page says whether any is
     transparent.
     """
-    check_path(path, ImageError)
     if os.path.exists(path) and not os.path.isfile(path):
         folder = "; Source(folder).frames() of cmp_cl.media.cameras reads a folder"
         raise ImageError(f"{str(path)!r} is not a file{folder if os.path.isdir(path) else ''}")
@@ -115,7 +113,7 @@ def _decoded(
                 "OPENCV_IO_MAX_IMAGE_PIXELS raises it"
             ) from error
     if not first and not pages:
-        video = suffix_of(path, ImageError) in VIDEO_SUFFIXES
+        video = suffix_of(path) in VIDEO_SUFFIXES
         what = (
             "a video: give images" if video else "not an image that OpenCV can read, or is damaged"
         )
@@ -178,9 +176,8 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
         raise FileNotFoundError(f"paths must be several names of files, not {paths!r}")
     found: list[Path] = []
     for name in paths:
-        check_path(name, FileNotFoundError)
         path = Path(name)
-        if path.is_dir():
+        if os.path.isdir(name):  # "" is none
             inside = [
                 entry
                 for entry in sorted(path.iterdir(), key=_by_number)
@@ -191,9 +188,9 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
             if not inside:
                 raise FileNotFoundError(f"no image and no video in the folder {str(path)!r}")
             found += inside
-        elif path.exists():
+        elif os.path.exists(name):
             found.append(path)
-        elif matches := glob.glob(str(path)):
+        elif matches := glob.glob(os.fspath(name)):
             found += sorted(map(Path, matches), key=_by_number)
         else:
             raise FileNotFoundError(f"there is no file {os.fspath(name)!r}")

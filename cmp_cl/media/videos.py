@@ -67,8 +67,8 @@ class VideoInfo(NamedTuple):
 
 
 def is_video(path: str | PathLike[str]) -> bool:
-    """Return whether the suffix of a path is that of a video; raises ImageError for no path."""
-    return suffix_of(path, ImageError) in VIDEO_SUFFIXES
+    """Return whether the suffix of a path is that of a video."""
+    return suffix_of(path) in VIDEO_SUFFIXES
 
 
 def read_frames(path: str | PathLike[str]) -> Iterator[Frame]:

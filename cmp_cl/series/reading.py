@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, FieldError, extra
-from cmp_cl.files import check_memory, check_path, read_npz, suffix_of
+from cmp_cl.files import check_memory, read_npz, suffix_of
 from cmp_cl.series.part import LARGEST, Stored
 
 _LONGEST = 40  # characters of a unit
@@ -48,9 +48,8 @@ def read_series(
     file is damaged, is no series, does not fit into the memory, or holds one of the arrays that
     this library writes with another shape or kind of values.
     """
-    check_path(path, ConfigError)
     part = re.search(r"\.part(-\d+)?$", os.fspath(path)) is not None
-    suffix = suffix_of(path, ConfigError)
+    suffix = suffix_of(path)
     if not (part or suffix in (".npz", ".h5")):
         raise ConfigError(f"{str(path)!r}: a series that is read ends in .npz, .h5 or .part")
     if not os.access(path, os.R_OK):

@@ -218,7 +218,7 @@ class SeriesWriter(Closing):
 
 def _known_suffix(path: str | PathLike[str]) -> str:
     """Return the suffix of a path; raises ConfigError for an unknown one or without its package."""
-    suffix = suffix_of(path, ConfigError)
+    suffix = suffix_of(path)
     if suffix not in _FORMATS:
         raise ConfigError(f"{str(path)!r}: the suffix must be one of {', '.join(_FORMATS)}")
     if suffix in _PACKAGES:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError, check_kind
+from cmp_cl.errors import FieldError
 from cmp_cl.points import largest_deviation
 from cmp_cl.space.rig import StereoRig, points_by_image
 
@@ -17,7 +17,7 @@ class Bias:
 
     rig: with a covariance. rest: the points from which they are, (R, C, 3), NaN where missing.
 
-    Raises FieldError if rig is of another type, or has no covariance.
+    Raises FieldError if the rig has no covariance.
 
     With points x(p) at fixed positions in the image and parameters p of the covariance P, a
     displacement u is off by G u dp, G the derivatives of dx/dp by x. So its covariance is quadratic
@@ -25,7 +25,6 @@ class Bias:
     """
 
     def __init__(self, rig: StereoRig, rest: Array) -> None:
-        check_kind("rig", rig, StereoRig, FieldError)
         if rig.covariance is None:
             raise FieldError("the rig has no covariance; calibrate it")
         self._shape, flat = rest.shape, np.asarray(rest, np.float64).reshape(-1, 3)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError, ConfigError
-from cmp_cl.files import check_path, write_text
+from cmp_cl.files import write_text
 from cmp_cl.grid.grid import Grid
 from cmp_cl.space.calibration import Camera
 from cmp_cl.space.lens import Lens
@@ -118,7 +118,6 @@ def save_cameras(
 
 def check_cameras(path: str | PathLike[str]) -> str:
     """Return the ending that names a format of `save_cameras`; raises ConfigError for any other."""
-    check_path(path, ConfigError)
     name = Path(path).name.lower()
     for ending in (".camchain.yaml", ".camera_info.yaml", ".yaml", ".yml"):
         if name.endswith(ending):

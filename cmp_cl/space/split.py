@@ -50,8 +50,6 @@ class BinocularSplit:
 
         Raises ConfigError if the frame is narrower than 2 px or has no row.
         """
-        check_kind("width", width, Integral, ConfigError)
-        check_kind("height", height, Integral, ConfigError)
         width, height = int(width), int(height)
         half = width // 2
         return cls((0, 0, half, height), (width - half, 0, half, height))

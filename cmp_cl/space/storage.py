@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError
-from cmp_cl.files import check_path, write_text
+from cmp_cl.files import write_text
 from cmp_cl.space.window import Window
 
 _MAX_FILE = 1 << 20  # bytes
@@ -79,7 +79,6 @@ def _open_storage(path: str | PathLike[str]) -> cv2.FileStorage:
     Raises CalibrationError if that fails, or if a key of a rig is in the file twice: OpenCV would
     read one of them without saying which.
     """
-    check_path(path, CalibrationError)
     try:
         with Path(path).open("rb") as file:
             data = file.read(_MAX_FILE + 1)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError, check_kind
+from cmp_cl.errors import ConfigError
 from cmp_cl.image import GreyImage
 from cmp_cl.points import sides
 from cmp_cl.space import StereoRig
@@ -59,7 +59,6 @@ def render(scene: Scene) -> Rendered:
 
     Raises ConfigError if the surface would fold over in the image.
     """
-    check_kind("scene", scene, Scene, ConfigError)
     rows, columns = scene.shape
     focal = FILL * min(scene.shape) / scene.side * DISTANCE
     matrix = np.array([[focal, 0, (columns - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1.0]])
@@ -84,8 +83,6 @@ def render_stereo(scene: Scene, rig: StereoRig) -> tuple[Rendered, Rendered, Arr
     Raises ConfigError if the lenses have more coefficients than k1 k2 p1 p2 k3, or if the surface
     would fold over in one of the images.
     """
-    check_kind("scene", scene, Scene, ConfigError)
-    check_kind("rig", rig, StereoRig, ConfigError)
     left = PinholeCamera(rig.K1, rig.D1, np.eye(3), np.zeros(3), rig.window)
     right = PinholeCamera(rig.K2, rig.D2, rig.R, rig.T, rig.window)
     axes, centre = facing_both(rig.R, rig.T)
@@ -100,9 +97,7 @@ def render_stereo(scene: Scene, rig: StereoRig) -> tuple[Rendered, Rendered, Arr
 
 def binocular_frame(left: Rendered, right: Rendered) -> GreyImage:
     """Put the left and the right view side by side, (H, 2 W), as one camera sees them through
-    mirrors; raises ConfigError if one is not Rendered."""
-    check_kind("left", left, Rendered, ConfigError)
-    check_kind("right", right, Rendered, ConfigError)
+    mirrors."""
     return np.concatenate([left.image, right.image], axis=1)
 
 

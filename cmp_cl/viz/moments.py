@@ -76,8 +76,7 @@ class Moment:
         *,
         doubtful: bool = False,
     ) -> "Moment":
-        """Return what is drawn of a field; raises FieldError if it is of another type."""
-        check_kind("field", field, DisplacementField, FieldError)
+        """Return what is drawn of a field."""
         return cls(
             rest=field.position,
             shift=field.displacement,

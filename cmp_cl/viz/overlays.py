@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners, Method
-from cmp_cl.errors import FieldError, check_kind
+from cmp_cl.errors import FieldError
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.image import AnyImage, check_image
 
@@ -49,11 +49,9 @@ def corner_overlay(image: AnyImage, corners: Corners) -> NDArray[np.uint8]:
 
     image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR. The image is enlarged by a whole
     factor, each pixel to a block, until its longer side has 1000 px. The legend is below the image.
-    A circle surrounds each corner and a dot marks its position. Raises ImageError, and FieldError
-    if `corners` is of another type.
+    A circle surrounds each corner and a dot marks its position. Raises ImageError.
     """
     image = check_image(image)
-    check_kind("corners", corners, Corners, FieldError)
     canvas = _Canvas(image, _LEAST)
     radius = min(max(3.0, 0.3 * _spacing(corners.xy) * canvas.factor), 24.0)
     colours = [METHOD_COLOURS[Method(method)] for method in corners.method]
@@ -74,11 +72,8 @@ def grid_overlay(
     there are not as many corners as the grid was built from.
     """
     image = check_image(image)
-    check_kind("grid", grid, Grid, FieldError)
-    if corners is not None:
-        check_kind("corners", corners, Corners, FieldError)
-        if len(corners) != len(grid.index):
-            raise FieldError(f"the grid is of {len(grid.index)} corners, not of {len(corners)}")
+    if corners is not None and len(corners) != len(grid.index):
+        raise FieldError(f"the grid is of {len(grid.index)} corners, not of {len(corners)}")
     canvas = _Canvas(image, _LEAST)
     canvas.lattice(grid.xy)
     canvas.lines(grid.xy[:1], _FIRST_ROW)

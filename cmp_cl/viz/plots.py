@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cmp_cl.errors import ConfigError, extra
+from cmp_cl.errors import extra
 from cmp_cl.files import suffix_of, whole_file
 from cmp_cl.points import corners_of_cells, of_cells
 from cmp_cl.viz.moments import Map, Moment, Quantity, Summary, plane_of
@@ -33,7 +33,7 @@ def new_figure(size: tuple[float, float]) -> "Figure":
 def save_figure(path: str | PathLike[str], figure: "Figure") -> None:
     """Write a figure of matplotlib in the format of the suffix, such as .png or .svg, whole or not
     at all; raises OSError, and ValueError for one that matplotlib does not have."""
-    kind = suffix_of(path, ConfigError)[1:]
+    kind = suffix_of(path)[1:]
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):  # no TeX: units and names of files may have any characters

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError, check_kind, check_positive, listed
+from cmp_cl.errors import CalibrationError, check_kind, check_positive
 from cmp_cl.grid.grid import Grid
 from cmp_cl.space.calibration.adjustment import (
     Look,
@@ -150,7 +150,10 @@ def calibrate(
     nodes, if they do not determine the focal length (the board faces the camera in all of them), if
     a camera shares no moment with the others, or if no pose between the cameras fits the views.
     """
-    _check(views, sizes)
+    if not views or views.keys() != sizes.keys():
+        raise CalibrationError(
+            f"sizes must be of the cameras in views, at least one: {list(views)}, not {list(sizes)}"
+        )
     check_positive("spacing", spacing, CalibrationError)
     check_kind("lens", lens, Lens, CalibrationError)
     seen, alike = _different(views)
@@ -209,26 +212,6 @@ def calibrate(
         },
         covariance=cov if lens is Lens.PINHOLE and len(names) == 2 else None,
     )
-
-
-def _check(
-    views: Mapping[str, Sequence[Grid | None]], sizes: Mapping[str, tuple[int, int]]
-) -> None:
-    """Raise CalibrationError if an argument of `calibrate` is of another kind."""
-    check_kind("views", views, Mapping, CalibrationError)
-    check_kind("sizes", sizes, Mapping, CalibrationError)
-    if not views or views.keys() != sizes.keys():
-        raise CalibrationError(
-            f"sizes must be of the cameras in views, at least one: {list(views)}, not {list(sizes)}"
-        )
-    for name, grids in views.items():
-        seen = listed(f"views[{name!r}]", grids, object, CalibrationError)
-        listed(f"views[{name!r}]", [g for g in seen if g is not None], Grid, CalibrationError)
-        size = listed(f"sizes[{name!r}]", sizes[name], int, CalibrationError)
-        if len(size) != 2 or min(size) < 1:
-            raise CalibrationError(
-                f"sizes[{name!r}] must be (width, height), px, not {sizes[name]!r}"
-            )
 
 
 def _different(views: Mapping[str, Sequence[Grid | None]]) -> tuple[Seen, list[list[int]]]:
