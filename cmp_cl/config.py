@@ -58,7 +58,8 @@ class Settings:
                 for each in value if pair else (value,):
                     check_range(name, each, low, high, kind=kind, odd=odd)
             elif limits is None and not isinstance(value, kinds):
-                raise ConfigError(f"{name} must be {_named(kinds)}, not {value!r}")
+                named = " or ".join(kind.__name__ for kind in kinds)
+                raise ConfigError(f"{name} must be of type {named}, not {value!r}")
 
 
 def _kinds_of(field: "dataclasses.Field[Any]") -> tuple[tuple[type, ...], Range | None]:
@@ -69,18 +70,6 @@ def _kinds_of(field: "dataclasses.Field[Any]") -> tuple[tuple[type, ...], Range 
     if typing.get_origin(kind) is tuple:
         return (tuple, typing.get_args(kind)[0]), limits
     return typing.get_args(kind) or (typing.cast(type, kind),), limits
-
-
-def _named(kinds: tuple[type, ...]) -> str:
-    """Return what a value of these types can be, as text."""
-    names: list[str] = []
-    for kind in kinds:
-        if issubclass(kind, enum.Enum):
-            names += map(str, kind)
-        else:
-            known = {bool: "True or False", types.NoneType: "None"}
-            names.append(known.get(kind, kind.__name__))
-    return " or ".join(names)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

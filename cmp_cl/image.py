@@ -1,6 +1,5 @@
 """What an image is, with an error that says how to convert anything else."""
 
-from os import PathLike
 from typing import Any, TypeAlias, cast
 
 import numpy as np
@@ -59,33 +58,17 @@ def _is_image(image: Any) -> bool:
 
 
 def _not_an_image(image: Any) -> Exception:
-    """Return an ImageError that says what is wrong with the image and how to convert it."""
-    expected = "expected a NumPy array (H, W) of uint8 or uint16"
-    if not isinstance(image, np.ndarray):
-        hint = "numpy.asarray(image) converts most"
-        if image is None or isinstance(image, str | PathLike):
-            hint = "cv2.imread(file, 0) reads one, and gives None for a file that it cannot read"
-        return ImageError(f"{expected}, got {type(image).__name__}; {hint}")
-    came = f"got shape {image.shape} of {image.dtype}"
-    if np.ma.is_masked(image):
-        came = "got a masked array"
-        hint = "image.filled(level) converts, and Detector(mask=...) leaves pixels out"
-    elif image.ndim == 3 and image.shape[2] in (3, 4):
-        code = "cv2.COLOR_BGR2GRAY" if image.shape[2] == 3 else "cv2.COLOR_BGRA2GRAY"
-        hint = f"cv2.cvtColor(image, {code}) converts"
-    elif image.ndim != 2:
-        hint = "image.reshape(height, width) or one frame of it converts"
-    elif image.dtype not in _PIXELS:
-        hint = (
-            "numpy.nan_to_num(image * (255 / white)).clip(0, 255).astype(numpy.uint8) converts, "
-            "white being its largest level"
-        )
-        if image.dtype.newbyteorder("=") in _PIXELS:
-            hint = "image.astype(numpy.uint16) converts"
-    elif not image.size:
-        hint = "there must be at least one pixel"
-    else:
-        expected = f"{expected} with contiguous rows and a positive row step"
-        came = f"{came} with strides {image.strides}"
-        hint = "numpy.ascontiguousarray(image) converts"
-    return ImageError(f"{expected}, {came}; {hint}")
+    """Return an ImageError that says what was given and how to convert it."""
+    expected, came = "expected a NumPy array (H, W) of uint8 or uint16", type(image).__name__
+    hint = "cv2.imread(file, 0) reads one, and gives None for a file that it cannot read"
+    if isinstance(image, np.ndarray):
+        came = f"shape {image.shape} of {image.dtype}"
+        hint = "numpy.ascontiguousarray(image) converts, if it has that shape and type"
+        if np.ma.is_masked(image):
+            came = "a masked array"
+            hint = "image.filled(level) converts, and Detector(mask=...) leaves pixels out"
+        elif image.ndim == 3 and image.shape[2] in (3, 4):
+            hint = "cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) converts"
+        elif image.dtype not in _PIXELS:
+            hint = "(image * (255 / white)).clip(0, 255).astype(numpy.uint8) converts"
+    return ImageError(f"{expected}, got {came}; {hint}")

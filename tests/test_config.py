@@ -38,8 +38,8 @@ def test_bounds_are_allowed_and_a_step_beyond_is_refused(setting):
     ("make", "message"),
     [
         (lambda: AdaptiveMean(window=20), "AdaptiveMean.window must be an odd integer in [3, 255]"),
-        (lambda: Midlines(fit="linear"), "Midlines.fit must be Fit.LINEAR or Fit.QUADRATIC"),
-        (lambda: RingHarmonic(fine=1), "RingHarmonic.fine must be True or False, not 1"),
+        (lambda: Midlines(fit="linear"), "Midlines.fit must be of type Fit, not 'linear'"),
+        (lambda: RingHarmonic(fine=1), "RingHarmonic.fine must be of type bool, not 1"),
         (lambda: DetectorConfig(nms_radius=None), "nms_radius must be an integer in [1, 15]"),
         (lambda: DetectorConfig.paper(0), "20, 30 or 40 markers a side, not 0"),
         (lambda: DetectorConfig.for_cell(3), "for_cell(cell) must be a number in [4, 1000], not 3"),

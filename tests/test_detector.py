@@ -281,12 +281,12 @@ def test_a_shape_beyond_the_memory_of_the_device_is_refused(device):
 
 WRONG = {
     "float": (BOARD.astype(np.float32), r"uint8.*float32.*astype"),
-    "big endian": (BOARD.astype(">u2"), r">u2; image.astype\(numpy.uint16\)"),
+    "big endian": (BOARD.astype(">u2"), r"of >u2; .*astype"),
     "colour": (np.dstack([BOARD] * 3), r"cvtColor\(image, cv2.COLOR_BGR2GRAY\)"),
-    "stack": (np.stack([BOARD] * 7), r"one frame of it"),
-    "row": (BOARD[0], r"reshape"),
-    "empty": (BOARD[:0], r"at least one pixel"),
-    "list": ([[1, 2]], r"got list; numpy.asarray"),
+    "stack": (np.stack([BOARD] * 7), r"got shape \(7, 61, 83\)"),
+    "row": (BOARD[0], r"got shape \(83,\)"),
+    "empty": (BOARD[:0], r"got shape \(0, 83\)"),
+    "list": ([[1, 2]], r"got list"),
     "every second column": (BOARD[:, ::2], r"numpy.ascontiguousarray"),
     "None": (None, r"got NoneType; cv2.imread"),
     "mirrored": (BOARD[:, ::-1], r"numpy.ascontiguousarray"),

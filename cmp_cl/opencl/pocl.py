@@ -7,7 +7,6 @@ import ctypes
 import functools
 import os
 import re
-import shutil
 import stat
 import subprocess
 import sys
@@ -21,7 +20,6 @@ import pyopencl as cl
 from cmp_cl.errors import DeviceError
 
 _POCL_WORKERS = ("POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
-_LEAST_FREE = 32 << 20  # bytes; a plan's kernels take some 10 MB in PoCL's cache
 _PROBE_S = 60.0
 _UNKNOWN = b"generic"  # what LLVM calls a processor that it does not know
 _LONGEST = 32  # bytes, more than a name of a processor has
@@ -161,24 +159,15 @@ def _check_linker() -> None:
 
 
 def reason_stuck() -> str:
-    """Return the reason why PoCL cannot start or compile with its cache; "" if it can.
-
-    Without a writable folder PoCL is not even listed. On a full disk it ends the process.
-    """
+    """Return why PoCL cannot start: without a writable folder it is not even listed; "" if it
+    can."""
     folder = cache_folder()
     there = next((each for each in (folder, *folder.parents) if each.exists()), folder)
     try:
         with tempfile.TemporaryFile(dir=there):
-            pass
+            return ""
     except OSError as error:
         return (
             f"PoCL cannot write to its cache {str(folder)!r}: {error.strerror}; POCL_CACHE_DIR "
             "names another folder"
         )
-    free = shutil.disk_usage(there).free
-    if free < _LEAST_FREE:
-        return (
-            f"PoCL's cache {str(folder)!r} is on a disk with {free} bytes left, and PoCL ends the "
-            "process if it is full; free some space, or name another folder in POCL_CACHE_DIR"
-        )
-    return ""
