@@ -121,12 +121,10 @@ def _files(arguments: argparse.Namespace) -> dict[str, list[Path]]:
         names = {}
         for first, *others in arguments.camera:
             name, equals, path = first.partition("=")
-            if not (equals and name.isidentifier()):
+            if not (equals and name.isidentifier()) or name in names:
                 raise ConfigError(
-                    f"--camera must begin with NAME=IMAGE, as in left=l1.png: {first!r}"
+                    f"--camera must begin with NAME=IMAGE, each NAME once, not {first!r}"
                 )
-            if name in names:
-                raise ConfigError(f"--camera {name} is given twice; give all its views at once")
             names[name] = [path, *others]
     found = {name: media.find_inputs(paths) for name, paths in names.items()}
     if len({len(paths) for paths in found.values()}) > 1:

@@ -75,8 +75,7 @@ def read_pages(path: str | PathLike[str]) -> Iterator[GreyImage]:
     transparent.
     """
     if os.path.exists(path) and not os.path.isfile(path):
-        folder = "; Source(folder).frames() of cmp_cl.media.cameras reads a folder"
-        raise ImageError(f"{str(path)!r} is not a file{folder if os.path.isdir(path) else ''}")
+        raise ImageError(f"{str(path)!r} is a folder or a device, not the file of an image")
     try:
         if os.path.getsize(path) > _MOST_BYTES:
             raise ImageError(f"{str(path)!r} has over {_MOST_BYTES} bytes, too many for an image")
@@ -113,11 +112,7 @@ def _decoded(
                 "OPENCV_IO_MAX_IMAGE_PIXELS raises it"
             ) from error
     if not first and not pages:
-        video = suffix_of(path) in VIDEO_SUFFIXES
-        what = (
-            "a video: give images" if video else "not an image that OpenCV can read, or is damaged"
-        )
-        raise ImageError(f"{str(path)!r} is {what}")
+        raise ImageError(f"{str(path)!r} is not an image that OpenCV can read, or is damaged")
     for page in pages:
         if page.dtype not in (np.uint8, np.uint16):
             raise ImageError(

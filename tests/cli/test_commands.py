@@ -100,7 +100,7 @@ def test_calibrate_finds_the_cameras_again(run, boards):
         ([], ["--left IMAGE... --right IMAGE... for two"]),
         (["--stereo", "0.png", "1.png"], ["3 different views", "not 2"]),
         (["--stereo", "0.png", "--board", "9x6"], ["looks like", "--board counts the inner"]),
-        (["plain.mp4"], ["plain.mp4' is a video: give images"]),
+        (["plain.mp4"], ["plain.mp4' is not an image"]),
         (["plain.png"], ["no view of camera shows a board of 12 x 12", "--stereo"]),
         (["--stereo", "--left", "0.png", "--right", "1.png"], ["with --stereo if each shows"]),
         (["none.png"], ["none.png"]),
@@ -119,7 +119,7 @@ def test_calibrate_finds_the_cameras_again(run, boards):
         (["--camera", "a=gone.png"], ["gone.png"]),
         (["--camera", "noname.png"], ["NAME=IMAGE"]),
         (["--camera", "a=0.png", "1.png", "--camera", "b=0.png"], ["2 of a and 1 of b"]),
-        (["--camera", "a=0.png", "--camera", "a=1.png"], ["a is given twice"]),
+        (["--camera", "a=0.png", "--camera", "a=1.png"], ["each NAME once", "a=1.png"]),
         (
             ["--stereo", "0.png", "--window", "5:1.49"],
             ["--window needs --rest IMAGE, --grid 40x40 and --pitch"],
