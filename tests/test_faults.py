@@ -37,14 +37,6 @@ def refuse(*_, **__):
     raise cl.MemoryError("MEM_OBJECT_ALLOCATION_FAILURE")
 
 
-def test_memory_that_is_refused_is_a_capacity_error(device, monkeypatch):
-    monkeypatch.setattr(cl, "Buffer", refuse)
-    with pytest.raises(
-        CapacityError, match=r"not enough memory for a plan of \d+ bytes, though it has \d+"
-    ):
-        Detector(shape=images.SHAPE, device=device)
-
-
 @pytest.mark.parametrize("call", ["pyopencl.enqueue_nd_range_kernel", "pyopencl.enqueue_copy"])
 def test_memory_that_runs_out_in_a_frame_is_a_capacity_error(device, monkeypatch, call):
     monkeypatch.setattr("cmp_cl.opencl.memory.shares_memory", lambda _: False)

@@ -362,11 +362,6 @@ def test_a_colour_of_a_png_may_be_transparent(tmp_path):
     np.testing.assert_array_equal(found, np.where(NOISE == 7, 255, NOISE))
 
 
-def test_black_is_not_transparent(tmp_path):
-    cv2.imwrite(str(tmp_path / "black.png"), np.zeros((5, 5), np.uint8))
-    assert not media.read_image(tmp_path / "black.png").any()
-
-
 def test_a_video_that_lists_other_files_is_none(tmp_path):
     cv2.imwrite(str(tmp_path / "secret.png"), np.zeros((16, 16), np.uint8))
     (tmp_path / "list.mp4").write_text("ffconcat version 1.0\nfile secret.png\n")

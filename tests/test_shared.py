@@ -83,35 +83,6 @@ def test_fields_are_the_same_without_shared_memory_and_a_tracked_frame_is_one_re
             assert_same_bytes(corners, others)
 
 
-def beside(one, other):
-    """Return both as views of one array, side by side with a gap."""
-    columns = one.shape[1]
-    whole = np.hstack([one, one[:, :3], other])
-    return whole[:, :columns], whole[:, columns + 3 :]
-
-
-@pytest.mark.parametrize(
-    "arranged",
-    [
-        lambda one, other: np.stack([one, other]),
-        lambda one, other: np.stack([other, one])[::-1],
-        beside,
-        lambda one, other: beside(other, one)[::-1],
-        lambda one, other: np.stack([one, *[other] * 12])[::12],
-        lambda one, other: (one.copy(), other.copy()),
-        lambda one, other: (np.vstack([one, one])[: len(one)], other.copy()),
-    ],
-    ids=["stack", "stack reversed", "beside", "beside reversed", "far", "apart", "views apart"],
-)
-def test_frames_may_be_parts_of_one_array(device, arranged):
-    with Detector(shape=BOARD.shape, device=device) as detector:
-        expected = [detector(image) for image in (BOARD, TEXTURE)]
-        plan = detector.begin(list(arranged(BOARD, TEXTURE)))
-        found, _ = detector.finish(plan)
-        for corners, alone in zip(found.corners, expected, strict=True):
-            assert_same_bytes(corners, alone)
-
-
 @pytest.fixture
 def large(handle, device):
     """Yield a detector of large frames, which take milliseconds each, and two such frames."""

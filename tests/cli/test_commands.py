@@ -71,7 +71,6 @@ def boards():
 
 
 BOARD = "--board", "12x12", "--square", "2", "--out", "rig.yaml"
-HALVES = "half0.png", "half1.png", "half2.png"
 AT_REST = "--rest", "1.png", "--grid", "20x20", "--pitch", "0.8"
 
 
@@ -98,16 +97,10 @@ def test_calibrate_finds_the_cameras_again(run, boards):
     ("arguments", "words"),
     [
         ([], ["--left IMAGE... --right IMAGE... for two"]),
-        (["--stereo", "0.png", "1.png"], ["3 different views", "not 2"]),
         (["--stereo", "0.png", "--board", "9x6"], ["looks like", "--board counts the inner"]),
         (["plain.mp4"], ["plain.mp4' is not an image"]),
         (["plain.png"], ["no view of camera shows a board of 12 x 12", "--stereo"]),
         (["--stereo", "--left", "0.png", "--right", "1.png"], ["with --stereo if each shows"]),
-        (["none.png"], ["none.png"]),
-        (
-            ["--stereo", "0.png", "--split", "0,0,9,9:0,0,9,8"],
-            ["left and right must have one size"],
-        ),
         (["0.png", "--mirror", "left"], ["--split and --mirror need --stereo"]),
         (["0.png", "--corners", "c.mat"], ["--corners c.mat must end in .vnl"]),
         (["--stereo", "0.png", "--corners", "c.vnl"], ["0.png shows two views", "by its file"]),
@@ -115,8 +108,6 @@ def test_calibrate_finds_the_cameras_again(run, boards):
             ["--left", "0.png", "half0.png", "--right", "plain.png", "plain.png"],
             ["no view of right shows", "plain.png: no pattern"],
         ),
-        (["--left", *HALVES, "--right", *HALVES], ["two cameras at one point see no depth"]),
-        (["--camera", "a=gone.png"], ["gone.png"]),
         (["--camera", "noname.png"], ["NAME=IMAGE"]),
         (["--camera", "a=0.png", "1.png", "--camera", "b=0.png"], ["2 of a and 1 of b"]),
         (["--camera", "a=0.png", "--camera", "a=1.png"], ["each NAME once", "a=1.png"]),
