@@ -52,10 +52,7 @@ class Settings:
             if limits is not None and (value is not None or types.NoneType not in kinds):
                 low, high, odd = limits
                 kind = int if int in kinds else float
-                pair = tuple in kinds
-                if pair and not (isinstance(value, tuple) and len(value) == 2):
-                    raise ConfigError(f"{name} must be a tuple of two numbers, not {value!r}")
-                for each in value if pair else (value,):
+                for each in value if tuple in kinds else (value,):
                     check_range(name, each, low, high, kind=kind, odd=odd)
             elif limits is None and not isinstance(value, kinds):
                 named = " or ".join(kind.__name__ for kind in kinds)

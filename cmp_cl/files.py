@@ -72,7 +72,7 @@ def check_target(path: str | PathLike[str]) -> Path:
     """Return the file that an output path names, with links resolved.
 
     Raises OSError if the path is a folder, a device or a read-only file, or
-    lies in a folder that does not exist or cannot be written.
+    lies in a folder that does not exist.
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
@@ -81,8 +81,6 @@ def check_target(path: str | PathLike[str]) -> Path:
         raise FileNotFoundError(f"there is no folder {str(target.parent)!r} to write to")
     if target.is_file() and not (os.access(target, os.W_OK) and target.stat().st_mode & _WRITABLE):
         raise PermissionError(errno.EACCES, "the file is read-only", str(path))
-    if not target.exists() and not os.access(target.parent, os.W_OK):
-        raise PermissionError(errno.EACCES, "its folder cannot be written", str(path))
     return target
 
 

@@ -101,7 +101,8 @@ class Source:
         with Ahead(_captured(self._capture()), _WAITING, lossy=True) as waiting:
             while (frame := waiting.take(_LONGEST_WAIT)) is not None:
                 for missed in range(index, frame.index):
-                    yield Frame(missed, None)
+                    why = "the camera did not deliver it, or frames come faster than they are taken"
+                    yield Frame(missed, None, why=why)
                 yield frame
                 index = frame.index + 1
 
@@ -250,7 +251,7 @@ class Pairs:
                 continue
             self.after = [0, 0]
             for _ in range(self._missing(before, (one.index, two.index))):
-                yield Frame(number, None, why="" if self.live else "a view has no frame then")
+                yield Frame(number, None, why="a view has no frame then")
                 number += 1
             yield _of_both(number, one, two)
             number, before = number + 1, (one.index, two.index)

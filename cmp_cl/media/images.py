@@ -3,7 +3,7 @@
 import glob
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from decimal import Decimal
 from os import PathLike
 from pathlib import Path
@@ -167,8 +167,6 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
 
     Raises FileNotFoundError if a path does not exist, or a folder holds no image and no video.
     """
-    if isinstance(paths, str | PathLike) or not isinstance(paths, Iterable):
-        raise FileNotFoundError(f"paths must be several names of files, not {paths!r}")
     found: list[Path] = []
     for name in paths:
         path = Path(name)

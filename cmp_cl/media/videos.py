@@ -151,11 +151,9 @@ def _container(path: str | PathLike[str]) -> Iterator[tuple[Any, Any]]:
             "list of other files"
         ) from error
     with container:
-        if not container.streams.video:
-            raise ImageError(f"{str(path)!r} has no video")
-        stream = container.streams.video[0]
-        if stream.codec_context is None:
-            raise ImageError(f"{str(path)!r} has a codec that PyAV does not know")
+        stream = next(iter(container.streams.video), None)
+        if stream is None or stream.codec_context is None:
+            raise ImageError(f"{str(path)!r} has no video of a codec that PyAV knows")
         yield container, stream
 
 

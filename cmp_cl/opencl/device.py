@@ -122,8 +122,6 @@ def select_device(text: Device | str | None = None) -> Device:
     """
     if isinstance(text, Device):
         return text
-    if text is not None and not isinstance(text, str):
-        raise DeviceError(f"a device is named by a text such as '0:0' or 'cpu', not {text!r}")
     devices = list_devices()
     wanted = text if text is not None else os.environ.get(DEVICE_VARIABLE) or None
     if not devices:

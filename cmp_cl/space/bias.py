@@ -27,7 +27,7 @@ class Bias:
     def __init__(self, rig: StereoRig, rest: Array) -> None:
         if rig.covariance is None:
             raise FieldError("the rig has no covariance; calibrate it")
-        self._shape, flat = rest.shape, np.asarray(rest, np.float64).reshape(-1, 3)
+        flat = np.asarray(rest, np.float64).reshape(-1, 3)
         step = _STEP * float(np.nanmedian(np.linalg.norm(flat, axis=1)))
         by_axis = [
             (_by_rig(rig, flat + way) - _by_rig(rig, flat - way)) / (2 * step)
@@ -45,8 +45,6 @@ class Bias:
         The variance along a unit vector n is n^T C n.
         """
         u = np.asarray(displacement, np.float64)
-        if u.shape != self._shape:
-            raise FieldError(f"displacement must be {self._shape}, not {u.shape}")
         flat = u.reshape(-1, 3).T
         both = (flat[:, None] * flat).reshape(9, -1)
         covariance: Array = np.einsum("abn,bn->na", self._form, both).reshape(*u.shape, 3)

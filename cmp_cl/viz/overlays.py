@@ -68,12 +68,9 @@ def grid_overlay(
 
     image: (H, W) uint8 or uint16. corners: those that the grid was built from. Corners off the grid
     are drawn as faint rings. Returns (H', W', 3) uint8 BGR, enlarged like `corner_overlay`. The
-    first row is drawn in red and the first column in blue. Raises ImageError, and FieldError if
-    there are not as many corners as the grid was built from.
+    first row is drawn in red and the first column in blue. Raises ImageError.
     """
     image = check_image(image)
-    if corners is not None and len(corners) != len(grid.index):
-        raise FieldError(f"the grid is of {len(grid.index)} corners, not of {len(corners)}")
     canvas = _Canvas(image, _LEAST)
     canvas.lattice(grid.xy)
     canvas.lines(grid.xy[:1], _FIRST_ROW)

@@ -91,7 +91,7 @@ def test_broken_frames_and_frames_without_the_pattern_do_not_end_a_run(run, reco
     cv2.imwrite(str(recording / "1c.png"), np.full_like(press[0].frame, 90))
     status, out, err = run("run", recording, *STEREO)
     assert status == 0
-    assert "frame 2 cannot be read and is skipped: " in err
+    assert "frame 2 is missing, and left out: " in err
     assert "1a.png' is not an image that OpenCV can read" in err
     assert "frame 3 is 432 x 239 px" in err
     assert "1 without the pattern; 2 left out" in out

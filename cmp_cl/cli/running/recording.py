@@ -52,13 +52,8 @@ class Recording:
     def why_left_out(self, frame: Frame) -> str:
         """Return why a frame is not measured, as text; "" if it is like the frame at rest."""
         image, rest = frame.image, self.rest
-        if image is None and self.source.live and not frame.why:
-            return (
-                f"frame {frame.index} is missing: the camera did not deliver it, or frames come "
-                "faster than they are measured"
-            )
         if image is None:
-            return f"frame {frame.index} cannot be read and is skipped{_because(frame)}"
+            return f"frame {frame.index} is missing, and left out{_because(frame)}"
         if (image.shape, image.dtype) == (rest.shape, rest.dtype):
             return ""
         return (
