@@ -164,9 +164,9 @@ class Detector(Closing):
         """Upload frames and enqueue their kernels, without waiting; return the plan that has them.
 
         Launches that are enqueued in `queue` next find the corners of the frames on the device, see
-        kernels/result.clh. `finish` must follow. The frames do not change before the `uploads` of
-        the plan are done. read: download the result too; else the plan's `download` must follow, or
-        `finish` with what is listed. Raises the errors of a call.
+        kernels/result.clh. `finish` or `take_back` must follow. The frames do not change before the
+        `uploads` of the plan are done. read: download the result too; else the plan's `download`
+        must follow, or `finish` with what is listed. Raises the errors of a call.
         """
         images = [self._checked(frame) for frame in frames]
         with self._lock:
@@ -175,6 +175,11 @@ class Detector(Closing):
             self._start(plan, images, self._transfers, read=read)
             self._plans.keep(plan)
             return plan
+
+    def take_back(self, plan: Plan) -> None:
+        """Take back a plan that `begin` returned, without a result."""
+        with self._lock:
+            self._plans.take_back(plan)
 
     def finish(self, plan: Plan, listed: NDArray[np.float32] | None = None) -> tuple[Found, bool]:
         """Return what is found in the frames of the plan that `begin` returned, and whether

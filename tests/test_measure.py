@@ -18,6 +18,7 @@ from cmp_cl import GridError, NodeStatus, StereoRig, measure
 from cmp_cl.measure import OneView
 from cmp_cl.measure.views import View
 from cmp_cl.media import read_frames
+from cmp_cl.motion.plan import FieldPlan
 from cmp_cl.opencl import memory
 from cmp_cl.synthetic import boards, render_stereo
 
@@ -294,6 +295,32 @@ def test_a_frame_after_one_that_failed_is_numbered_anew(film, monkeypatch):
             with pytest.raises(cmp_cl.DeviceError):
                 following(film[2])
         assert [following(frame).tracked for frame in film[3:5]] == [False, True]
+
+
+@pytest.mark.parametrize("step", ["start", "read"])
+def test_a_frame_that_is_interrupted_costs_no_memory_and_the_next_is_numbered_anew(
+    film, monkeypatch, step
+):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    begin, used = cmp_cl.Detector.begin, []
+
+    def noted(detector, *frames, **how):
+        used.append(detector.memory)
+        return begin(detector, *frames, **how)
+
+    monkeypatch.setattr(cmp_cl.Detector, "begin", noted)
+    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
+        following(film[0])
+        for frame in film[1:5]:
+            assert following(frame).tracked
+            with monkeypatch.context() as patch:
+                patch.setattr(FieldPlan, step, interrupted)
+                with pytest.raises(KeyboardInterrupt):
+                    following(film[6])
+            assert not following(frame).tracked
+    assert used[-1] == used[2]  # before that, other stages make their plans
 
 
 def test_a_view_is_measured_against_the_view_at_rest():

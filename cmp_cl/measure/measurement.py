@@ -15,7 +15,7 @@ from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
-from cmp_cl.errors import ConfigError, DeviceError, FieldError, ImageError, check_kind, errors_last
+from cmp_cl.errors import ConfigError, FieldError, ImageError, check_kind, errors_last
 from cmp_cl.grid import Grid
 from cmp_cl.image import AnyImage, GreyImage, check_image
 from cmp_cl.measure.fit import Fit
@@ -225,8 +225,9 @@ class Measurement(Closing):
         with self._lock:
             self._check_free()
             begun = self._begin(self._checked(frame))
-            self._follow(begun)
-            return _with_field(self._settled(begun))
+            with self._missing_if_failed(begun):
+                self._follow(begun)
+                return _with_field(self._settle(begun))
 
     def stream(self, frames: Iterable[AnyImage | None]) -> Iterator[Measured | None]:
         """Measure each frame, in order; a frame that is missing is None, and so is its result.
@@ -260,11 +261,10 @@ class Measurement(Closing):
                     last = _with_field(self._settled(ready))
                 yield last
         finally:
-            with self._lock, contextlib.suppress(DeviceError):  # closed
+            with self._lock:
                 self._streams = False
                 if waiting is not None:
-                    self._give_up()
-                    self._detector.finish(waiting.plan)
+                    self._give_up(waiting)
 
     def _begun(self, frame: AnyImage | None) -> _Begun | None:
         """Enqueue the kernels that find the corners of a frame; None is a missing one."""
@@ -290,10 +290,20 @@ class Measurement(Closing):
             view.lost()
             self._follows &= view.continues
 
-    def _give_up(self) -> None:
+    def _give_up(self, begun: _Begun) -> None:
         """Note that a frame is missing that has been begun."""
+        self._detector.take_back(begun.plan)
         self._skip()
         self._follows = False  # nobody has checked the nodes that it tracks
+
+    @contextlib.contextmanager
+    def _missing_if_failed(self, begun: _Begun) -> Iterator[None]:
+        """Give a frame up if this block raises, also KeyboardInterrupt."""
+        try:
+            yield
+        except BaseException:
+            self._give_up(begun)
+            raise
 
     def _at_rest(self) -> tuple[Moment, InSpace | InPlane]:
         """Return the nodes at rest, and how the views show them."""
@@ -330,11 +340,8 @@ class Measurement(Closing):
 
     def _settled(self, begun: _Begun) -> Measured:
         """Return what becomes of a frame, once its kernels are done."""
-        try:
+        with self._missing_if_failed(begun):
             return self._settle(begun)
-        except BaseException:
-            self._give_up()
-            raise
 
     def _settle(self, begun: _Begun) -> Measured:
         """Wait for a frame. Number it anew where tracking does not hold, or is audited."""
