@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import pickle
 from pathlib import Path
 
 import cv2
@@ -321,6 +322,21 @@ def test_a_frame_that_is_interrupted_costs_no_memory_and_the_next_is_numbered_an
                     following(film[6])
             assert not following(frame).tracked
     assert used[-1] == used[2]  # before that, other stages make their plans
+
+
+def test_a_measured_frame_can_be_pickled_for_another_process(film):
+    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
+        anew, tracked = map(following, film[:2])
+    for sent in (anew, tracked):
+        came = pickle.loads(pickle.dumps(sent))
+        assert repr(came) == repr(sent)
+        assert (came.tracked, came.misfit) == (sent.tracked, sent.misfit)
+        for name, values in sent.arrays.items():
+            np.testing.assert_array_equal(came.arrays[name], values, name)
+        for one, other in zip(came.grids + came.views, sent.grids + sent.views, strict=True):
+            np.testing.assert_array_equal(getattr(one, "xy", one), getattr(other, "xy", other))
+        for one, other in zip(came.corners, sent.corners, strict=True):
+            assert_same_bytes(one, other)
 
 
 def test_a_view_is_measured_against_the_view_at_rest():

@@ -46,6 +46,11 @@ class Measured:
         doubts = [name for name in ("ambiguous", "misfit") if getattr(self, name)]
         return f"<Measured: {', '.join([repr(self.field), *doubts])}>"
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a pickle holds: all that is known of the frame, and nothing of the device."""
+        _ = self.field, self.corners, self.grids
+        return {**vars(self), "_plan": None, "_found": None, "_numbered": None}
+
     @functools.cached_property
     def field(self) -> DisplacementField:
         """Return the displacement of the nodes, in the image, in the plane of a flat pattern, or
