@@ -267,10 +267,8 @@ __kernel void measure_border(LEVELS_OF_IMAGE, __global const float2 *restrict no
   const int height = border[ROWS_OF], width = border[COLUMNS_OF];
   __local int first[SIDES * PAIRS], pairs[SIDES], near[SIDES], shown[SIDES * PAIRS];
   __local int sums[SIDES * PAIRS * DEPTHS * 2], squares[SIDES * PAIRS];
-  __local int room[SIDES], any_longer;
-  if (get_local_id(0) == 0) any_longer = 0;
   FOR_ALL(side, SIDES) {
-    room[side] = height && width && has_room(OF_BOARD, side, rows, columns);
+    border[ROOM_OF + side] = height && width && has_room(OF_BOARD, side, rows, columns);
     pairs[side] = height < 2 || width < 2 ? 0 : list_pairs(OF_BOARD, side, first + side * PAIRS);
   }
   ALL_TOGETHER;
@@ -327,13 +325,8 @@ __kernel void measure_border(LEVELS_OF_IMAGE, __global const float2 *restrict no
                       : UNSEEN;
     /* What reaches farther than a square is not the last one. */
     const float reach = REACH(reached) * last_over_next(OF_BOARD, side);
-    if (reached != UNSEEN && reach > 1 + BORDER_STEP_CELLS) {
-      reached = UNSEEN;
-      any_longer = 1;
-    }
+    if (reach > 1 + BORDER_STEP_CELLS) reached = UNSEEN;
     border[FOLLOWS_OF + side] = some && (float)change < 2.0f * PASSING * whole;
     border[REACH_OF + side] = reached == UNSEEN ? UNSEEN : floor_of(WHOLE * reach);
   }
-  ALL_TOGETHER;
-  FOR_ALL(side, SIDES) border[ROOM_OF + side] = room[side] && !any_longer;
 }

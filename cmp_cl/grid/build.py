@@ -56,11 +56,11 @@ def build_grid(
     whole period looks as if it had not moved; a pattern that looks the same after a quarter turn is
     expected to rotate by less than 33 degrees from rest.
 
-    If several boards are seen, the grid is of the one that fits the known size, or the print and
-    the borders of `like`; without either of the largest that is seen whole, a full rectangle with
-    its borders, else of the largest. If that ends nowhere, it is the ground behind the largest full
-    rectangle with a border, if there is one. A second board that is comparable is an error, a
-    smaller one, or the ground behind one that is not whole, is told by `Grid.others`.
+    If several boards are seen, the grid is of the one that fills the known size, or fits the print
+    and the borders of `like`; else of the largest. If no size is known and that ends nowhere, it is
+    the ground behind the largest full rectangle with a border, if there is one. A second board that
+    is comparable is an error, a smaller one, or the ground behind one that is not whole, is told by
+    `Grid.others`.
 
     Raises GridError if corners have no finite position or no edge angles, if two comparable
     boards are seen, if the board holds few of the corners, if a shape has millions of nodes, if

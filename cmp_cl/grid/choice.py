@@ -1,4 +1,4 @@
-"""Which board of a view is meant: by its size, its print, or because it alone is seen whole."""
+"""Which board of a view is meant: by its size, by its print, or because it is the largest."""
 
 import dataclasses
 import functools
@@ -96,10 +96,10 @@ class Found:
     @property
     def gap(self) -> int:
         """Return the number of places between nodes of its rows and of its columns that show no
-        corner, 0 if they are few; lines without a node are not asked."""
-        if self.board.there.all():
+        corner, 0 if they are few."""
+        there = self.board.there
+        if there.all():
             return 0
-        there = self.board.there[np.ix_(*self.board.lines)]
         inside = _between(there) & _between(there.T).T
         missing = int(np.count_nonzero(inside & ~there))
         return missing if missing >= max(K.least_board, K.gap * np.count_nonzero(inside)) else 0
@@ -279,7 +279,7 @@ def chosen_of(boards: Iterable[Found], asked: Asked, count: int) -> tuple[Found 
 
     Raises GridError if two are comparable, or the board holds few of the corners that no other has.
     """
-    found = by_size(_until_two(boards, asked))
+    found = by_size(boards)
     if not found:
         return None, NOTHING
     others = 0
@@ -310,23 +310,6 @@ def chosen_of(boards: Iterable[Found], asked: Asked, count: int) -> tuple[Found 
     return chosen, next((each for each in told if each.number), NOTHING)
 
 
-def _until_two(found: Iterable[Found], asked: Asked) -> Iterator[Found]:
-    """Yield the boards, unless two are seen that leave no choice.
-
-    Raises GridError once one has the known size, or without one is whole, that is comparable to the
-    largest of them.
-    """
-    largest: Found | None = None
-    order = by_extent if asked.shape else by_size
-    for each in found:
-        if asked.like is None and (each.fills(asked.shape) if asked.shape else each.is_whole):
-            larger, *smaller = order([largest, each] if largest else [each])
-            if smaller and smaller[0].is_comparable(larger):
-                raise _two(larger, smaller[0])
-            largest = larger
-        yield each
-
-
 def _alike(found: list[Found]) -> tuple[Found, int]:
     """Return the board that fits the print and the borders of the pattern at rest; and the corners
     of the largest other that fits about as well, 0 without one."""
@@ -336,23 +319,27 @@ def _alike(found: list[Found]) -> tuple[Found, int]:
 
 
 def _fitting(found: list[Found], shape: tuple[int, int]) -> tuple[Found, int]:
-    """Return the board that fits the known size, and the corners of the next that fills it, as in a
-    mirror, 0 without one."""
-    filling = by_extent(each for each in found if each.fills(shape))
-    large = [each for each in found if each.fits and 2 * each.size >= found[0].size]
-    return [*filling, *large, found[0]][0], filling[1].size if filling[1:] else 0
+    """Return the board that fills the known size, else the largest; and the corners of the next
+    that fills it, as in a mirror, 0 without one.
+
+    Raises GridError if that is comparable.
+    """
+    chosen, *others = by_extent(each for each in found if each.fills(shape)) or found[:1]
+    if others and others[0].is_comparable(chosen):
+        raise _two(chosen, others[0])
+    return chosen, others[0].size if others else 0
 
 
 def _alone(found: list[Found]) -> tuple[Found, int]:
-    """Return the largest board that is seen whole, else the largest. If that ends nowhere, it is
-    the ground behind the largest full rectangle with a border. Return also the corners of the
-    largest other that may be meant instead, 0 without one.
+    """Return the largest board. If that ends nowhere, it is the ground behind the largest full
+    rectangle with a border. Return also the corners of the largest other that may be meant
+    instead, 0 without one.
 
     The ground is told, but behind a whole board; beside that, only other whole ones are told.
 
     Raises GridError if another is comparable, and is not the ground.
     """
-    chosen = next((each for each in found if each.is_whole), found[0])
+    chosen = found[0]
     if chosen.ends_nowhere:
         chosen = next((each for each in found if each.ended), chosen)
     others = [each for each in found if each is not chosen]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.lattice.arrays import Board, Mask, Numbers, Units, Whole
-from cmp_cl.lattice.joins import goes_on, joined
+from cmp_cl.lattice.joins import joined
 from cmp_cl.lattice.kernels import TAKEN
 from cmp_cl.lattice.plan import LatticePlan
 
@@ -57,8 +57,8 @@ def _apart(plan: LatticePlan, joint: Board, smaller: list[Units], taken: Mask) -
 
     Few firm cells lead from one to the other then, or smaller parts have some of its corners. Each
     region of firm cells, and each such part, is laid out by itself. It is a board if it is a full
-    rectangle with an end and with firm sides; if what is left is large enough for one and ends
-    nowhere; and if the surface does not surely go on from one to the other.
+    rectangle with an end and with firm sides, and if what is left is large enough for one and ends
+    nowhere.
     """
     k = plan.constants
     if joint.ended(k.least_line):
@@ -72,7 +72,7 @@ def _apart(plan: LatticePlan, joint: Board, smaller: list[Units], taken: Mask) -
         if board.ended(k.least_line) and board.has_firm_sides:
             found.append(board)
             others[board.owner[board.owner >= 0]] = True
-    if found and not goes_on(joint, others[joint.owner], k):
+    if found:
         ground = plan.settle(_numbers(*joint.layout(joint.owner >= 0), others))
         if np.count_nonzero(ground.there) >= k.least_board and ground.ends_nowhere(k.least_line):
             return [*found, ground]

@@ -83,9 +83,8 @@ def ways(a: NDArray[Any]) -> list[NDArray[Any]]:
 class Sides:
     """What is seen at the sides of a board, (4,) each: top, bottom, left, right.
 
-    room: most places of a further line lie in the image, and it can be seen that there is none.
-    follows: cells follow. reach: of the last squares beyond the last nodes, 1/4096 cell, UNSEEN
-    where the pattern is not seen to end.
+    room: most places of a further line lie in the image. follows: cells follow. reach: of the last
+    squares beyond the last nodes, 1/4096 cell, UNSEEN where the pattern is not seen to end.
     """
 
     def __init__(self, board: Board, plane: Plane, k: LatticeConstants) -> None:
@@ -100,10 +99,8 @@ class Sides:
         for n, way in enumerate(seen):
             self.follows[n], reach[n] = self._read(way)
         cells = reach * np.array([self._last_over_next(way) for way in seen])
-        longer = cells > F(1) + F(k.border_step_cells)
-        reach[longer] = 0
+        reach[cells > F(1) + F(k.border_step_cells)] = 0
         self.reach = np.where(reach > 0, np.floor(F(WHOLE) * cells), UNSEEN).astype(np.int64)
-        self.room &= ~longer.any()
 
     def found(self) -> list[int]:
         """Return all in the order of the kernel, after rows, columns and sign."""
