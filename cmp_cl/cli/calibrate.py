@@ -38,7 +38,7 @@ DESCRIPTION = """\
 Finds the corners of a rigid checkerboard in views of it, at least three, better ten or more,
 tilted in different directions and in all parts of the image; calibrates the camera or cameras and
 the poses between them; prints the error of every view and what would make the result better, and
-draws both beside the calibration, if matplotlib is installed.
+draws beside the calibration where boards were seen, if matplotlib is installed.
 """
 
 
@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
         save_corners(arguments.corners, dict(itertools.chain(*corners)))
         written.append(Path(arguments.corners))
     try:
-        save_figure(picture, calibration_figure(found, names))
+        save_figure(picture, calibration_figure(found))
         written.append(picture)
     except ConfigError as error:  # matplotlib is not installed
         tell(f"no picture: {one_line(error)}")
