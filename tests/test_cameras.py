@@ -122,7 +122,7 @@ SHADES = [np.full((4, 6, 3), level, np.uint8) for level in range(1, 11)]
 @pytest.mark.parametrize("name", ["7", "/dev/video3", "rtsp://camera/stream"])
 def test_cameras_and_addresses_are_live_and_lose_no_frame(monkeypatch, name):
     monkeypatch.setattr(cv2, "VideoCapture", camera_of(SHADES))
-    source = Source(name, {"frame_width": 6, "frame_height": 4, "fps": "50"})
+    source = Source(name, {"frame_width": 6, "frame_height": 4, "fps": "50", "fourcc": "MJPG"})
     frames = list(source.frames())
     assert source.live
     assert source.period_ms == 20
