@@ -1,6 +1,5 @@
 """The documentation site: sphinx-build -W docs site."""
 
-import os
 import re
 import sys
 import tomllib
@@ -26,7 +25,6 @@ nb_execution_raise_on_error = True
 nb_execution_timeout = 300
 nb_execution_in_temp = True
 nb_merge_streams = True
-os.environ["TQDM_DISABLE"] = "1"
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
 suppress_warnings = ["misc.highlighting_failure"]
