@@ -91,12 +91,17 @@ def blur(image: np.ndarray, draw: np.random.Generator) -> np.ndarray:
     return cv2.GaussianBlur(image, (0, 0), draw.uniform(0.8, 3))
 
 
-def motion(image: np.ndarray, draw: np.random.Generator) -> np.ndarray:
-    half = draw.uniform(1.5, 4.5) * np.exp(1j * draw.uniform(0, np.pi))
-    kernel = np.zeros((11, 11))
-    ends = [(round(5 + side * half.real), round(5 + side * half.imag)) for side in (-1, 1)]
+def moved(image: np.ndarray, half: complex) -> np.ndarray:
+    """Return what a camera sees that moves by twice `half`, px, while it exposes an image."""
+    far = int(abs(half)) + 1
+    kernel = np.zeros((2 * far + 1, 2 * far + 1))
+    ends = [(round(far + side * half.real), round(far + side * half.imag)) for side in (-1, 1)]
     cv2.line(kernel, *ends, 1.0)
     return cv2.filter2D(image, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
+
+
+def motion(image: np.ndarray, draw: np.random.Generator) -> np.ndarray:
+    return moved(image, draw.uniform(1.5, 4.5) * np.exp(1j * draw.uniform(0, np.pi)))
 
 
 def noise(image: np.ndarray, draw: np.random.Generator) -> np.ndarray:

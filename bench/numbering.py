@@ -16,7 +16,7 @@ import contextlib
 import dataclasses
 import functools
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 from unittest import mock
 
@@ -33,6 +33,7 @@ from patterns import (
     corners_in,
     crops,
     gels,
+    in_motion,
     marked,
     open_patterns,
     photographs,
@@ -46,21 +47,25 @@ from scenes import View, photograph
 
 from cmp_cl import Corners, Detector, DetectorConfig, Grid, NodeStatus, build_grid
 from cmp_cl.errors import GridError
-from cmp_cl.grid import build, choice
+from cmp_cl.grid import build, choice, placing
 from cmp_cl.lattice import joins
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.plan import LatticePlan
+from cmp_cl.opencl import program
+from cmp_cl.opencl.program import source
 from cmp_cl.synthetic.scoring import agreeing
 
 SEED = 8_100_000  # of the report; constants were chosen on other frames
 FEWER = 10  # --quick takes one frame in so many
 HIT, SHARE = 3.0, 0.25  # px; of a cell
+CROSSED = "if (!passes[h] && !passes[end]) return;"  # of links that are looked at
 FEW = 0.002  # share of wrong numbers in a frame of an open pattern that counts as right
 K = LatticeConstants()
 # Constants that leave one idea out.
 ABLATION: dict[str, dict[str, Any]] = {
     "all": {},
     "links whatever lies between": {"side_middle": -1e9},
+    "links may cross": {"crossing": True},
     "faces need not agree": {"agree": 100.0, "cuts": 0, "torn_corners": 4},
     "contradicted parts are not cut": {"cuts": 0, "torn_corners": 4},
     "faces of torn corners agree as others": {"torn_corners": 4},
@@ -68,6 +73,7 @@ ABLATION: dict[str, dict[str, Any]] = {
     "joins whatever the colours": {"join_votes": 0.0},
     "joins whatever the surface": {"factor": lambda _: 2.0},
     "torn corners count as whole ones": {"rough_weight_per_px2": 1e9},
+    "worn corners are where their neighbours say": {"worn_sigmas": 1e9},
     "torn corners are as likely": {"torn_nats": 0.0, "prior_nats": K.prior_nats - K.torn_nats},
     "no test of nodes": {"prior_nats": 1e6},
     "nodes whatever their sides": {"side_nats": 0.0, "prior_nats": K.prior_nats + 4 * K.side_nats},
@@ -117,16 +123,29 @@ def of_grid_sized(view: View, corners: Corners) -> Answer | None:
 
 @contextlib.contextmanager
 def changed(constants: dict[str, Any]) -> Iterator[None]:
-    """Let `build_grid` use other constants, and another factor of the surface's bends at joins."""
-    values = dataclasses.replace(K, **{k: v for k, v in constants.items() if k != "factor"})
+    """Let `build_grid` use other constants, and another factor of the surface's bends at joins; and
+    let links cross, if `crossing` is among them."""
+    others = dict(constants)
+    factor, crossing = others.pop("factor", joins.factor), others.pop("crossing", False)
+    values = dataclasses.replace(K, **others)
     plan = functools.partial(LatticePlan, constants=values)
-    factor = constants.get("factor", joins.factor)
     with (
         mock.patch.object(choice, "K", values),
+        mock.patch.object(placing, "K", values),
         mock.patch.object(build, "lattice_plan", plan),
         mock.patch.object(joins, "factor", factor),
+        mock.patch.object(program, "source", crossed if crossing else program.source),
     ):
         yield
+
+
+def crossed(stage: str, macros: Mapping[str, str] | None = None) -> str:
+    """Return the text of a stage, in which links that others cross stay."""
+    text = source(stage, macros)
+    if stage == "links":
+        assert CROSSED in text
+        text = text.replace(CROSSED, "return;")
+    return text
 
 
 def calib_targets(view: View, _: Corners) -> Answer:
@@ -195,6 +214,7 @@ FAMILIES: dict[str, Family] = {
     **{name: Family(views, 60) for name, views in CHANGED.items()},
     "boards in clutter": Family(clutter, 75, alone=True),
     "boards behind bars": Family(behind_bars, 40),
+    "boards in motion": Family(in_motion, 40),
     "marks in cells": Family(marked, 45),
     "without an end": Family(without_end, 20),
 }
