@@ -140,12 +140,10 @@ def changed(constants: dict[str, Any]) -> Iterator[None]:
 
 
 def crossed(stage: str, macros: Mapping[str, str] | None = None) -> str:
-    """Return the text of a stage, in which links that others cross stay."""
+    """Return the text of a stage; in that of the lattice, links that others cross stay."""
     text = source(stage, macros)
-    if stage == "links":
-        assert CROSSED in text
-        text = text.replace(CROSSED, "return;")
-    return text
+    assert stage != "lattice" or CROSSED in text
+    return text.replace(CROSSED, "return;")
 
 
 def calib_targets(view: View, _: Corners) -> Answer:

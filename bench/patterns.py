@@ -206,14 +206,14 @@ def behind_bars(seed: int, count: int) -> Views:
 
 
 def in_motion(seed: int, count: int) -> Views:
-    """Yield boards that move by .4 to .6 of a cell, at 8 to 26 degrees to a row, while they are exposed."""
+    """Yield boards that move by .5 to .75 of a cell, 10 to 30 degrees off a row, in an exposure."""
     for n in range(count):
         draw = np.random.default_rng(seed + 60_000 + n)
         cell, turn = draw.uniform(14, 28), draw.uniform(-45, 45)
         camera = boards.plane(cell=cell, about=(4.5, 4), turn=turn, middle=(WIDE / 2, HIGH / 2))
         seen = boards.drawn(camera, (HIGH, WIDE), (9, 10), noise=0, seed=n, count=SAMPLES)
-        angle = np.deg2rad(turn + draw.uniform(8, 26))
-        half = draw.uniform(0.2, 0.3) * cell * np.exp(1j * angle)
+        angle = np.deg2rad(turn + draw.uniform(10, 30))
+        half = draw.uniform(0.25, 0.375) * cell * np.exp(1j * angle)
         image = moved(seen.image.astype(np.float64), half) + draw.normal(0, 3, (HIGH, WIDE))
         image = np.clip(np.rint(image), 0, 255).astype(np.uint8)
         yield View(image, seen.corners, cell, seen.shape)
