@@ -47,7 +47,7 @@ from scenes import View, photograph
 
 from cmp_cl import Corners, Detector, DetectorConfig, Grid, NodeStatus, build_grid
 from cmp_cl.errors import GridError
-from cmp_cl.grid import build, choice, placing
+from cmp_cl.grid import build, choice
 from cmp_cl.lattice import joins
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.plan import LatticePlan
@@ -131,7 +131,6 @@ def changed(constants: dict[str, Any]) -> Iterator[None]:
     plan = functools.partial(LatticePlan, constants=values)
     with (
         mock.patch.object(choice, "K", values),
-        mock.patch.object(placing, "K", values),
         mock.patch.object(build, "lattice_plan", plan),
         mock.patch.object(joins, "factor", factor),
         mock.patch.object(program, "source", crossed if crossing else program.source),

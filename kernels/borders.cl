@@ -55,8 +55,9 @@ uchar kind_of(const int owner, const uchar is_rough, const int2 cells) {
 __kernel void cut_board(const uint rows, const uint columns, __global const int *restrict layout,
                         __global const float2 *restrict result,
                         __global const int *restrict owner, __global const uchar *restrict rough,
-                        __global const int2 *restrict cells, __global float2 *restrict nodes,
-                        __global int *restrict node_owner, __global uchar *restrict node_kind,
+                        __global const int2 *restrict cells, __global const float *restrict spread,
+                        __global float2 *restrict nodes, __global int *restrict node_owner,
+                        __global uchar *restrict node_kind, __global float *restrict node_spread,
                         __global int *restrict border) {
   const int width = layout[BOARD_COLUMNS];
   int4 box = (int4)(0, layout[BOARD_ROWS], 0, width);
@@ -136,6 +137,7 @@ __kernel void cut_board(const uint rows, const uint columns, __global const int 
     nodes[place] = result[from];
     node_owner[place] = owner[from];
     node_kind[place] = KIND_OF(from);
+    node_spread[place] = spread[from];
   }
   if (get_local_id(0)) return;
   const int passed = (quarters == 1 || quarters == 2 ? across : 0) + (quarters > 1 ? height : 0);

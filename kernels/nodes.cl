@@ -8,7 +8,8 @@
  * seen: the position of a node, NAN where it is missing. owner: its corner, NONE, or PLACE if no
  * corner is there. torn: refinement of that position was rejected. at: the same position, if torn
  * blended with the one that the neighbours predict; what nodes are judged by. rough: torn, or far
- * from that prediction. result: blended if rough; a wrong neighbour may still mislead it. */
+ * from that prediction. result: blended if rough, then weighed; a wrong neighbour may still mislead
+ * it. */
 #define PLACE (-2)
 #define MARGIN (ROUNDS + 2) /* places beside the first board: those that are looked at last */
 #define NEAR 2 /* the farthest that a node looks */
@@ -102,7 +103,22 @@ typedef struct {
   float weight;
 } Prediction;
 #define AT(rows, columns) at[place + (rows) * width + (columns)]
-#define PREDICTS(share, position)                                                   \
+#define CUBIC(DO, r, c)                                                             \
+  DO(CUBIC_WEIGHT, BY_4 * AT(-(r), -(c)) + BY_4 * AT(r, c) + BY_1 * AT(-2 * (r), -2 * (c)) + \
+                       BY_1 * AT(2 * (r), 2 * (c)))                                 \
+  DO(MIDDLE_WEIGHT, 0.5f * AT(-(r), -(c)) + 0.5f * AT(r, c))
+#define CORNER_OF_CELL(DO, r, c) DO(CELL_WEIGHT, AT(r, 0) + AT(0, c) - AT(r, c))
+#define BEYOND(DO, r, c) DO(BEYOND_WEIGHT, 2.0f * AT(r, c) - AT(2 * (r), 2 * (c)))
+#define BY_4 (4.0f / 6.0f)
+#define BY_1 (-1.0f / 6.0f)
+#define PREDICTIONS(DO)                                                             \
+  CUBIC(DO, 0, 1) CUBIC(DO, 1, 0)                                                   \
+  CORNER_OF_CELL(DO, 1, 1) CORNER_OF_CELL(DO, 1, -1) CORNER_OF_CELL(DO, -1, 1)      \
+  CORNER_OF_CELL(DO, -1, -1) BEYOND(DO, 0, 1) BEYOND(DO, 1, 0) BEYOND(DO, 0, -1) BEYOND(DO, -1, 0)
+Prediction predicted(__global const float2 *at, const int place, const int width) {
+  float2 total = (float2)(0.0f);
+  float weight = 0;
+#define ADD_POSITION(share, position)                                               \
   {                                                                                 \
     const float2 p = position;                                                      \
     if (IS_HERE(p)) {                                                               \
@@ -110,23 +126,23 @@ typedef struct {
       weight += share;                                                              \
     }                                                                               \
   }
-#define CUBIC(r, c)                                                                 \
-  PREDICTS(CUBIC_WEIGHT, BY_4 * AT(-(r), -(c)) + BY_4 * AT(r, c) + BY_1 * AT(-2 * (r), -2 * (c)) + \
-                      BY_1 * AT(2 * (r), 2 * (c)))                                  \
-  PREDICTS(MIDDLE_WEIGHT, 0.5f * AT(-(r), -(c)) + 0.5f * AT(r, c))
-#define CORNER_OF_CELL(r, c) PREDICTS(CELL_WEIGHT, AT(r, 0) + AT(0, c) - AT(r, c))
-#define BEYOND(r, c) PREDICTS(BEYOND_WEIGHT, 2.0f * AT(r, c) - AT(2 * (r), 2 * (c)))
-#define BY_4 (4.0f / 6.0f)
-#define BY_1 (-1.0f / 6.0f)
-Prediction predicted(__global const float2 *at, const int place, const int width) {
-  float2 total = (float2)(0.0f);
-  float weight = 0;
-  CUBIC(0, 1) CUBIC(1, 0)
-  CORNER_OF_CELL(1, 1) CORNER_OF_CELL(1, -1) CORNER_OF_CELL(-1, 1) CORNER_OF_CELL(-1, -1)
-  BEYOND(0, 1) BEYOND(1, 0) BEYOND(0, -1) BEYOND(-1, 0)
+  PREDICTIONS(ADD_POSITION)
   const float root = inverse_root(LARGER(weight, 0.5f));
   Prediction found = {total * (root * root), weight};
   return found;
+}
+/* The variance of what they predict, px^2 per axis. */
+float scatter_of(__global const float2 *at, const int place, const int width,
+                 const Prediction mean) {
+  float total = 0;
+#define ADD_SQUARE(share, position)                                                 \
+  {                                                                                 \
+    const float2 off = position - mean.at;                                          \
+    if (IS_HERE(off)) total += share * (off.x * off.x + off.y * off.y);             \
+  }
+  PREDICTIONS(ADD_SQUARE)
+  const float root = inverse_root(LARGER(mean.weight, 0.5f));
+  return (0.5f * total) * (root * root);
 }
 
 /* Steps of the lattice at a place, to the next column and to the next row, and the mean of their
@@ -520,5 +536,28 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
     list_around(OF_PLACES, SCORED, 1, 2, JUDGED, false, width, seen);
     for (int kind = CHANGED; kind <= SCORED; ++kind) empty_list(OF_PLACES, kind);
     ALL_TOGETHER;
+  }
+}
+
+/* A rough corner that fits the corner model is worn, or the surface bends sharply there: what its
+ * neighbours predict scatters then, and counts as much less as it does so more than wear moves a
+ * corner. spread: the variance that they leave it, px^2 per axis, 0 of other nodes. */
+__kernel void weigh_nodes(__global const float *restrict corners, const uint capacity,
+                          __global const int *restrict layout, PLACES_OF_BOARD,
+                          __global const int *restrict owner, __global float *restrict spread) {
+  FOR_PLACES(0) {
+    PLACE_OF_WORK_ITEM
+    const int corner = owner[place];
+    spread[place] = 0;
+    if (!rough[place] || corner < 0 || IS_TORN(corner)) continue;
+    const float sigma = sqrt(FIELD(corners, VARIANCE_FIELD)[corner]);
+    if (!(sigma < FLT_MAX)) continue; /* unknown */
+    const float4 p = predictions[place];
+    const Prediction prediction = {p.xy, p.z};
+    const float worn = WORN_SIGMAS * sigma, wear = worn * worn;
+    const float scatter = scatter_of(seen, place, width, prediction);
+    const float root = inverse_root(LARGER(wear + scatter, 1e-12f)), share = wear * (root * root);
+    result[place] = seen[place] + share * (result[place] - seen[place]);
+    spread[place] = share * scatter;
   }
 }

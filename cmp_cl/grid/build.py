@@ -128,7 +128,7 @@ def _boards_of(
         return
     plan = lattice_plan(select_device(device), frame.shape, frame.dtype, _full_scale(frame), count)
     with plan.lock:
-        plan.take(frame, corners.xy, corners.edges, corners.refusal)
+        plan.take(frame, corners)
         plan.start()
         yield boards(plan, corners.xy, shape)
 

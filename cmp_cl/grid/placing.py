@@ -3,14 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.corners import Corners, Refusal
-from cmp_cl.grid.choice import NOTHING, Asked, Found, K, Told
+from cmp_cl.corners import Corners
+from cmp_cl.grid.choice import NOTHING, Asked, Found, Told
 from cmp_cl.grid.grid import Grid, NodeStatus, Rival, Sides, check_size
 from cmp_cl.lattice.arrays import LOOKED, Board, Mask
 from cmp_cl.lattice.numbers import Decision, Numbering, seen_lines
-
-LINES = ((0, 1), (1, 0))
-CELLS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 def placed(found: Found, corners: Corners, asked: Asked, told: Told = NOTHING) -> Grid:
@@ -23,7 +20,9 @@ def placed(found: Found, corners: Corners, asked: Asked, told: Told = NOTHING) -
     mine = board.owner >= 0
     status = mine.astype(np.uint8) * np.uint8(NodeStatus.DETECTED)
     status[mine & board.torn] = NodeStatus.ATTACHED
-    xy, sigma = _weighed(board, corners)
+    xy: NDArray[np.float32] = np.stack([board.x, board.y], axis=2)
+    sigma = np.full(mine.shape, np.nan, np.float32)
+    sigma[mine] = np.maximum(corners.sigma[board.owner[mine]], np.sqrt(board.spread[mine]))
     looked = board.owner == LOOKED
     if looked.any():
         between = looked & _between(mine)
@@ -53,46 +52,6 @@ def placed(found: Found, corners: Corners, asked: Asked, told: Told = NOTHING) -
         edge_radius=corners.edge_radius,
     )
     return grid.within(first, shape)
-
-
-def _weighed(board: Board, corners: Corners) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the positions of the nodes, (R, C, 2), and their standard deviations, (R, C), px.
-
-    A board averages a rough corner with its prediction. One that fits the corner model is worn, or
-    the surface bends sharply there. Where it bends, the predictions of its neighbours scatter, and
-    count as much less as they do so more than wear moves a corner.
-    """
-    xy: NDArray[np.float32] = np.stack([board.x, board.y], axis=2)
-    mine = board.owner >= 0
-    sigma = np.full(mine.shape, np.nan, np.float32)
-    sigma[mine] = corners.sigma[board.owner[mine]]
-    row, column = np.nonzero(board.torn & mine)
-    corner = board.owner[row, column]
-    fits = (corners.refusal[corner] == Refusal.NONE) & np.isfinite(corners.sigma[corner])
-    row, column, corner = row[fits], column[fits], corner[fits]
-    if not len(corner):
-        return xy, sigma
-    seen: NDArray[np.float32] = np.pad(xy, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan)
-    seen[2:-2, 2:-2][mine] = corners.xy[board.owner[mine]]
-
-    def at(rows: int, columns: int) -> NDArray[np.float32]:
-        found: NDArray[np.float32] = seen[row + 2 + rows, column + 2 + columns]
-        return found
-
-    predicted = [at(r, 0) + at(0, c) - at(r, c) for r, c in CELLS]
-    for r, c in LINES:
-        middle = (at(-r, -c) + at(r, c)) / 2
-        cubic = (8 * middle - at(-2 * r, -2 * c) - at(2 * r, 2 * c)) / 6
-        predicted.append(np.where(np.isnan(cubic), middle, cubic))
-    each, known = np.array(predicted), ~np.isnan(predicted)
-    count = np.maximum(known.sum(axis=0), 1)
-    off = each - each.sum(axis=0, where=known) / count
-    scatter = ((off * off).sum(axis=0, where=known) / count).mean(axis=1)
-    variance = (K.worn_sigmas * corners.sigma[corner]) ** 2
-    share = variance / (variance + scatter)
-    xy[row, column] = at(0, 0) + share[:, None] * (xy[row, column] - at(0, 0))
-    sigma[row, column] = np.maximum(corners.sigma[corner], np.sqrt(share * scatter))
-    return xy, sigma
 
 
 def _between(there: Mask) -> Mask:

@@ -114,7 +114,8 @@ class Board:
 
     x, y: px, NaN where missing. owner: their corner, LOOKED or NONE. torn: the position of the
     corner is rough, so that x, y come in part from the neighbours. firm: it is not, and the two
-    cells of each colour are alike; empty if unknown. sign: +1 if the boundary of node (0, 0)
+    cells of each colour are alike; empty if unknown. spread: px^2, the variance that the neighbours
+    leave a rough corner, 0 of others; empty if unknown. sign: +1 if the boundary of node (0, 0)
     towards greater columns is from white to black, clockwise, else -1. border: what is seen at its
     sides.
     """
@@ -126,6 +127,7 @@ class Board:
     sign: int
     border: Border = NOT_SEEN
     firm: Mask = dataclasses.field(default_factory=lambda: np.zeros((0, 0), np.bool_))
+    spread: Real = dataclasses.field(default_factory=lambda: np.zeros((0, 0), np.float32))
 
     @property
     def there(self) -> Mask:
@@ -243,6 +245,6 @@ class Board:
 
     def changed(self, change: Callable[[NDArray[Any]], NDArray[Any]], **others: Any) -> "Board":
         """Return the board with what `change` makes of each of its arrays (R, C), and others."""
-        for name in ("x", "y", "owner", "torn", "firm"):
+        for name in ("x", "y", "owner", "torn", "firm", "spread"):
             others[name] = change(vars(self)[name])
         return dataclasses.replace(self, **others)

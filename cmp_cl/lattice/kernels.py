@@ -56,6 +56,7 @@ BOARD_OF_NUMBERS: tuple[Kernel, ...] = (
     ("measure_nodes", Over.PLACES),
     ("score_nodes", Over.PLACES),
     ("settle_nodes", Over.GROUP),
+    ("weigh_nodes", Over.PLACES),
     ("cut_board", Over.GROUP),
     ("measure_border", Over.GROUP),
 )
@@ -75,7 +76,7 @@ def sizes(*, corners: int, places: int, rows: int, columns: int, step: int) -> d
     of_places = {
         **dict.fromkeys(("torn", "rough", "tried", "node_kind"), 1),
         **dict.fromkeys(("owner", "cell", "score", "candidate", "listed", "asked"), 4),
-        **dict.fromkeys(("marks", "node_owner"), 4),
+        **dict.fromkeys(("marks", "spread", "node_owner", "node_spread"), 4),
         **dict.fromkeys(("seen", "at", "result", "sides", "cells", "found", "nodes"), 8),
         **{"predictions": 16, "lists": 4 * LISTS},
     }

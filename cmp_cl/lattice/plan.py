@@ -12,6 +12,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from cmp_cl.corners import Corners
 from cmp_cl.image import GreyImage
 from cmp_cl.lattice import kernels, parts
 from cmp_cl.lattice.arrays import Board, Border, Units, Votes
@@ -28,6 +29,7 @@ from cmp_cl.stages.refine import (
     POSITION,
     RESULT_FIELDS,
     RESULT_HEAD,
+    VARIANCE,
 )
 
 ONE_GROUP = 256  # work-items of a kernel that is one work-group
@@ -110,6 +112,7 @@ class LatticePlan:
             "HEAD": RESULT_HEAD,
             "EDGES_FIELD": EDGES.start,
             "METHOD_FIELD": METHOD,
+            "VARIANCE_FIELD": VARIANCE,
         }
 
     @property
@@ -168,25 +171,19 @@ class LatticePlan:
 
     # What happens in a frame
 
-    def take(
-        self,
-        image: GreyImage,
-        xy: NDArray[np.float32],
-        edges: NDArray[np.float32],
-        refusal: NDArray[np.uint8],
-    ) -> None:
-        """Give the plan an image and its corners: (H, W), (N, 2) px, (N, 4) rad, and why
-        their refinement was rejected, (N,) of `Refusal`."""
-        count = len(xy)
+    def take(self, image: GreyImage, corners: Corners) -> None:
+        """Give the plan an image, (H, W), and its corners."""
+        count = len(corners)
         after = self.step - self.pad - self.shape[1]
         padded = np.pad(image, ((1, 1), (self.pad, after)), mode="edge")
         length = multiple(count, LANES)
         numbers = np.zeros(RESULT_HEAD + RESULT_FIELDS * length, np.float32)
         numbers[:1].view(np.uint32)[0] = count
         fields = numbers[RESULT_HEAD:].reshape(RESULT_FIELDS, length)
-        fields[POSITION].reshape(-1)[: xy.size] = xy.ravel()
-        fields[EDGES].reshape(-1)[: edges.size] = edges.ravel()
-        fields[METHOD].view(np.uint8)[length : length + count] = refusal
+        fields[POSITION].reshape(-1)[: 2 * count] = corners.xy.ravel()
+        fields[EDGES].reshape(-1)[: 4 * count] = corners.edges.ravel()
+        fields[METHOD].view(np.uint8)[length : length + count] = corners.refusal
+        fields[VARIANCE, :count] = np.square(corners.sigma)
         self.write("image", padded)
         self.write("corners", numbers)
 
@@ -262,12 +259,13 @@ class LatticePlan:
         count = -1
         while count < 0 or count > self._likely:
             self._likely = max(count, self._likely)
-            layout, found, at, owner, kind = self.fetch(
+            layout, found, at, owner, kind, spread = self.fetch(
                 ("layout", np.int32, kernels.LAYOUT),
                 ("border", np.int32, kernels.FOUND),
                 ("nodes", np.float32, 2 * self._likely),
                 ("node_owner", np.int32, self._likely),
                 ("node_kind", np.uint8, self._likely),
+                ("node_spread", np.float32, self._likely),
             )
             rows, columns, sign = found[: kernels.SIDES].tolist()
             count = rows * columns
@@ -279,6 +277,7 @@ class LatticePlan:
             owner=owner[:count].reshape(rows, columns),
             torn=kind[:count].reshape(rows, columns) == kernels.ROUGH,
             firm=kind[:count].reshape(rows, columns) == kernels.FIRM,
+            spread=spread[:count].reshape(rows, columns),
             sign=sign,
             border=Border.of(found[kernels.SIDES :]),
         )

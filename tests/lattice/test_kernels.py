@@ -84,11 +84,11 @@ def assert_equal_to_the_oracle(device, image, corners, *, change=None, full_scal
         return parts, found
     board = board_of(numbers, corners.xy, torn)
     taken = numbers[:, 3] == TAKEN
-    wanted = lattice_nodes.settled(plane, corners.xy, torn, board, K, taken)
+    wanted = lattice_nodes.settled(plane, corners.xy, torn, corners.sigma, board, K, taken)
     wanted = borders.upright(borders.trimmed(wanted, image.shape, K))
     sides = borders.Sides(wanted, plane, K)
     assert plan.read("border", np.int32)[SIDES:].tolist() == sides.found()
-    for name in ("owner", "firm", "x", "y"):
+    for name in ("owner", "firm", "x", "y", "spread"):
         np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), err_msg=name)
     np.testing.assert_array_equal(found.torn & found.there, wanted.torn & wanted.there)
     assert found.sign == wanted.sign
@@ -240,7 +240,7 @@ def test_a_board_that_grows_to_the_last_round_ignores_the_frame_before(device):
 
     def settled(plan, image, kept):
         corners = detect(image)
-        plan.take(image, corners.xy, corners.edges, corners.refusal)
+        plan.take(image, corners)
         plan.enqueue(plan.launches)  # the board of a frame of several parts waits
         numbers = plan.read("numbers", np.int32).reshape(-1, 4)[: len(corners)].copy()
         place = numbers[:, :2] - numbers[:, :2].min(axis=0)

@@ -29,7 +29,7 @@ def started(
 ) -> LatticePlan:
     """Return a plan that has found the parts of an image; given: as for `plan_for`."""
     plan = plan_for(device, image, len(corners), **given)
-    plan.take(image, corners.xy, corners.edges, corners.refusal)
+    plan.take(image, corners)
     plan.start()
     return plan
 

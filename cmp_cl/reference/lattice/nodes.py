@@ -114,6 +114,19 @@ def predicted(at: Places, k: LatticeConstants) -> tuple[Places, Real]:
     return total * inverse(np.maximum(weight, F(0.5))), weight
 
 
+def scatter(at: Places, mean: tuple[Places, Real], k: LatticeConstants) -> Real:
+    """Return the variance of what the neighbours predict about its mean, px^2 per axis."""
+    place, weight = mean
+    total = np.zeros(at.shape, np.float32)
+    for w, factors in predictors(k):
+        off = np.zeros(at.shape, np.complex64)
+        for (r, c), factor in factors.items():
+            off = off + F(factor) * shifted(at, r, c, NOWHERE)
+        off = off - place
+        total = np.where(np.isnan(off), total, total + F(w) * dot(off, off))
+    return (F(0.5) * total) * inverse(np.maximum(weight, F(0.5)))
+
+
 def steps_of(at: Places) -> Steps:
     """Return the mean of the steps before and after each node, or of those within 3 x 3 nodes."""
     found, known = [], np.ones(at.shape, np.bool_)
@@ -144,14 +157,27 @@ def blended(
     return np.where(rough & (weight > 0), seen + share * (place - seen), seen)
 
 
-def result(board: Board, k: LatticeConstants) -> Board:
-    """Return the board with the positions of rough nodes blended; rough are torn ones, and those
-    far from their prediction."""
+def result(board: Board, sigma: Real, k: LatticeConstants) -> Board:
+    """Return the board with the positions of rough nodes blended, and `Board.spread`; rough are
+    torn ones, and those far from their prediction.
+
+    sigma: (N,), px, of each corner; NaN of one that does not fit the corner model. A rough one that
+    does is worn, or the surface bends sharply there. Then the predictions scatter, and count as
+    much less as they do so more than wear moves a corner.
+    """
     at = seen_at(board)
     prediction, cell = predicted(at, k), steps_of(at).cell
     away, limit = at - prediction[0], F(k.near_cells) * cell
     rough = board.there & (board.torn | (dot(away, away) > limit * limit))
-    return replaced(board, rough, blended(at, rough, prediction, cell, k), board.owner, True)
+    blend = blended(at, rough, prediction, cell, k)
+    worn = F(k.worn_sigmas) * sigma[np.maximum(board.owner, 0)]
+    fits = rough & (board.owner >= 0) & np.isfinite(worn)
+    wear = np.where(fits, worn * worn, F(1))
+    spread = scatter(at, prediction, k)
+    share = wear * inverse(np.maximum(wear + spread, F(1e-12)))
+    at = np.where(fits, at + share * (blend - at), blend)
+    changed = replaced(board, rough, at, board.owner, True)
+    return dataclasses.replace(changed, spread=np.where(fits, share * spread, F(0)))
 
 
 def firm(plane: Plane, board: Board, rough: Mask, k: LatticeConstants) -> Mask:
@@ -282,6 +308,7 @@ def settled(
     plane: Plane,
     xy: NDArray[np.float32],
     torn: Mask,
+    sigma: Real,
     board: Board,
     k: LatticeConstants,
     taken: Mask | None = None,
@@ -291,7 +318,8 @@ def settled(
     A missing place beside a node takes the free corner near its prediction, else the prediction. It
     does so once: a place whose node is dropped after that stays empty.
 
-    xy: (N, 2), all corners. torn: (N,), those whose refinement was rejected. taken: (N,), those of
+    xy: (N, 2), all corners. torn: (N,), those whose refinement was rejected. sigma: (N,), px, of
+    the others, NaN where unknown. taken: (N,), those of
     other boards. `board` has positions as seen, and says which are torn; the result has the blended
     positions, and which are rough.
     """
@@ -334,7 +362,7 @@ def settled(
             break
         tried |= take
         board = replaced(board, take, new, new_owner, new_torn)
-    blend = result(board, k)
+    blend = result(board, np.where(torn, F(np.nan), sigma), k)
     return dataclasses.replace(blend, firm=firm(plane, board, blend.torn, k))
 
 
