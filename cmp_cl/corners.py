@@ -9,10 +9,6 @@ from numpy.typing import DTypeLike, NDArray
 
 from cmp_cl.image import AnyImage, GreyImage, check_image
 
-BLOCK = 4  # px, over which edges are looked for
-EDGE = 1 / 5  # of the brightest block: a strong edge
-DARK = 1 / 16  # of white: no block of a darker image is bright
-EDGES = 0.01  # share of the blocks that such edges cross
 FACE = 4  # corners, the fewest of a pattern
 ASKED = 300  # corners, at most, whose neighbour is looked for
 FEW_BITS = 2**14  # a grey level that an image of 16 bits reaches, unless it is very dark
@@ -94,9 +90,8 @@ class Corners:
         """Return in one line why these seem not to be the corners of a pattern, and what to try.
 
         The line is empty if nothing speaks against them. It says that grey levels do not fit the
-        full scale, that the image is the raw mosaic of a colour camera, that there is no corner
-        although there are strong edges, or that neighbouring corners do not alternate as those of a
-        checkerboard do: most are then noise or texture.
+        full scale, that the image is the raw mosaic of a colour camera, or that neighbouring
+        corners do not alternate as those of a checkerboard do: most are then noise or texture.
 
         image: (H, W), which they are of. full_scale: its largest grey level, if that was given.
         numbered: whether a grid without doubts was found: then only grey levels are spoken of.
@@ -112,11 +107,6 @@ class Corners:
             )
         if numbered:
             return ""
-        if not len(self) and _has_edges(image, full_scale or np.iinfo(image.dtype).max):
-            return (
-                "no corner, although there are strong edges: those of noise or texture, or of "
-                "cells under 5 px; enlarge these, and do not leave out octaves"
-            )
         if self._alternation() > ALTERNATE:
             return (
                 f"most of the {len(self)} corners are noise or texture, because neighbours do not "
@@ -164,16 +154,6 @@ def _is_mosaic(image: GreyImage) -> bool:
     rows, columns = (length // 2 * 2 for length in image.shape)
     means = image[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).mean(axis=(0, 2))
     return bool(means.min() < MOSAIC * means.max())
-
-
-def _has_edges(image: GreyImage, white: int) -> bool:
-    """Return whether strong edges cross the image. Noise fades in the means of blocks."""
-    rows, columns = (length // BLOCK * BLOCK for length in image.shape)
-    blocks = image[:rows, :columns].reshape(rows // BLOCK, BLOCK, columns // BLOCK, BLOCK)
-    grey = blocks.mean(axis=(1, 3))
-    strong = EDGE * max(grey.max(initial=0), DARK * white)
-    steps = [np.abs(np.diff(grey, axis=axis)) > strong for axis in (0, 1)]
-    return bool(sum(int(step.sum()) for step in steps) > EDGES * grey.size)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
