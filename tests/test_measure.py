@@ -240,6 +240,27 @@ def test_an_audit_finds_nodes_that_tracking_has_lost(monkeypatch):
     assert found[4].differing == 0
 
 
+@pytest.mark.parametrize("degrees", [4, 25])
+def test_a_pattern_beyond_the_view_is_tracked_though_it_is_turned(degrees):
+    """The outer lines of the lattice at rest then lie in the view only in part."""
+    rows, columns = 300, 340
+    sheet, nodes = drawn(40, 40)
+    turn = cv2.getRotationMatrix2D(nodes.mean(axis=(0, 1)).tolist(), degrees, 1)
+    turn[:, 2] += np.array([columns, rows]) / 2 - nodes.mean(axis=(0, 1))
+    frames = []
+    for steps in range(4):
+        turn[0, 2] += bool(steps)
+        frames.append(cv2.warpAffine(sheet, turn, (columns, rows), flags=cv2.INTER_AREA))
+    with OneView(frames[0], track=True) as following:
+        assert following.rest_grids[0].valid.mean() < 0.95
+        found = list(map(following, frames))
+    assert [each.tracked for each in found] == [False, True, True, True]
+    for steps, each in enumerate(found):
+        off = each.field.displacement - (steps, 0)
+        assert each.field.valid.mean() > 0.6
+        assert np.nanmax(np.linalg.norm(off, axis=2)) < 0.3
+
+
 def test_a_tracked_frame_says_what_its_kernels_took(film):
     with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES, profile=True) as following:
         following(film[0])

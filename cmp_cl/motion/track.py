@@ -46,28 +46,31 @@ class Tracked:
     beside a corner that may be theirs.
     """
 
-    lost: int
-    crossed: int
-    beyond: tuple[int, ...]
-    gone: tuple[int, ...]
-    adrift: int
+    lost: int = 0
+    crossed: int = 0
+    beyond: tuple[int, ...] = (0, 0, 0, 0)
+    gone: tuple[int, ...] = (0, 0, 0, 0)
+    adrift: int = 0
 
-    def holds(self, shape: tuple[int, int], usual: tuple[int, ...] = (0, 0, 0, 0)) -> bool:
+    def holds(self, shape: tuple[int, int], at_rest: "Tracked | None" = None) -> bool:
         """Return whether the numbers of the frame before hold for a lattice of that shape.
 
         A lattice that slips by whole cells has free corners beyond a side, or loses a whole side.
-        usual: the free corners beyond each side at rest, where squares meet the surround.
+        at_rest: what is found there: free corners beyond a side, where squares meet the surround,
+        and nodes that the view does not show.
         """
+        rest = at_rest or Tracked()
         rows, columns = shape
         sides = columns, columns, rows, rows
-        more = [now - before for now, before in zip(self.beyond, usual, strict=True)]
+        more = [now - before for now, before in zip(self.beyond, rest.beyond, strict=True)]
+        gone = zip(self.gone, rest.gone, sides, strict=True)
         return (
-            self.lost <= LOST * rows * columns
+            self.lost - rest.lost <= LOST * (rows * columns - rest.lost)
             and self.crossed <= CROSSED * rows * columns
             and self.adrift <= ADRIFT * rows * columns
-            and sum(more) <= BEYOND * sum(sides) + 2 * math.sqrt(sum(usual))
+            and sum(more) <= BEYOND * sum(sides) + 2 * math.sqrt(sum(rest.beyond))
             and all(each <= BEYOND_ONE * side for each, side in zip(more, sides, strict=True))
-            and all(gone <= GONE * side for gone, side in zip(self.gone, sides, strict=True))
+            and all(now - before <= GONE * (side - before) for now, before, side in gone)
         )
 
 
@@ -77,8 +80,8 @@ def can_track(rest: Grid, *, slow: bool) -> bool:
 
     slow: the pattern moves by less than half a cell from frame to frame, so that it cannot slip.
     """
-    sure = slow or all(rest.border or NO_SIDES)
-    return bool(sure and rest.valid.mean() > KNOWN and min(rest.shape) >= 3)
+    sure = all(rest.border or NO_SIDES) and rest.valid.mean() > KNOWN
+    return bool((slow or sure) and min(rest.shape) >= 3)
 
 
 class Tracker:
@@ -106,7 +109,8 @@ class Tracker:
         self._count = len(views)
         self._size = size
         self.capacity = multiple(max(LEAST_ROOM, 2 * rows * columns), GROUP)
-        self._usual: list[tuple[int, ...]] = [(0, 0, 0, 0)] * len(views)
+        self._at_rest = [Tracked()] * len(views)
+        self._known = [np.count_nonzero(grid.valid) for grid, _ in views]
         self.room = multiple(rows * columns, GROUP)  # of second looks
         self._first_count = len(views) * LISTS
         self._bin = max(_LEAST_BIN, _BIN * min(_step(grid) for grid, _ in views))
@@ -230,7 +234,10 @@ class Tracker:
         enough. Enqueues copies: they do not move."""
         copy(self._queue, self._parts["last"], self._parts["nodes"])
         copy(self._queue, self._parts["last_status"], self._parts["seen_status"])
-        return all(not grid.ambiguous and grid.valid.mean() >= 1 - LOST for grid in grids)
+        return all(
+            not grid.ambiguous and np.count_nonzero(grid.valid) >= (1 - LOST) * known
+            for grid, known in zip(grids, self._known, strict=True)
+        )
 
     def holds(self, arrays: Mapping[str, NDArray[Any]], corners: Sequence[int]) -> bool:
         """Return whether the numbers of the frame before hold in all views.
@@ -238,13 +245,13 @@ class Tracker:
         arrays: of the frame, see `FieldPlan.read`. corners: their number in each view.
         """
         return max(corners) <= self.capacity and all(
-            each.holds(self.shape, usual)
-            for each, usual in zip(self.found(arrays), self._usual, strict=True)
+            each.holds(self.shape, at_rest)
+            for each, at_rest in zip(self.found(arrays), self._at_rest, strict=True)
         )
 
     def know_rest(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Take what is found in the frame at rest as usual. arrays: of it, see `FieldPlan.read`."""
-        self._usual = [each.beyond for each in self.found(arrays)]
+        self._at_rest = self.found(arrays)
 
     def found(self, arrays: Mapping[str, NDArray[Any]]) -> list[Tracked]:
         """Return what was found in each view. arrays: of the frame, see `FieldPlan.read`."""
