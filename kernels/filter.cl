@@ -14,7 +14,6 @@
 #define MASK_PLANE(estimate) (ESTIMATES + ((estimate) < 3 ? (estimate) : 3))
 #define PRODUCT_PLANE (ESTIMATES + MASKS)
 #define NOISE_PLANES (ESTIMATES + MASKS + PRODUCTS)
-#define SUMS (ESTIMATES * PRODUCTS + 1)
 #define NOISE_REACH 10
 #define RISK_REACH 8
 #define LEAST_VOTES 8     /* through which a surface goes */
@@ -22,12 +21,9 @@
 #define ROUGH_COUNTS 4    /* a residual of a rough corner counts twice: 3 standard deviations */
 #define IS_ROUGH(i) (measured[i] > DETECTED)
 #define CLEARLY 4.0f /* times the usual variance */
-#define LEAST_SUPPORTED(count, size) (4 * (count) >= 3 * (size))
 #define LEAST_OF_FIVE 1.29f
 #define SHARPNESS 4.71238898f /* 2 pi 1.5^2 / 3 */
-#define FLOOR 1e-10f
 #define LEAST_VARIANCE 1e-30f
-#define NO_PAIR 1e30f
 #define NONE_NEAR 1e-6f /* a smaller sum of Gaussian weights is no mean */
 
 #define KNOWN_OR_1(s) ((s) == (s) ? (s) : (float8)1)
@@ -47,7 +43,7 @@ int is_supported(const int row, const int column, __global const uchar *votes) {
   int count = 0;
   for (int r = 0; r <= 2 * PILOT_DOWN; ++r)
     for (int t = 0; t <= 2 * PILOT_ALONG; ++t) count += votes[(top + r) * COLUMNS + first + t];
-  return LEAST_SUPPORTED(count, (2 * PILOT_DOWN + 1) * (2 * PILOT_ALONG + 1));
+  return 4 * count >= 3 * (2 * PILOT_DOWN + 1) * (2 * PILOT_ALONG + 1);
 }
 
 /* The value of node i, or what fills its hole: the surface through the votes around; 0 if there are
@@ -173,29 +169,30 @@ void left_by_diagonal(const int row, const int estimate, __global const float *d
 }
 
 /* What is made of the residuals along both axes alone: their squares, by which nodes are rejected,
- * the products of their coordinates, averaged along the row into `near`, and the sum of the squares
- * of all values, of which the floor of the noise is a share. */
-void products_of_row(const int row, __global const float *data, __global const float *vote,
-                     float (*left)[LINE], __global const float *rows_noise,
-                     __global float *size, __global float *near, __global float *sums) {
+ * the products of their coordinates, averaged along the row into `near`, and the sums of these over
+ * `length`, that of the residual, or 0 where it does not count. */
+void products_of_row(const int row, __global const float *vote, float (*left)[LINE],
+                     const float *length, __global const float *rows_noise, __global float *size,
+                     __global float *near, __global float *sums) {
   float line[LINE + 2 * NOISE_REACH];
-  float8 total = 0;
   EACH_EIGHT {
     float8 square = 0;
-    for (int k = 0; k < K; ++k) {
-      const float8 here = EIGHT_AT(data + k * PLANE + row * LINE + c);
-      total += here * here;
-      square += LOAD_EIGHT(left[k] + c) * LOAD_EIGHT(left[k] + c);
-    }
+    for (int k = 0; k < K; ++k) square += LOAD_EIGHT(left[k] + c) * LOAD_EIGHT(left[k] + c);
     EIGHT_AT(size + row * LINE + c) = HAS_VOTE(row, c) * square / K;
   }
-  sums[row * SUMS + SUMS - 1] = sum_of(total);
-  int p = PRODUCT_PLANE;
+  int p = 0;
   for (int j = 0; j < K; ++j)
-    for (int k = j; k < K; ++k) {
-      EACH_EIGHT STORE_EIGHT(line + NOISE_REACH + c, HAS_VOTE(row, c) * LOAD_EIGHT(left[j] + c) *
-                                                         LOAD_EIGHT(left[k] + c));
-      average_along(line, NOISE_REACH, rows_noise, near + (p++ * ROWS + row) * LINE, LANES);
+    for (int k = j; k < K; ++k, ++p) {
+      float8 sum = 0;
+      EACH_EIGHT {
+        const float8 product = LOAD_EIGHT(left[j] + c) * LOAD_EIGHT(left[k] + c);
+        const float8 size = LOAD_EIGHT(length + c);
+        STORE_EIGHT(line + NOISE_REACH + c, HAS_VOTE(row, c) * product);
+        sum += size > 0 ? product / size : (float8)0;
+      }
+      average_along(line, NOISE_REACH, rows_noise,
+                    near + ((PRODUCT_PLANE + p) * ROWS + row) * LINE, LANES);
+      sums[row * PRODUCTS + p] = sum_of(sum);
     }
 }
 
@@ -216,17 +213,14 @@ void products_of_row(const int row, __global const float *data, __global const f
       __global float *size, __global float *near, __global float *sums
 
 /* What an estimate of the noise is made of: the lengths of its residuals and the mask of the nodes
- * that count, averaged along the row into `near`, and the sums over the row from which its degrees
- * of freedom come. */
+ * that count, averaged along the row into `near`. */
 void pilot_of_row(const int row, const int estimate, OF_PILOT, OF_BOTH) {
   float left[K][LINE], line[LINE + 2 * NOISE_REACH], mask[LINE + 2 * NOISE_REACH];
   if (estimate < 3) left_by_axes(row, estimate, data, pilot_down, pilot_along, left);
   else left_by_diagonal(row, estimate, data, left);
   const int inside = row >= 3 && row < ROWS - 3;
   const float8 own_of_row = pilot_own_down[row], own_inside = DIAGONAL[3], none = 0, one = 1;
-  const float8 least_vote = estimate == 0 ? 2 : 1, least = estimate == 0 ? 1e-3f : 0.05f;
-  float8 sum[PRODUCTS];
-  for (int p = 0; p < PRODUCTS; ++p) sum[p] = 0;
+  const float8 least_vote = estimate == 0 ? 2 : 1, least = 0.05f;
   EACH_EIGHT {
     const int8 column = c + (int8)(0, 1, 2, 3, 4, 5, 6, 7);
     const int8 has_diagonals = inside && column >= 3 && column < COLUMNS - 3;
@@ -238,22 +232,17 @@ void pilot_of_row(const int row, const int estimate, OF_PILOT, OF_BOTH) {
     const float8 left_over = 1 - own;
     float8 square = 0;
     for (int k = 0; k < K; ++k) square += LOAD_EIGHT(left[k] + c) * LOAD_EIGHT(left[k] + c);
-    const int8 usable = EIGHT_AT(vote + row * LINE + c) >= least_vote && left_over > 0.05f;
+    const int8 usable = EIGHT_AT(vote + row * LINE + c) >= least_vote && left_over > least;
     const float8 root = sqrt(square / (K * (left_over > least ? left_over : least)));
     STORE_EIGHT(line + NOISE_REACH + c, usable ? root : none);
     STORE_EIGHT(mask + NOISE_REACH + c, usable ? one : none);
-    const int8 nonzero = usable && root > 0;
-    int p = 0;
-    for (int j = 0; j < K; ++j)
-      for (int k = j; k < K; ++k, ++p)
-        sum[p] += nonzero ? LOAD_EIGHT(left[j] + c) * LOAD_EIGHT(left[k] + c) / root : none;
   }
+  if (estimate == 0)
+    products_of_row(row, vote, left, line + NOISE_REACH, rows_noise, size, near, sums);
   average_along(line, NOISE_REACH, rows_noise, near + (estimate * ROWS + row) * LINE, LANES);
   if (estimate < 4) /* both diagonals have the same mask */
     average_along(mask, NOISE_REACH, rows_noise, near + (MASK_PLANE(estimate) * ROWS + row) * LINE,
                   LANES);
-  for (int p = 0; p < PRODUCTS; ++p) sums[row * SUMS + estimate * PRODUCTS + p] = sum_of(sum[p]);
-  if (estimate == 0) products_of_row(row, data, vote, left, rows_noise, size, near, sums);
 }
 
 /* The pilot. One work-item a row and an estimate. */
@@ -264,26 +253,19 @@ __kernel void pilot(OF_PILOT, OF_BOTH) {
 
 /* The mean length of a residual with variance 1 per coordinate, if its length is chi-distributed.
  * The degrees of freedom are the effective number of directions of the residuals, from the sums of
- * the products of their coordinates. */
-float expected_length(const float *products) {
+ * the products of their coordinates in each row. */
+float expected_length(__global const float *sums) {
   float trace = 0, square = 0;
+  int p = 0;
   for (int j = 0; j < K; ++j)
-    for (int k = j; k < K; ++k, ++products) {
-      trace += j == k ? *products : 0;
-      square += j == k ? *products * *products : 2 * *products * *products;
+    for (int k = j; k < K; ++k, ++p) {
+      float product = 0;
+      for (int r = 0; r < ROWS; ++r) product += sums[r * PRODUCTS + p];
+      trace += j == k ? product : 0;
+      square += (j == k ? 1 : 2) * product * product;
     }
   const float freedom = square > 0 ? trace * trace / square : (float)K;
   return sqrt(2 / freedom) * exp(lgamma(freedom / 2 + 0.5f) - lgamma(freedom / 2));
-}
-
-/* The expected length of the residuals of each estimate, and the least variance of the noise. */
-void lengths_and_floor(__global const float *sums, float *length, float *least_of_all) {
-  float all[SUMS];
-  for (int p = 0; p < SUMS; ++p) all[p] = 0;
-  for (int r = 0; r < ROWS; ++r)
-    for (int p = 0; p < SUMS; ++p) all[p] += sums[r * SUMS + p];
-  for (int e = 0; e < ESTIMATES; ++e) length[e] = expected_length(all + e * PRODUCTS);
-  *least_of_all = fmax(FLOOR * all[SUMS - 1] / (K * NODES), LEAST_VARIANCE);
 }
 
 /* For eight nodes of a row: the variance of the noise, NaN where unknown; that with which filters
@@ -293,8 +275,8 @@ void lengths_and_floor(__global const float *sums, float *length, float *least_o
  * upper bound is the sum of that at rest and of the variance of the points now. round: of the search
  * for outliers; the last one rejects none. */
 #define SURPRISE(i, at) (size[at] * (IS_ROUGH(i) ? ROUGH_COUNTS : 1))
-void noise_of_eight(const int row, const int c, const float *length, const float least_of_all,
-                    const int round, OF_BOTH, OF_NOISE) {
+void noise_of_eight(const int row, const int c, const float length, const int round, OF_BOTH,
+                    OF_NOISE) {
   const float8 none_near = NONE_NEAR, unknown = NAN, smallest = LEAST_VARIANCE;
   const int at = row * LINE + c;
   float8 near_here[NOISE_PLANES], first = 0, least = 0;
@@ -307,9 +289,9 @@ void noise_of_eight(const int row, const int c, const float *length, const float
   }
   for (int e = 0; e < ESTIMATES; ++e) {
     const float8 mean = near_here[e], mask = near_here[MASK_PLANE(e)];
-    const float8 root = mean / ((mask > none_near ? mask : none_near) * length[e]);
+    const float8 root = mean / ((mask > none_near ? mask : none_near) * length);
     const float8 estimate = mask > none_near ? root * root : unknown;
-    if (e == 0) first = least = estimate + least_of_all;
+    if (e == 0) first = least = estimate + smallest;
     else least = estimate < least || least != least ? estimate : least;
   }
   const float8 bound = EIGHT_AT(bound_rest + at) + EIGHT_AT(own + at);
@@ -348,11 +330,10 @@ void noise_of_eight(const int row, const int c, const float *length, const float
 /* The noise, and the first round of the search for outliers. The work-items share the rows, and
  * those of a row its nodes, eight at a time. */
 __kernel void noise(OF_BOTH, OF_NOISE) {
-  float length[ESTIMATES], least_of_all;
-  lengths_and_floor(sums, length, &least_of_all);
+  const float length = expected_length(sums);
   for (int row = get_global_id(0); row < ROWS; row += get_global_size(0))
     for (int c = LANES * get_global_id(1); c < LINE; c += LANES * get_global_size(1))
-      noise_of_eight(row, c, length, least_of_all, 0, BOTH_READ, NOISE_READS);
+      noise_of_eight(row, c, length, 0, BOTH_READ, NOISE_READS);
 }
 
 /* The other rounds, each of them if the one before has rejected nodes, which is rare. One
@@ -365,30 +346,25 @@ __kernel void settle(__global const float *moved, OF_PILOT, OF_BOTH, OF_NOISE) {
     for (int i = first; i < ESTIMATES * ROWS; i += items)
       pilot_of_row(i % ROWS, i / ROWS, PILOT_READS, BOTH_READ);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    float length[ESTIMATES], least_of_all;
-    lengths_and_floor(sums, length, &least_of_all);
+    const float length = expected_length(sums);
     for (int i = LANES * first; i < PLANE; i += LANES * items)
-      noise_of_eight(i / LINE, i % LINE, length, least_of_all, round, BOTH_READ, NOISE_READS);
+      noise_of_eight(i / LINE, i % LINE, length, round, BOTH_READ, NOISE_READS);
     barrier(CLK_GLOBAL_MEM_FENCE);
   }
 }
 
-/* Every pair of filters: its estimate, and its loss, averaged along the row. A pair whose window
- * holds too few votes is marked. The work-items of a row and a filter along the columns share the
- * filters along the row. */
-__kernel void smooth(__global const float *data, __global const uchar *votes,
-                     __global const float *vote, __global const int *counts,
+/* Every pair of filters: its estimate, and its loss, averaged along the row. The work-items of a row
+ * and a filter along the columns share the filters along the row. */
+__kernel void smooth(__global const float *data, __global const float *vote,
                      __global const float *chosen, __global const int *sides_down,
                      __global const int *sides_along, __global const float *filters_down,
                      __global const float *filters_along, __global const float *own_down,
                      __global const float *own_along, __global const float *rows_risk,
-                     __global float *estimate, __global float *loss, __global float *near_votes,
-                     __global float *unsupported) {
-  const int row = get_global_id(0), a = get_global_id(1);
+                     __global float *estimate, __global float *loss,
+                     __global float *near_votes) {
+  const int row = get_global_id(0), a = get_global_id(1), side = sides_down[a];
   if (row >= ROWS) return;
-  const int side = sides_down[a], first = WINDOW_START(row, side, ROWS);
   float down[K][LINE], here[K][LINE], twice[LINE], line[LINE + 2 * RISK_REACH];
-  int before[COLUMNS + 1]; /* votes of the window's rows in the columns before */
   EACH_EIGHT {
     for (int k = 0; k < K; ++k) {
       __global const float *plane = data + k * PLANE;
@@ -397,13 +373,6 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
     }
     const float8 s = EIGHT_AT(chosen + row * LINE + c);
     STORE_EIGHT(twice + c, 2 * K * own_down[a * ROWS + row] * KNOWN_OR_1(s));
-  }
-  const int missing = MISSING_NOW;
-  if (missing != 0) {
-    for (int c = 0; c <= COLUMNS; ++c) before[c] = 0;
-    for (int r = first; r <= first + 2 * side; ++r)
-      EACH_COLUMN before[c + 1] += votes[r * COLUMNS + c];
-    EACH_COLUMN before[c + 1] += before[c];
   }
   for (int b = get_global_id(2); b < FILTERS_ALONG; b += get_global_size(2)) {
     const int pair = a * FILTERS_ALONG + b, reach = sides_along[b];
@@ -433,16 +402,6 @@ __kernel void smooth(__global const float *data, __global const uchar *votes,
     }
     average_along(line, RISK_REACH, rows_risk, loss + pair * PLANE + IN_PIECES(row, 0),
                   IN_PIECES(0, LANES));
-    if (missing != 0) { /* nodes near an end have the window of those further in */
-      __global float *refused = unsupported + pair * PLANE + row * LINE;
-      const int last = COLUMNS - 1 - reach, size = (2 * reach + 1) * (2 * side + 1);
-      for (int c = reach; c <= last; ++c)
-        refused[c] = !LEAST_SUPPORTED(before[c + reach + 1] - before[c - reach], size);
-      for (int c = 0; c < reach; ++c) {
-        refused[c] = refused[reach];
-        refused[COLUMNS - 1 - c] = refused[last];
-      }
-    }
   }
   if (a == 0 && get_global_id(2) == 0) {
     EACH_EIGHT STORE_EIGHT(line + RISK_REACH + c, HAS_VOTE(row, c));
@@ -467,8 +426,7 @@ float8 exp_below(const float8 x) {
 /* The mean of all pairs with weights by their risk, and its variance. keep: whether the weights are
  * kept, for a strain. One work-item for eight nodes of a row. */
 __kernel void blend(__global const float *estimate, __global const float *loss,
-                    __global const float *near_votes, __global const float *unsupported,
-                    __global const int *counts, __global const float *variance,
+                    __global const float *near_votes, __global const float *variance,
                     __global const float *chosen, __global const float *own_down,
                     __global const float *own_along, __global const float *gain_down,
                     __global const float *gain_along, __global const float *rows_risk,
@@ -481,8 +439,7 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
   EACH_ROW_WITHIN(RISK_REACH)
     near += rows_risk[r - row + RISK_REACH] * EIGHT_AT(near_votes + IN_PIECES(r, c));
   const float8 scale = 1 / (K * KNOWN_OR_1(s1) * (near > NONE_NEAR ? near : (float8)NONE_NEAR));
-  float8 risk[PAIRS], least = NO_PAIR;
-  const int missing = MISSING_NOW;
+  float8 risk[PAIRS], least = INFINITY;
   for (int a = 0; a < PAIRS; a += FILTERS_ALONG) {
     float8 sum[FILTERS_ALONG];
     for (int b = 0; b < FILTERS_ALONG; ++b) sum[b] = 0;
@@ -492,14 +449,10 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
       for (int b = 0; b < FILTERS_ALONG; ++b)
         sum[b] += weight * EIGHT_AT(loss + (a + b) * PLANE + IN_PIECES(r, c));
     }
-    for (int b = 0; b < FILTERS_ALONG; ++b) risk[a + b] = scale * sum[b];
-  }
-  for (int pair = 0; pair < PAIRS; ++pair) {
-    if (missing != 0 && pair > 0) {
-      const float8 refused = EIGHT_AT(unsupported + pair * PLANE + at);
-      risk[pair] = refused == 0 && s1 == s1 && near > NONE_NEAR ? risk[pair] : (float8)NO_PAIR;
+    for (int b = 0; b < FILTERS_ALONG; ++b) {
+      risk[a + b] = scale * sum[b];
+      least = risk[a + b] < least ? risk[a + b] : least;
     }
-    least = risk[pair] < least ? risk[pair] : least;
   }
   float8 sum = 0, mean_risk = 0, mean_own = 0, mean_gain = 0, value[K];
   for (int k = 0; k < K; ++k) value[k] = 0;

@@ -275,7 +275,6 @@ class LatticeFilter:
             common=products,
             estimate=axes * pairs,
             loss=pairs,
-            unsupported=pairs,
             near_votes=1,
             weights=pairs if self._slopes else 1,
             values=axes,
@@ -284,7 +283,7 @@ class LatticeFilter:
         )
         return {
             **in_line,
-            "sums": ((rows, _ESTIMATES * products + 1), np.float32),
+            "sums": ((rows, products), np.float32),
             "rough": ((rows, _ROUGH), np.float32),
         }
 

@@ -10,17 +10,16 @@
    the column and one along the row.
 4. The pilot is (3, 5), (2, 3) for fewer than 8 nodes, none for fewer than 5. Its residual is r; k
    is the node's own weight in it. With u = |r|^2 / (K (1 - k)) the variance of the noise is
-   s2 = (G2(root(u)) / e)^2 + 1e-10 mean |X|^2 / K, over the votes with 1 - k > 0.05 and at least
-   three quarters of the window measured. G is a Gaussian of that standard deviation, in nodes,
-   whose weights sum to 1. e is the mean of a chi variable over root(f), with f degrees of
-   freedom: trace^2 / sum of squares of the matrix sum r r^T / root(u).
+   s2 = (G2(root(u)) / e)^2, over the votes with 1 - k > 0.05 and at least three quarters of the
+   window measured. G is a Gaussian of that standard deviation, in nodes, whose weights sum to 1. e
+   is the mean of a chi variable over root(f), with f degrees of freedom: trace^2 / sum of squares
+   of the matrix sum r r^T / root(u).
 5. A node is rejected if |r|^2 / K > 36 s2 (1 - k) and no neighbour has a larger |r|. For a rough
    corner |r| counts twice, and it is rejected too where less than three quarters of the pilot's
    window are measured. This is done up to three times.
 6. Each pair gives the estimate E, the loss Q = |X - E|^2 / K + 2 s2 H, with H the node's own weight
-   in the pair, and the risk G1.5(Q) / s2 over the votes. A pair is left out if less than three
-   quarters of its window are measured; the pair that changes nothing is always in. The result is
-   the mean of the E with weights w proportional to exp(-(risk - least risk) 2 pi 1.5^2 / 3).
+   in the pair, and the risk G1.5(Q) / s2 over the votes. The result is the mean of the E with
+   weights w proportional to exp(-(risk - least risk) 2 pi 1.5^2 / 3).
 7. Its variance is s2 max(sum w risk - 1, sum w V), V the sum of the squares of the pair's weights.
 8. If the values may bend sharply, as displacements, the pairs are chosen with s1 in place of
    s2. s1 is 1.29 times the least of s2 and of the same estimates from the pilot along one axis
@@ -111,7 +110,7 @@ def _filtered(values: Floats, measured: Source, by_images: Floats, most: Floats 
         data = _filled(data, votes)
     margin = math.inf
     kept = votes
-    residual, s2, own = _noise(data, kept)
+    residual, s2, own, length = _noise(data, kept)
     for _ in range(3):
         gone, near = _rejected(residual * np.where(rough, 2, 1)[..., None], s2, own, kept)
         margin = min(margin, near)
@@ -120,10 +119,10 @@ def _filtered(values: Floats, measured: Source, by_images: Floats, most: Floats 
             break
         kept = kept & ~gone
         data = _filled(np.where(kept[..., None], data, 0), kept)
-        residual, s2, own = _noise(data, kept)
+        residual, s2, own, length = _noise(data, kept)
     chosen = s2
     if most is not None:
-        chosen = _least_noise(data, kept, s2)
+        chosen = _least_noise(data, kept, s2, length)
         chosen = np.where(np.isnan(most), chosen, np.minimum(chosen, most**2))
     smooth, variance, weights, estimates, used = _mixture(data, kept, s2, chosen)
     gone = votes & ~kept
@@ -209,14 +208,15 @@ def _average(values: Floats, counted: Bools, deviation: float) -> Floats:
     return np.where(total > 1e-6, mean / np.maximum(total, 1e-6), np.nan)
 
 
-def _noise(data: Floats, votes: Bools) -> tuple[Floats, Floats, Floats]:
-    """Return the pilot's residual (R, C, K), s2 and the pilot's own weights (R, C)."""
+def _noise(data: Floats, votes: Bools) -> tuple[Floats, Floats, Floats, float]:
+    """Return the pilot's residual (R, C, K), s2, the pilot's own weights (R, C), and e."""
     pilots = [_pilot(n) for n in votes.shape]
     down, along = (axis_filter(n, *each) for n, each in zip(votes.shape, pilots, strict=True))
     residual = data - np.einsum("ij,jlk,ml->imk", down, data, along)
     own = np.outer(np.diag(down), np.diag(along))
-    s2 = _variance(residual, own, votes & _supported(votes)) + max(1e-10 * (data**2).mean(), 1e-30)
-    return residual, s2, own
+    supported = votes & _supported(votes)
+    length = _expected(residual, _lengths(residual, own, supported))
+    return residual, _variance(residual, own, supported, length) + 1e-30, own, length
 
 
 def _supported(votes: Bools) -> Bools:
@@ -271,27 +271,24 @@ def _mixture(
             loss = ((data - estimate) ** 2).mean(axis=2)
             own = np.outer(np.diag(a), np.diag(b))
             loss = loss + 2 * chosen * own
-            risk = _average(np.where(votes, loss, 0), votes, 1.5) / chosen
+            risk = np.nan_to_num(_average(loss, votes, 1.5) / chosen)  # all pairs are alike there
             owns.append(own)
-            if (h_row, h_column) != (0, 0):
-                risk[_share(votes, (h_row, h_column)) < 0.75 - 1e-6] = np.inf
             estimates.append(estimate)
-            risks.append(np.where(np.isnan(risk), np.inf, risk))
+            risks.append(risk)
             gains.append(np.outer((a**2).sum(axis=1), (b**2).sum(axis=1)))
-    risks[0] = np.where(np.isinf(risks[0]), 0, risks[0])
     risk, gain, estimate = np.array(risks), np.array(gains), np.array(estimates)
     weights = np.exp(-(risk - risk.min(axis=0)) * 2 * math.pi * 1.5**2 / 3)
     weights /= weights.sum(axis=0)
     values = np.einsum("prc,prck->rck", weights, estimate)
-    mean_risk = (weights * np.where(weights > 0, risk, 0)).sum(axis=0)
+    mean_risk = (weights * risk).sum(axis=0)
     mean_own = (weights * np.array(owns)).sum(axis=0)
     expected = chosen * mean_risk + 2 * (s2 - chosen) * mean_own - s2
     share = (weights * gain).sum(axis=0)
     return values, np.maximum(expected, s2 * share), weights, estimate, mean_own
 
 
-def _least_noise(data: Floats, votes: Bools, s2: Floats) -> Floats:
-    """Return the variance of the noise with which the pairs are chosen."""
+def _least_noise(data: Floats, votes: Bools, s2: Floats, length: float) -> Floats:
+    """Return the variance of the noise with which the pairs are chosen. length: e."""
     rows, columns, _ = data.shape
     least = s2
     for axis in (0, 1):
@@ -300,7 +297,7 @@ def _least_noise(data: Floats, votes: Bools, s2: Floats) -> Floats:
         filters = axis_filter(n, *_pilot(n))
         residual = np.moveaxis(lines - np.tensordot(filters, lines, 1), 0, axis)
         own = np.expand_dims(np.diag(filters), 1 - axis) * np.ones(votes.shape)
-        least = np.fmin(least, _variance(residual, own, votes))
+        least = np.fmin(least, _variance(residual, own, votes, length))
     pilot = axis_filter(7, 3, 5)[3]
     for sense in (1, -1):
         residual, own = np.zeros_like(data), np.ones(votes.shape)
@@ -308,16 +305,20 @@ def _least_noise(data: Floats, votes: Bools, s2: Floats) -> Floats:
             for c in range(3, columns - 3):
                 line = np.array([data[r + t, c + sense * t] for t in range(-3, 4)])
                 residual[r, c], own[r, c] = data[r, c] - pilot @ line, pilot[3]
-        least = np.fmin(least, _variance(residual, own, votes))
+        least = np.fmin(least, _variance(residual, own, votes, length))
     return np.minimum(s2, LEAST_OF_FIVE * least)
 
 
-def _variance(residual: Floats, own: Floats, votes: Bools) -> Floats:
+def _variance(residual: Floats, own: Floats, votes: Bools, length: float) -> Floats:
     """Return the variance of the noise by a residual (R, C, K), NaN where it is unknown."""
-    usable = votes & (own < 0.95)
-    size = np.sqrt((residual**2).mean(axis=2) / np.maximum(1 - own, 0.05))
-    mean = _average(size, usable, 2.0) / _expected(residual, np.where(usable, size, 0))
+    mean = _average(_lengths(residual, own, votes), votes & (own < 0.95), 2.0) / length
     return mean**2
+
+
+def _lengths(residual: Floats, own: Floats, votes: Bools) -> Floats:
+    """Return the root of u, (R, C), 0 where it is not used."""
+    size = np.sqrt((residual**2).mean(axis=2) / np.maximum(1 - own, 0.05))
+    return np.where(votes & (own < 0.95), size, 0)
 
 
 def _filled(data: Floats, votes: Bools) -> Floats:
