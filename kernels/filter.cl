@@ -11,17 +11,20 @@
 #define ESTIMATES 5 /* of the noise: from both axes, from each axis, from each diagonal */
 #define ROUNDS 3    /* that may reject nodes, as in cmp_cl/motion/filter.py */
 #define MASKS 4     /* nodes that count in them; the diagonals share one */
-#define MASK_PLANE(estimate) (ESTIMATES + ((estimate) < 3 ? (estimate) : 3))
-#define PRODUCT_PLANE (ESTIMATES + MASKS)
-#define NOISE_PLANES (ESTIMATES + MASKS + PRODUCTS)
+#define MASK_PLANE(estimate) (PRODUCTS + ((estimate) < 3 ? (estimate) : 3))
+#define LENGTH_PLANE(estimate) (PRODUCTS + MASKS + (estimate))
+#define NOISE_PLANES (PRODUCTS + MASKS + ESTIMATES)
+#define MOST_OWN 0.95f /* of a node in its own pilot, which else shows no noise */
 #define NOISE_REACH 10
 #define RISK_REACH 8
 #define LEAST_VOTES 8     /* through which a surface goes */
-#define REJECTED_AT 36.0f /* the square of 6 standard deviations */
+#define REJECTED_AT 46.0f /* times the square of the mean length: 6 standard deviations */
 #define ROUGH_COUNTS 4    /* a residual of a rough corner counts twice: 3 standard deviations */
 #define IS_ROUGH(i) (measured[i] > DETECTED)
 #define CLEARLY 4.0f /* times the usual variance */
+#define FAR 9.0f     /* times the variance: the square of 3 standard deviations */
 #define LEAST_OF_FIVE 1.29f
+#define CHI 0.55f /* the square of the mean of a chi variable of freedom f is about f / (f + .55) */
 #define SHARPNESS 4.71238898f /* 2 pi 1.5^2 / 3 */
 #define LEAST_VARIANCE 1e-30f
 #define NONE_NEAR 1e-6f /* a smaller sum of Gaussian weights is no mean */
@@ -129,12 +132,6 @@ void average_along(float *line, const int reach, __global const float *weights,
 #define EACH_ROW_WITHIN(reach) \
   for (int r = max(row - (reach), 0); r <= min(row + (reach), ROWS - 1); ++r)
 
-/* The sum of eight. */
-float sum_of(const float8 v) {
-  const float4 half_sum = v.lo + v.hi;
-  return half_sum.x + half_sum.y + half_sum.z + half_sum.w;
-}
-
 /* The residuals of the pilot in a row: 0 along both axes, 1 along the columns, 2 along the row. */
 void left_by_axes(const int row, const int estimate, __global const float *data,
                   __global const float *pilot_down, __global const float *pilot_along,
@@ -168,34 +165,6 @@ void left_by_diagonal(const int row, const int estimate, __global const float *d
   }
 }
 
-/* What is made of the residuals along both axes alone: their squares, by which nodes are rejected,
- * the products of their coordinates, averaged along the row into `near`, and the sums of these over
- * `length`, that of the residual, or 0 where it does not count. */
-void products_of_row(const int row, __global const float *vote, float (*left)[LINE],
-                     const float *length, __global const float *rows_noise, __global float *size,
-                     __global float *near, __global float *sums) {
-  float line[LINE + 2 * NOISE_REACH];
-  EACH_EIGHT {
-    float8 square = 0;
-    for (int k = 0; k < K; ++k) square += LOAD_EIGHT(left[k] + c) * LOAD_EIGHT(left[k] + c);
-    EIGHT_AT(size + row * LINE + c) = HAS_VOTE(row, c) * square / K;
-  }
-  int p = 0;
-  for (int j = 0; j < K; ++j)
-    for (int k = j; k < K; ++k, ++p) {
-      float8 sum = 0;
-      EACH_EIGHT {
-        const float8 product = LOAD_EIGHT(left[j] + c) * LOAD_EIGHT(left[k] + c);
-        const float8 size = LOAD_EIGHT(length + c);
-        STORE_EIGHT(line + NOISE_REACH + c, HAS_VOTE(row, c) * product);
-        sum += size > 0 ? product / size : (float8)0;
-      }
-      average_along(line, NOISE_REACH, rows_noise,
-                    near + ((PRODUCT_PLANE + p) * ROWS + row) * LINE, LANES);
-      sums[row * PRODUCTS + p] = sum_of(sum);
-    }
-}
-
 /* What the pilot reads, what the noise does, and both. */
 #define PILOT_READS data, pilot_down, pilot_along
 #define OF_PILOT \
@@ -206,21 +175,23 @@ void products_of_row(const int row, __global const float *vote, float (*left)[LI
   __global const float *bound_rest, __global const float *own, __global const uchar *measured, \
       const int bends, __global int *counts, __global uchar *votes, __global float *variance,  \
       __global float *chosen, __global float *common
-#define BOTH_READ vote, pilot_own_down, pilot_own_along, rows_noise, size, near, sums
+#define BOTH_READ vote, pilot_own_down, pilot_own_along, rows_noise, size, near
 #define OF_BOTH                                                            \
   __global float *vote, __global const float *pilot_own_down,              \
       __global const float *pilot_own_along, __global const float *rows_noise, \
-      __global float *size, __global float *near, __global float *sums
+      __global float *size, __global float *near
 
-/* What an estimate of the noise is made of: the lengths of its residuals and the mask of the nodes
- * that count, averaged along the row into `near`. */
+/* What an estimate of the noise is made of, averaged along the row into `near`: the lengths of its
+ * residuals over the share of the noise in them, and the mask of the nodes that count. Of those along
+ * both axes also the products of their coordinates, and in `size` the squares, by which nodes are
+ * rejected. */
 void pilot_of_row(const int row, const int estimate, OF_PILOT, OF_BOTH) {
-  float left[K][LINE], line[LINE + 2 * NOISE_REACH], mask[LINE + 2 * NOISE_REACH];
+  float left[K][LINE], share[LINE], line[LINE + 2 * NOISE_REACH], mask[LINE + 2 * NOISE_REACH];
   if (estimate < 3) left_by_axes(row, estimate, data, pilot_down, pilot_along, left);
   else left_by_diagonal(row, estimate, data, left);
   const int inside = row >= 3 && row < ROWS - 3;
   const float8 own_of_row = pilot_own_down[row], own_inside = DIAGONAL[3], none = 0, one = 1;
-  const float8 least_vote = estimate == 0 ? 2 : 1, least = 0.05f;
+  const float8 least_vote = estimate == 0 ? 2 : 1;
   EACH_EIGHT {
     const int8 column = c + (int8)(0, 1, 2, 3, 4, 5, 6, 7);
     const int8 has_diagonals = inside && column >= 3 && column < COLUMNS - 3;
@@ -229,20 +200,28 @@ void pilot_of_row(const int row, const int estimate, OF_PILOT, OF_BOTH) {
                        : estimate == 1 ? own_of_row
                        : estimate == 2 ? along
                                        : across;
-    const float8 left_over = 1 - own;
+    const int8 usable = EIGHT_AT(vote + row * LINE + c) >= least_vote && own < MOST_OWN;
     float8 square = 0;
-    for (int k = 0; k < K; ++k) square += LOAD_EIGHT(left[k] + c) * LOAD_EIGHT(left[k] + c);
-    const int8 usable = EIGHT_AT(vote + row * LINE + c) >= least_vote && left_over > least;
-    const float8 root = sqrt(square / (K * (left_over > least ? left_over : least)));
-    STORE_EIGHT(line + NOISE_REACH + c, usable ? root : none);
+    for (int k = 0; k < K; ++k) square += LOAD_EIGHT(left[k] + c) * LOAD_EIGHT(left[k] + c) / K;
+    if (estimate == 0) EIGHT_AT(size + row * LINE + c) = HAS_VOTE(row, c) * square;
+    STORE_EIGHT(share + c, usable ? 1 / (1 - own) : none);
     STORE_EIGHT(mask + NOISE_REACH + c, usable ? one : none);
+    STORE_EIGHT(line + NOISE_REACH + c, sqrt(LOAD_EIGHT(share + c) * square));
   }
-  if (estimate == 0)
-    products_of_row(row, vote, left, line + NOISE_REACH, rows_noise, size, near, sums);
-  average_along(line, NOISE_REACH, rows_noise, near + (estimate * ROWS + row) * LINE, LANES);
+  average_along(line, NOISE_REACH, rows_noise, near + (LENGTH_PLANE(estimate) * ROWS + row) * LINE,
+                LANES);
   if (estimate < 4) /* both diagonals have the same mask */
     average_along(mask, NOISE_REACH, rows_noise, near + (MASK_PLANE(estimate) * ROWS + row) * LINE,
                   LANES);
+  if (estimate > 0) return;
+  int p = 0;
+  for (int j = 0; j < K; ++j)
+    for (int k = j; k < K; ++k, ++p) {
+      EACH_EIGHT STORE_EIGHT(line + NOISE_REACH + c, LOAD_EIGHT(share + c) *
+                                                         LOAD_EIGHT(left[j] + c) *
+                                                         LOAD_EIGHT(left[k] + c));
+      average_along(line, NOISE_REACH, rows_noise, near + (p * ROWS + row) * LINE, LANES);
+    }
 }
 
 /* The pilot. One work-item a row and an estimate. */
@@ -251,35 +230,18 @@ __kernel void pilot(OF_PILOT, OF_BOTH) {
   if (row < ROWS) pilot_of_row(row, estimate, PILOT_READS, BOTH_READ);
 }
 
-/* The mean length of a residual with variance 1 per coordinate, if its length is chi-distributed.
- * The degrees of freedom are the effective number of directions of the residuals, from the sums of
- * the products of their coordinates in each row. */
-float expected_length(__global const float *sums) {
-  float trace = 0, square = 0;
-  int p = 0;
-  for (int j = 0; j < K; ++j)
-    for (int k = j; k < K; ++k, ++p) {
-      float product = 0;
-      for (int r = 0; r < ROWS; ++r) product += sums[r * PRODUCTS + p];
-      trace += j == k ? product : 0;
-      square += (j == k ? 1 : 2) * product * product;
-    }
-  const float freedom = square > 0 ? trace * trace / square : (float)K;
-  return sqrt(2 / freedom) * exp(lgamma(freedom / 2 + 0.5f) - lgamma(freedom / 2));
-}
-
 /* For eight nodes of a row: the variance of the noise, NaN where unknown; that with which filters
  * are chosen, the least of it and of an upper bound and, if the values may bend sharply, of five
  * estimates; the covariance of the coordinates over its mean diagonal; and a node whose residual is
  * too large loses its vote, and so does a rough one that the pilot's window does not support. The
- * upper bound is the sum of that at rest and of the variance of the points now. round: of the search
+ * freedom of the lengths of residuals is the effective number of their directions. The upper bound is the sum of that at rest and of the variance of the points now. round: of the search
  * for outliers; the last one rejects none. */
 #define SURPRISE(i, at) (size[at] * (IS_ROUGH(i) ? ROUGH_COUNTS : 1))
-void noise_of_eight(const int row, const int c, const float length, const int round, OF_BOTH,
-                    OF_NOISE) {
+void noise_of_eight(const int row, const int c, const int round, OF_BOTH, OF_NOISE) {
   const float8 none_near = NONE_NEAR, unknown = NAN, smallest = LEAST_VARIANCE;
   const int at = row * LINE + c;
-  float8 near_here[NOISE_PLANES], first = 0, least = 0;
+  float8 near_here[NOISE_PLANES], trace = 0, squares = 0, first = 0, least = 0;
+  float usual[LANES];
   for (int n = 0; n < NOISE_PLANES; ++n) near_here[n] = 0;
   EACH_ROW_WITHIN(NOISE_REACH) {
     const float weight = rows_noise[r - row + NOISE_REACH];
@@ -287,11 +249,22 @@ void noise_of_eight(const int row, const int c, const float length, const int ro
     for (int n = 0; n < NOISE_PLANES; ++n)
       near_here[n] += weight * EIGHT_AT(near + n * PLANE + r * LINE + c);
   }
+  int p = 0;
+  for (int j = 0; j < K; ++j)
+    for (int k = j; k < K; ++k, ++p) {
+      if (j == k) trace += near_here[p];
+      squares += (j == k ? 1 : 2) * near_here[p] * near_here[p];
+    }
+  const float8 over_freedom = trace > 0 ? squares / (trace * trace) : (float8)(1.0f / K);
   for (int e = 0; e < ESTIMATES; ++e) {
-    const float8 mean = near_here[e], mask = near_here[MASK_PLANE(e)];
-    const float8 root = mean / ((mask > none_near ? mask : none_near) * length);
-    const float8 estimate = mask > none_near ? root * root : unknown;
-    if (e == 0) first = least = estimate + smallest;
+    const float8 mask = near_here[MASK_PLANE(e)];
+    const float8 length = near_here[LENGTH_PLANE(e)] / (mask > none_near ? mask : none_near);
+    const float8 square = mask > none_near ? length * length : unknown;
+    const float8 estimate = square * (1 + CHI * over_freedom);
+    if (e == 0) {
+      first = least = estimate + smallest;
+      STORE_EIGHT(usual, square);
+    }
     else least = estimate < least || least != least ? estimate : least;
   }
   const float8 bound = EIGHT_AT(bound_rest + at) + EIGHT_AT(own + at);
@@ -300,23 +273,18 @@ void noise_of_eight(const int row, const int c, const float length, const int ro
   const float8 bounded = bound < unbounded ? bound : unbounded;
   EIGHT_AT(variance + at) = first;
   EIGHT_AT(chosen + at) = first != first ? first : bounded > smallest ? bounded : smallest;
-  float8 trace = 0;
-  int p = 0;
-  for (int j = 0; j < K; ++j)
-    for (int k = j; k < K; ++k, ++p)
-      if (j == k) trace += near_here[PRODUCT_PLANE + p];
   p = 0;
   for (int j = 0; j < K; ++j)
     for (int k = j; k < K; ++k, ++p)
       EIGHT_AT(common + p * PLANE + at) =
-          trace > 0 ? near_here[PRODUCT_PLANE + p] * K / trace : (float8)(j == k);
+          trace > 0 ? near_here[p] * K / trace : (float8)(j == k);
   if (round == ROUNDS) return;
   for (int column = c; column < min(c + LANES, COLUMNS); ++column) {
     const int node = row * COLUMNS + column;
     const float here = SURPRISE(node, row * LINE + column);
     const float left = 1 - pilot_own_down[row] * pilot_own_along[column];
     const int unsupported = IS_ROUGH(node) && vote[row * LINE + column] == 1;
-    if (!unsupported && !(here > REJECTED_AT * variance[row * LINE + column] * left)) continue;
+    if (!unsupported && !(here > REJECTED_AT * usual[column - c] * left)) continue;
     float largest = 0;
     for (int r = max(row - 1, 0); r <= min(row + 1, ROWS - 1); ++r)
       for (int t = max(column - 1, 0); t <= min(column + 1, COLUMNS - 1); ++t)
@@ -330,10 +298,9 @@ void noise_of_eight(const int row, const int c, const float length, const int ro
 /* The noise, and the first round of the search for outliers. The work-items share the rows, and
  * those of a row its nodes, eight at a time. */
 __kernel void noise(OF_BOTH, OF_NOISE) {
-  const float length = expected_length(sums);
   for (int row = get_global_id(0); row < ROWS; row += get_global_size(0))
     for (int c = LANES * get_global_id(1); c < LINE; c += LANES * get_global_size(1))
-      noise_of_eight(row, c, length, 0, BOTH_READ, NOISE_READS);
+      noise_of_eight(row, c, 0, BOTH_READ, NOISE_READS);
 }
 
 /* The other rounds, each of them if the one before has rejected nodes, which is rare. One
@@ -346,9 +313,8 @@ __kernel void settle(__global const float *moved, OF_PILOT, OF_BOTH, OF_NOISE) {
     for (int i = first; i < ESTIMATES * ROWS; i += items)
       pilot_of_row(i % ROWS, i / ROWS, PILOT_READS, BOTH_READ);
     barrier(CLK_GLOBAL_MEM_FENCE);
-    const float length = expected_length(sums);
     for (int i = LANES * first; i < PLANE; i += LANES * items)
-      noise_of_eight(i / LINE, i % LINE, length, round, BOTH_READ, NOISE_READS);
+      noise_of_eight(i / LINE, i % LINE, round, BOTH_READ, NOISE_READS);
     barrier(CLK_GLOBAL_MEM_FENCE);
   }
 }
@@ -423,14 +389,14 @@ float8 exp_below(const float8 x) {
   return y > -60.0f ? found : (float8)0;
 }
 
-/* The mean of all pairs with weights by their risk, and its variance. keep: whether the weights are
- * kept, for a strain. One work-item for eight nodes of a row. */
+/* The mean of all pairs with weights by their risk, and its variance. One work-item for eight nodes of
+ * a row. */
 __kernel void blend(__global const float *estimate, __global const float *loss,
                     __global const float *near_votes, __global const float *variance,
                     __global const float *chosen, __global const float *own_down,
                     __global const float *own_along, __global const float *gain_down,
                     __global const float *gain_along, __global const float *rows_risk,
-                    const int keep, __global float *weights, __global float *values,
+                    __global float *values,
                     __global float *mixed_variance, __global float *mixed_own) {
   const int row = get_global_id(0), c = LANES * get_global_id(1), at = row * LINE + c;
   if (row >= ROWS || c >= COLUMNS) return;
@@ -466,16 +432,12 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
       mean_gain += weight * gain_down[a * ROWS + row] * EIGHT_AT(gain_along + b * LINE + c);
       for (int k = 0; k < K; ++k)
         value[k] += weight * EIGHT_AT(estimate + (k * PAIRS + pair) * PLANE + IN_PIECES(row, c));
-      risk[pair] = weight;
     }
   const float8 share = 1 / sum, noise = s2 * mean_gain * share;
   const float8 stein = s1 * mean_risk * share + 2 * (s2 - s1) * mean_own * share - s2;
   for (int k = 0; k < K; ++k) EIGHT_AT(values + k * PLANE + at) = value[k] * share;
   EIGHT_AT(mixed_own + at) = mean_own * share;
   EIGHT_AT(mixed_variance + at) = s2 != s2 ? s2 : stein > noise ? stein : noise;
-  if (!keep) return;
-  for (int pair = 0; pair < PAIRS; ++pair)
-    EIGHT_AT(weights + pair * PLANE + at) = risk[pair] * share;
 }
 
 /* The planes of a covariance: all in space; in the plane the variance, that of both axes. */
@@ -492,10 +454,9 @@ void store_covariance(const float variance, __global const float *common,
 /* The displacement of each node without the shift by bent edges, and its covariance, both also
  * before the filter; NaN where a node has none. A node with a vote takes its mean, a rejected one
  * keeps its value, and one that was not measured, or is rough and rejected, takes the mean of its
- * neighbours. A node that is clearly worse than the lattice, by its images or, where these do not
- * tell, by its distance from the mean, has its own variance. moved: K planes. measured: of
- * NodeStatus; MISSING had no vote at first. points: the covariance of the points. One work-item a
- * node. */
+ * neighbours. A node that is clearly worse than the lattice, by its images or by its distance from
+ * the mean, has its own variance. moved: K planes. measured: of NodeStatus; MISSING had no vote at
+ * first. points: the covariance of the points. One work-item a node. */
 __kernel void finish(__global const float *moved, __global const float *values,
                      __global const uchar *votes, __global const uchar *measured,
                      __global const float *variance, __global const float *mixed_variance,
@@ -521,14 +482,14 @@ __kernel void finish(__global const float *moved, __global const float *values,
     const float gap = moved[k * NODES + i] - values[k * PLANE + at];
     off += gap * gap / K;
   }
-  const int unknown = IS_ROUGH(i) && !(own[at] > 0);
-  const float alone = unknown ? off : own[at];
-  if (alone > CLEARLY * (unknown ? before : before + bound_rest[at])) {
-    if (votes[i]) after += mixed_own[at] * mixed_own[at] * alone;
+  const float by_images = own[at] > CLEARLY * (before + bound_rest[at]) ? own[at] : 0.0f;
+  const float alone = fmax(by_images, off > FAR * before ? off : 0.0f);
+  if (alone > 0) {
     before = alone;
+    if (votes[i]) after += mixed_own[at] * mixed_own[at] * alone;
+    else if (rejected || (IS_ROUGH(i) && !is_supported(i / COLUMNS, i % COLUMNS, votes)))
+      after = alone;
   }
-  if (rejected || (IS_ROUGH(i) && !votes[i] && !is_supported(i / COLUMNS, i % COLUMNS, votes)))
-    after = fmax(off, before);
   for (int k = 0; k < K; ++k) {
     const float seen = moved[k * NODES + i];
     const float found = rejected || isnan(after) ? seen : values[k * PLANE + at];

@@ -9,185 +9,14 @@
 #define POWERS 7 /* in the products of two terms */
 #define LEAST_PIVOT 1e-3f   /* of normal equations whose coefficients are integers */
 #define MOST_VARIANCE 10.0f /* of a slope, where that of each node is 1 */
-#define LAGS 3 /* of second differences: with themselves, with the next row, the next column */
-#define MOST_SHARED 0.25f
-#define CHOSEN 1.15f /* times the variance: the weights were chosen by the noise they average */
-#define APART 3.0f /* times the square of how far apart two surfaces are */
-#define TORN 0.02f /* that of a fourth difference: a jump of 1 is a slope of 7 / 12 and one of 3 */
+/* Errors of filtered neighbours are alike, which halves the variance of slopes. */
+#define FILTERED (PILOT_DOWN + PILOT_ALONG > 0)
+#define ALIKE (FILTERED ? 0.5f : 1.0f)
+#define APART 5.0f /* times the square of how far apart two surfaces are */
+#define TORN 0.06f /* that of a fourth difference: a jump of 1 is a slope of 7 / 12 and one of 3 */
 #define SIDE 3 /* nodes, of the window of a quadratic surface, and of a cubic one */
 #define CUBIC_SIDE 5
 #define WEIGHTS (CUBIC_SIDE * CUBIC_SIDE)
-#define REACH_DOWN (ROWS > 2) /* nodes on each side of the middle of a window */
-#define REACH_ALONG (COLUMNS > 2)
-#define WIDE_DOWN (2 * REACH_DOWN + 1)
-#define WIDE_ALONG (2 * REACH_ALONG + 1)
-
-/* A row of nodes between two margins. The node that the window at an end is moved to go into the
- * margin beyond it, so that each window is the WIDE_ALONG numbers around its node. */
-#define TURN_ENDS(line)                                      \
-  if (REACH_ALONG) {                                         \
-    (line)[0] = (line)[WIDE_ALONG];                          \
-    (line)[COLUMNS + 1] = (line)[COLUMNS + 1 - WIDE_ALONG];  \
-  }
-
-/* Second differences along the rows of second differences along the columns, over the deviation of
- * the noise, for one row; `known` is 1 where all nine nodes have a vote. */
-void second_differences(__global const float *plane, __global const uchar *votes,
-                        __global const float *variance, const int row, float *found,
-                        float *known) {
-  EACH_COLUMN found[c] = known[c] = 0;
-  if (row < 1 || row >= ROWS - 1) return;
-  for (int c = 1; c < COLUMNS - 1; ++c) {
-    float sum = 0;
-    int count = 0;
-    for (int v = -1; v <= 1; ++v)
-      for (int u = -1; u <= 1; ++u) {
-        sum += (v ? 1.0f : -2.0f) * (u ? 1.0f : -2.0f) * plane[(row + v) * LINE + c + u];
-        count += votes[(row + v) * COLUMNS + c + u];
-      }
-    const float size = sqrt(variance[row * LINE + c]);
-    known[c] = count == 9 && size > 0;
-    found[c] = known[c] > 0 ? sum / size : 0.0f;
-  }
-}
-
-/* Sums over a row of the products of second differences that lie one of the lags apart, and how
- * many there are. One work-item a row. */
-__kernel void roughness(__global const float *data, __global const uchar *votes,
-                        __global const float *variance, __global float *rough) {
-  const int row = get_global_id(0);
-  if (row >= ROWS) return;
-  float sum[2 * LAGS], here[COLUMNS], below[COLUMNS], known[COLUMNS], known_below[COLUMNS];
-  for (int s = 0; s < 2 * LAGS; ++s) sum[s] = 0;
-  for (int k = 0; k < K; ++k) {
-    second_differences(data + k * PLANE, votes, variance, row, here, known);
-    second_differences(data + k * PLANE, votes, variance, row + 1, below, known_below);
-    EACH_COLUMN {
-      sum[0] += here[c] * here[c];
-      sum[1] += here[c] * below[c];
-      sum[LAGS] += known[c];
-      sum[LAGS + 1] += known[c] * known_below[c];
-    }
-    for (int c = 1; c < COLUMNS; ++c) {
-      sum[2] += here[c - 1] * here[c];
-      sum[LAGS + 2] += known[c - 1] * known[c];
-    }
-  }
-  for (int s = 0; s < 2 * LAGS; ++s) rough[row * 2 * LAGS + s] = sum[s];
-}
-
-/* The correlation of the noise of a node with that of the next one in its column, and in its row.
- * With noise of variance v and correlations a and b, the means of the products are (36 - 48 a - 48
- * b) v, (42 a + 32 b - 24) v for the next row and (32 a + 42 b - 24) v for the next column. */
-float2 shared_with_neighbours(__global const float *sums) {
-  float mean[LAGS];
-  for (int lag = 0; lag < LAGS; ++lag) {
-    float sum = 0, count = 0;
-    for (int row = 0; row < ROWS; ++row) {
-      sum += sums[row * 2 * LAGS + lag];
-      count += sums[row * 2 * LAGS + LAGS + lag];
-    }
-    if (count == 0) return (float2)(0, 0);
-    mean[lag] = sum / count;
-  }
-  const float v = (mean[1] + mean[2] + 37 * mean[0] / 24) / 7.5f;
-  const float both = (36 * v - mean[0]) / 48, apart = (mean[1] - mean[2]) / 10;
-  if (!(v > 0)) return (float2)(0, 0);
-  return clamp((float2)(both + apart, both - apart) / (2 * v), 0.0f, MOST_SHARED);
-}
-
-/* The weights of the pairs of filters, times the deviation of the noise, in their mean over the
- * votes of the window, for each node of a row; NaN where there is no vote. */
-void mean_weights(const int row, __global const float *weights, __global const float *variance,
-                  __global const uchar *votes, float (*mean)[COLUMNS]) {
-  const int top = WINDOW_START(row, REACH_DOWN, ROWS);
-  float scale[WIDE_DOWN][COLUMNS], share[COLUMNS], line[COLUMNS + 2 * REACH_ALONG];
-  EACH_COLUMN line[REACH_ALONG + c] = 0;
-  for (int r = 0; r < WIDE_DOWN; ++r)
-    EACH_COLUMN {
-      const float size = sqrt(variance[(top + r) * LINE + c]);
-      const int counts = votes[(top + r) * COLUMNS + c] && size >= 0;
-      scale[r][c] = counts ? size : 0.0f;
-      line[REACH_ALONG + c] += counts;
-    }
-  TURN_ENDS(line)
-  EACH_COLUMN {
-    float count = 0;
-    for (int t = 0; t < WIDE_ALONG; ++t) count += line[c + t];
-    share[c] = count > 0 ? 1 / count : NAN;
-  }
-  for (int pair = 0; pair < PAIRS; ++pair) {
-    EACH_COLUMN line[REACH_ALONG + c] = 0;
-    for (int r = 0; r < WIDE_DOWN; ++r) {
-      __global const float *from = weights + (pair * ROWS + top + r) * LINE;
-      EACH_COLUMN line[REACH_ALONG + c] += scale[r][c] * from[c];
-    }
-    TURN_ENDS(line)
-    EACH_COLUMN mean[pair][c] = 0;
-    for (int t = 0; t < WIDE_ALONG; ++t) EACH_COLUMN mean[pair][c] += line[c + t];
-    EACH_COLUMN mean[pair][c] *= share[c];
-  }
-}
-
-/* The variance of the noise of a slope, for each node of a row: the quadratic form of the mean
- * weights. Its matrices are products of the filters behind the value and behind the slope at a node
- * along an axis: `down` of this row, `along` of its nodes; first those of the same node,
- * then those of nodes that are neighbours. shared: see `shared_with_neighbours`. */
-void noise_of_row(__global const float *down, __global const float *along, const float2 shared,
-                  const float (*mean)[COLUMNS], float *noise) {
-  float product[FILTERS_ALONG * FILTERS_ALONG][COLUMNS];
-  for (int p = 0; p < FILTERS_ALONG * FILTERS_ALONG; ++p) {
-    __global const float *alone = along + p * COLUMNS;
-    __global const float *beside = alone + FILTERS_ALONG * FILTERS_ALONG * COLUMNS;
-    EACH_COLUMN product[p][c] = alone[c] + shared.y * beside[c];
-  }
-  EACH_COLUMN noise[c] = 0;
-  for (int a = 0; a < FILTERS_DOWN; ++a) {
-    float mixed[FILTERS_ALONG][COLUMNS];
-    for (int b = 0; b < FILTERS_ALONG; ++b) {
-      EACH_COLUMN mixed[b][c] = 0;
-      for (int other = 0; other < FILTERS_DOWN; ++other) {
-        const int p = a * FILTERS_DOWN + other;
-        const float factor = down[p] + shared.x * down[ROWS * FILTERS_DOWN * FILTERS_DOWN + p];
-        EACH_COLUMN mixed[b][c] += factor * mean[other * FILTERS_ALONG + b][c];
-      }
-    }
-    for (int b = 0; b < FILTERS_ALONG; ++b) {
-      float along_too[COLUMNS];
-      EACH_COLUMN along_too[c] = 0;
-      for (int other = 0; other < FILTERS_ALONG; ++other)
-        EACH_COLUMN along_too[c] += product[b * FILTERS_ALONG + other][c] * mixed[other][c];
-      EACH_COLUMN noise[c] += along_too[c] * mean[a * FILTERS_ALONG + b][c];
-    }
-  }
-  EACH_COLUMN noise[c] = noise[c] < 0 ? 0 : noise[c];
-}
-
-/* The covariances of the coordinates of the slopes of the filtered values over whole windows, per
- * node step: PRODUCTS planes along the rows and as many along the columns, NaN where they are
- * unknown. With the same weights in the whole window, a slope is one combination of its nodes.
- * common: the covariance of the noise of the coordinates over its mean diagonal. gram_*: see
- * `noise_of_row`, of the value of the line at a node and of the slope of the parabola there. One
- * work-item a row. */
-__kernel void slopes(__global const float *weights, __global const float *variance,
-                     __global const uchar *votes,
-                     __global const float *common, __global const float *rough,
-                     __global const float *gram_down, __global const float *gram_along,
-                     __global float *slopes) {
-  const int row = get_global_id(0);
-  if (row >= ROWS) return;
-  float mean[PAIRS][COLUMNS], noise[COLUMNS];
-  mean_weights(row, weights, variance, votes, mean);
-  const float2 shared = shared_with_neighbours(rough);
-  for (int turn = 0; turn < 2; ++turn) { /* the slope along the row, down the columns */
-    noise_of_row(gram_down + (turn * 2 * ROWS + row) * FILTERS_DOWN * FILTERS_DOWN,
-                 gram_along + (1 - turn) * 2 * FILTERS_ALONG * FILTERS_ALONG * COLUMNS, shared,
-                 mean, noise);
-    for (int p = 0; p < PRODUCTS; ++p)
-      EACH_COLUMN slopes[(turn * PRODUCTS + p) * NODES + row * COLUMNS + c] =
-          CHOSEN * noise[c] * SHAPE(common, p, row * COLUMNS + c);
-  }
-}
 
 /* On PoCL dot is a call. */
 float dot_of(const float3 a, const float3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
@@ -208,26 +37,6 @@ void add_covariance(const float3 *axis_1, const float3 *axis_2, const float (*in
     for (int d = 0; d < 3; ++d)
       for (int e = d; e < 3; ++e) result[p++] += dot_of(one[d], two[e]);
   }
-}
-
-/* The covariance of a slope of node i, from that of the slope over the whole window; without a
- * filter the errors of the nodes, of that covariance, count as independent. own, more: see
- * `fit_surfaces`. */
-void of_slope(__global const float *by_slope, __global const float *covariance, const int i,
-              const float own, const float more, float3 *result) {
-  const int known = !isnan(by_slope[i]);
-  const float share = known ? more : own;
-  __global const float *from = (known ? by_slope : covariance) + i;
-#if K == 3
-  result[0] = share * (float3)(from[0], from[NODES], from[2 * NODES]);
-  result[1] = share * (float3)(from[NODES], from[3 * NODES], from[4 * NODES]);
-  result[2] = share * (float3)(from[2 * NODES], from[4 * NODES], from[5 * NODES]);
-#else /* the covariance of a node is its variance per axis */
-  const float xy = known ? from[NODES] : 0, yy = known ? from[2 * NODES] : from[0];
-  result[0] = share * (float3)(from[0], xy, 0);
-  result[1] = share * (float3)(xy, yy, 0);
-  result[2] = 0;
-#endif
 }
 
 /* A window of nodes: its first row and column, and how many it has. */
@@ -387,57 +196,28 @@ void slopes_at(const int i, __global const float *values, __global const uchar *
     slope[step] = (float3)(sum[step][0], sum[step][1], sum[step][2]);
 }
 
-/* Fit surfaces to the positions around node i, at rest and now; return whether the valid nodes
- * determine them. They are quadratic ones of 3 x 3 nodes, or of the valid ones of 5 x 5 where one
- * of these is missing, and cubic ones in the middle of 5 x 5 valid ones. slope: of both at the
- * node, by column and by row. apart: how far the slopes of the displacement are between the
- * quadratic one and that of `weights_of_cubic`; 0 without it. torn: its fourth differences in the
- * window of that. own: the variances of the two slopes for independent errors of variance 1. more:
- * over those of a whole window in `slopes`. */
-int fit_surfaces(const int i, __global const float *rest_position,
-                 __global const float *displacement, __global const uchar *valid,
-                 __global const float *quadratic, __global const float *cubic,
-                 float3 (*slope)[2], float3 *apart, float3 *torn, float *own, float *more) {
-  if (REACH_DOWN * REACH_ALONG == 0) return 0;
-  const Window near = window_around(i, SIDE), wide = window_around(i, CUBIC_SIDE);
-  const int near_is_whole = is_whole(valid, near, SIDE);
-  Window window = near_is_whole ? near : wide;
-  float weight[2][WEIGHTS], weight_in_cubic[2][WEIGHTS];
-  if (near_is_whole) weights_of_whole(i, quadratic, near, weight);
-  else if (!weights_of_some(i, valid, wide, QUADRATIC, weight)) return 0;
-  float3 moved[2], moved_in_cubic[2];
-  slopes_at(i, displacement, valid, window, weight, moved);
-  const Window other = weights_of_cubic(i, valid, cubic, weight_in_cubic);
-  slopes_at(i, displacement, valid, other, weight_in_cubic, moved_in_cubic);
-  torn[0] = torn[1] = 0;
-  if (other.down) {
-    float weight_of_fourth[2][WEIGHTS];
-    weights_of_fourth(valid, other, weight_of_fourth);
-    slopes_at(i, displacement, valid, other, weight_of_fourth, torn);
+/* Add to the covariances of the slopes those of the errors of the nodes of a window. covariance: of
+ * each node; in the plane its variance per axis. */
+void add_errors(__global const float *covariance, __global const uchar *valid, const Window window,
+                const float (*weight)[WEIGHTS], float3 (*by_step)[3]) {
+  for (int n = 0; n < window.down * window.along; ++n) {
+    const int j = (window.top + n / window.along) * COLUMNS + window.left + n % window.along;
+    if (!valid[j]) continue;
+    __global const float *of = covariance + j;
+#if K == 3
+    const float3 x = (float3)(of[0], of[NODES], of[2 * NODES]);
+    const float3 y = (float3)(of[NODES], of[3 * NODES], of[4 * NODES]);
+    const float3 z = (float3)(of[2 * NODES], of[4 * NODES], of[5 * NODES]);
+#else
+    const float3 x = (float3)(of[0], 0, 0), y = (float3)(0, of[0], 0), z = 0;
+#endif
+    for (int step = 0; step < 2; ++step) {
+      const float square = ALIKE * weight[step][n] * weight[step][n];
+      by_step[step][0] += square * x;
+      by_step[step][1] += square * y;
+      by_step[step][2] += square * z;
+    }
   }
-  const int middle = (other.top + CUBIC_SIDE / 2) * COLUMNS + other.left + CUBIC_SIDE / 2;
-  const int follows = i == middle && is_whole(valid, other, CUBIC_SIDE);
-  for (int step = 0; step < 2; ++step) {
-    apart[step] = other.down ? moved_in_cubic[step] - moved[step] : 0;
-    if (!follows) continue;
-    moved[step] = moved_in_cubic[step];
-    for (int n = 0; n < WEIGHTS; ++n) weight[step][n] = weight_in_cubic[step][n];
-  }
-  if (follows) window = other;
-  const float x = (float)(i % COLUMNS - near.left - REACH_ALONG);
-  const float y = (float)(i / COLUMNS - near.top - REACH_DOWN);
-  const float whole[2] = {(0.5f + 6 * x * x) * (1 / 3.0f + 0.5f * y * y),
-                          (0.5f + 6 * y * y) * (1 / 3.0f + 0.5f * x * x)};
-  for (int step = 0; step < 2; ++step) {
-    own[step] = 0;
-    for (int n = 0; n < window.down * window.along; ++n)
-      own[step] += weight[step][n] * weight[step][n];
-    more[step] = own[step] / whole[step];
-    if (!near_is_whole) more[step] = fmax(more[step], 1.0f); /* neighbours err alike */
-  }
-  slopes_at(i, rest_position, valid, window, weight, slope[0]);
-  for (int step = 0; step < 2; ++step) slope[1][step] = slope[0][step] + moved[step];
-  return 1;
 }
 
 /* Add so many times the products of the coordinates of a vector to a covariance. */
@@ -447,13 +227,61 @@ void add_square(const float times, const float3 v, float3 *covariance) {
   covariance[2] += times * v.z * v;
 }
 
+/* The surface through the positions around node i, at rest and now, and what its slopes err by. It
+ * is a quadratic one of 3 x 3 nodes, or of the valid ones of 5 x 5 where one of these is missing,
+ * and a cubic one in the middle of 5 x 5 valid ones. Return whether the valid nodes determine it.
+ * slope: at rest and now, by column and by row. covariance: of the displacement, rest_covariance: of
+ * the position at rest; by_step: of the slopes due to these, at rest and now; now it has also how
+ * far the slopes of the displacement are between the quadratic surface and that of
+ * `weights_of_cubic`, and its fourth differences in the window of that. */
+int fit_surfaces(const int i, __global const float *rest_position,
+                 __global const float *displacement, __global const uchar *valid,
+                 __global const float *covariance, __global const float *rest_covariance,
+                 __global const float *quadratic, __global const float *cubic,
+                 float3 (*slope)[2], float3 (*by_step)[2][3]) {
+  if (min(ROWS, COLUMNS) < SIDE) return 0;
+  const Window near = window_around(i, SIDE), wide = window_around(i, CUBIC_SIDE);
+  const int near_is_whole = is_whole(valid, near, SIDE);
+  Window window = near_is_whole ? near : wide;
+  float weight[2][WEIGHTS], weight_in_cubic[2][WEIGHTS];
+  if (near_is_whole) weights_of_whole(i, quadratic, near, weight);
+  else if (!weights_of_some(i, valid, wide, QUADRATIC, weight)) return 0;
+  float3 moved[2];
+  slopes_at(i, displacement, valid, window, weight, moved);
+  for (int moment = 0; moment < 2; ++moment)
+    for (int step = 0; step < 2; ++step)
+      for (int k = 0; k < 3; ++k) by_step[moment][step][k] = 0;
+  const Window other = weights_of_cubic(i, valid, cubic, weight_in_cubic);
+  if (other.down) {
+    float3 moved_in_cubic[2], torn[2];
+    float weight_of_fourth[2][WEIGHTS];
+    slopes_at(i, displacement, valid, other, weight_in_cubic, moved_in_cubic);
+    weights_of_fourth(valid, other, weight_of_fourth);
+    slopes_at(i, displacement, valid, other, weight_of_fourth, torn);
+    const int middle = (other.top + CUBIC_SIDE / 2) * COLUMNS + other.left + CUBIC_SIDE / 2;
+    const int follows = i == middle && is_whole(valid, other, CUBIC_SIDE);
+    for (int step = 0; step < 2; ++step) {
+      add_square(APART, moved_in_cubic[step] - moved[step], by_step[1][step]);
+      add_square(TORN, torn[step], by_step[1][step]);
+      if (!follows) continue;
+      moved[step] = moved_in_cubic[step];
+      for (int n = 0; n < WEIGHTS; ++n) weight[step][n] = weight_in_cubic[step][n];
+    }
+    if (follows) window = other;
+  }
+  slopes_at(i, rest_position, valid, window, weight, slope[0]);
+  for (int step = 0; step < 2; ++step) slope[1][step] = slope[0][step] + moved[step];
+  add_errors(rest_covariance, valid, window, weight, by_step[0]);
+  add_errors(covariance, valid, window, weight, by_step[1]);
+  return 1;
+}
+
 /* Green-Lagrange strain E11 E22 E12 and its covariance, xx xy xz yy yz zz; NaN where there is none.
- * rest: the position at rest, from the middle of the lattice. slopes, rest_slopes: as in `slopes`.
- * quadratic, cubic: tables of `weights_of_whole`. One work-item a node. */
+ * rest_position: from the middle of the lattice. quadratic, cubic: tables of `weights_of_whole`. One
+ * work-item a node. */
 __kernel void strain(__global const float *rest_position, __global const float *displacement,
                      __global const uchar *valid, __global const float *covariance,
-                     __global const float *slopes, __global const float *rest_covariance,
-                     __global const float *rest_slopes, __global const float *quadratic,
+                     __global const float *rest_covariance, __global const float *quadratic,
                      __global const float *cubic, __global float *strain,
                      __global float *strain_covariance) {
   const int i = get_global_id(0);
@@ -461,10 +289,9 @@ __kernel void strain(__global const float *rest_position, __global const float *
   for (int k = 0; k < 3; ++k) strain[k * NODES + i] = NAN;
   for (int p = 0; p < 6; ++p) strain_covariance[p * NODES + i] = NAN;
   if (!valid[i]) return;
-  float3 slope[2][2], apart[2], torn[2];
-  float own[2], more[2];
-  if (!fit_surfaces(i, rest_position, displacement, valid, quadratic, cubic, slope, apart, torn,
-                    own, more))
+  float3 slope[2][2], by_step[2][2][3];
+  if (!fit_surfaces(i, rest_position, displacement, valid, covariance, rest_covariance, quadratic,
+                    cubic, slope, by_step))
     return;
   const float3 a1 = slope[0][0], a2 = slope[0][1];
   if (!(length(cross(a1, a2)) > 1e-9f * (dot_of(a1, a1) + dot_of(a2, a2)))) return;
@@ -492,16 +319,8 @@ __kernel void strain(__global const float *rest_position, __global const float *
   const float3 before_1[3] = {off_1 + 2 * e12 * turned, -2 * e12 * turned,
                               off_2 / 2 + (e22 - e11) * turned};
   const float3 before_2[3] = {none, off_2, off_1 / 2};
-  float3 by_step[2][3], rest_by_step[2][3];
   float found[6] = {0, 0, 0, 0, 0, 0};
-  for (int step = 0; step < 2; ++step) {
-    const int at = step * PRODUCTS * NODES;
-    of_slope(slopes + at, covariance, i, own[step], more[step], by_step[step]);
-    add_square(APART, apart[step], by_step[step]);
-    add_square(TORN, torn[step], by_step[step]);
-    of_slope(rest_slopes + at, rest_covariance, i, own[step], more[step], rest_by_step[step]);
-  }
-  add_covariance(now_1, now_2, inverse, by_step, found);
-  add_covariance(before_1, before_2, inverse, rest_by_step, found);
+  add_covariance(before_1, before_2, inverse, by_step[0], found);
+  add_covariance(now_1, now_2, inverse, by_step[1], found);
   for (int p = 0; p < 6; ++p) strain_covariance[p * NODES + i] = found[p];
 }

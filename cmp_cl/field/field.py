@@ -130,9 +130,9 @@ class DisplacementField:
     def with_strain(self) -> Self:
         """Return the same field with its strain, see `field.green_lagrange`, and its covariance.
 
-        Noise and the filter's weights are taken as constant within 3 x 3 nodes. Where the filter
-        does not know the error, those of the nodes are taken as independent. Raises FieldError for
-        a field before the lattice filter, and for one that was not measured or comes from a pickle.
+        Errors of filtered neighbours are taken to be alike as they are on average. Raises
+        FieldError for a field before the lattice filter, and for one that was not measured or comes
+        from a pickle.
         """
         if self.strain is not None:
             return self

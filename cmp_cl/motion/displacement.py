@@ -5,6 +5,7 @@ import numpy as np
 from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.field.field import DisplacementField
 from cmp_cl.grid.grid import Grid, NodeStatus
+from cmp_cl.motion.filter import filtered
 from cmp_cl.motion.moments import AtRest, Moment, measured_of
 from cmp_cl.motion.scale import PlaneScale
 from cmp_cl.opencl.device import Device, select_device
@@ -73,13 +74,18 @@ def _between(rest: Moment, now: Moment, device: Device) -> DisplacementField:
     )
     at_rest, valid = AtRest(rest, device), status == PointStatus.VALID
     moved = np.where(valid[..., None], now.at - rest.at, np.nan)
-    measured = measured_of(source, valid)
-    change = at_rest.change(moved, measured, now.own, rest.covariance + now.covariance)
+    change = filtered(
+        moved,
+        measured_of(source, valid),
+        rest.covariance + now.covariance,
+        device,
+        own=now.own,
+        most=at_rest.most,
+    )
     return at_rest.field(
         status=status,
         source=source,
         moved=moved,
-        own=now.own,
         displacement=change.values - (now.bend - rest.bend),
         covariance=change.covariance,
         raw_covariance=change.raw_covariance,

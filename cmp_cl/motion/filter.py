@@ -8,7 +8,6 @@ kernels/filter.cl the kernels.
 """
 
 import dataclasses
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -41,12 +40,9 @@ from cmp_cl.opencl.program import Programs, programs_of
 ROUNDS = 3  # rounds of the search for outliers
 _ESTIMATES, _MASKS = 5, 4  # of the noise, as in kernels/filter.cl
 _SHARES = 4  # of the rows for each unit of a CPU; each share costs sums over the lattice
-_ROUGH = 6  # sums over a row, in kernels/strain.cl
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-Single = NDArray[np.float32]
 Source = NDArray[np.uint8]
-Constants = Mapping[str, NDArray[Any]]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -61,17 +57,12 @@ class Filtered:
         images. In the plane, both axes have the same variance.
     raw_covariance: the same for the values before the filter.
     noise: (R, C), the standard deviation before the filter, by coordinate, NaN where unknown.
-    slopes, strain, strain_covariance: planes float32, see `LatticeFilter.layout`; none unless asked
-        for.
     """
 
     values: Array
     covariance: Array
     raw_covariance: Array
     noise: Array
-    slopes: Single
-    strain: Single
-    strain_covariance: Single
 
 
 def filtered(
@@ -82,15 +73,13 @@ def filtered(
     *,
     own: NDArray[np.floating],
     most: Array | None = None,
-    slopes: bool = False,
-    rest: Constants | None = None,
 ) -> Filtered:
     """Filter positions, or displacements, which may bend sharply, as at the edge of a contact.
 
     values: (R, C, K), NaN where missing. measured: (R, C) of `NodeStatus`, MISSING for nodes that
         may not influence others, which get the prediction of their neighbours. by_images: (R, C, K,
         K), their covariance by the images alone. own: (R, C), the variance per axis by the images
-        now, NaN where unknown. slopes, rest: see `LatticeFilter`.
+        now, NaN where unknown.
     most: None for positions; for displacements by how much the largest variance of the noise
         exceeds `own`, (R, C), NaN where unknown. A residual beyond it is taken for shape and kept.
 
@@ -106,14 +95,10 @@ def filtered(
             covariance=nothing,
             raw_covariance=nothing,
             noise=np.empty((rows, columns)),
-            slopes=np.empty((0, rows, columns), np.float32),
-            strain=np.empty((3, rows, columns), np.float32),
-            strain_covariance=np.empty((covariances(3), rows, columns), np.float32),
         )
     programs = programs_of(device.handle)
     queue = cl.CommandQueue(programs.context)
-    which = {"slopes": slopes, "strain": rest is not None}
-    results = Memory(queue, LatticeFilter.layout((rows, columns), axes, **which))
+    results = Memory(queue, LatticeFilter.layout((rows, columns), axes))
     plan = LatticeFilter(
         queue,
         programs,
@@ -122,8 +107,6 @@ def filtered(
         axes=axes,
         results=results,
         bends=most is not None,
-        slopes=slopes,
-        rest=rest,
     )
     there: Bools = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
     votes, surface = there & (measured > 0), np.zeros(values.shape)
@@ -149,7 +132,6 @@ def filtered(
         covariance=matrices(arrays["covariance"]),
         raw_covariance=matrices(arrays["raw_covariance"]),
         noise=np.where(there, np.sqrt(arrays["variance"][:, :columns]), np.nan).astype(np.float64),
-        **{name: arrays[name].copy() for name in ("slopes", "strain", "strain_covariance")},
     )
     for memory in (plan, results):
         memory.release()
@@ -160,9 +142,7 @@ class LatticeFilter:
     """Buffers and bound kernels that filter lattices of one shape.
 
     shape: (R, C). axes: K, 2 or 3. bends: whether the values may bend sharply, see
-    `filtered`. slopes: whether the covariances of slopes are computed.
-    rest: if the strain of a displacement is too, which needs `slopes`: the arrays of the moment at
-    rest that its kernel takes, see `AtRest`, and others to take in place of the results.
+    `filtered`.
     inputs: what the launches start from. moved: K planes (R, C), 0 where there is no value.
     points: their covariance by the images, 6 planes or 1. bent: K planes, subtracted at the end.
     own, bound_rest: (R, C and more columns that are not used), of which the sum is the largest
@@ -181,27 +161,20 @@ class LatticeFilter:
         axes: int,
         results: Memory,
         bends: bool,
-        slopes: bool,
-        rest: Constants | None = None,
     ) -> None:
-        self._shape, self._axes, self._slopes = shape, axes, slopes
+        self._shape, self._axes = shape, axes
         self._is_cpu = device.kind is DeviceKind.CPU
         self._shares = _SHARES * device.handle.max_compute_units
         self._down, self._along = (axis_tables(n) for n in shape)
         self.inputs = Memory(queue, self._inputs())
         self._work = Memory(queue, self._work_layout())
-        self.parts: dict[str, Any] = {"bends": np.int32(bends), "keep": np.int32(slopes)}
+        self.parts: dict[str, Any] = {"bends": np.int32(bends)}
         for memory in (self.inputs, self._work, results):
             self.parts |= memory.parts
         for name, table in self._tables().items():
             self.parts[name] = constant(queue.context, table)
-        files = ["filter", *(["strain"] if slopes else [])]
-        self._kernels = programs.kernels(files, defines_of(shape, axes, device))
+        self._kernels = programs.kernels(["filter"], defines_of(shape, axes, device))
         self.launches = self._listed()
-        if rest is not None:
-            given = {name: constant(queue.context, each) for name, each in rest.items()}
-            parts = self.parts | given
-            self.launches.append(of_nodes(self._kernels, shape, parts, "strain"))
 
     def release(self) -> None:
         """Release the device's memory."""
@@ -219,16 +192,13 @@ class LatticeFilter:
         }
 
     @staticmethod
-    def layout(shape: tuple[int, int], axes: int, *, slopes: bool, strain: bool) -> Layout:
+    def layout(shape: tuple[int, int], axes: int) -> Layout:
         """Return the layout of the results.
 
         displacement, raw_displacement: K planes (R, C), NaN where not valid. covariance,
-        raw_covariance: 6 planes xx xy xz yy yz zz, or the variance per axis. slopes: 6 planes, or
-        xx xy yy, for the slope per step along a row, and as many along a column, their covariances
-        over all 3 x 3 values around a node. strain: 3 planes, Green-Lagrange; strain_covariance: 6;
-        NaN where there is none. variance: (R, C and more columns that are not used), of the noise
-        before the filter. counts: nodes without a vote, and those that each round has rejected; 0
-        at the end.
+        raw_covariance: 6 planes xx xy xz yy yz zz, or the variance per axis. variance: (R, C and
+        more columns that are not used), of the noise before the filter. counts: nodes without a
+        vote, and those that each round has rejected; 0 at the end.
         """
         planes = _planes(
             shape,
@@ -236,9 +206,6 @@ class LatticeFilter:
             raw_displacement=axes,
             covariance=covariances(axes),
             raw_covariance=covariances(axes),
-            slopes=axes * (axes + 1) if slopes else 0,
-            strain=3 if strain else 0,
-            strain_covariance=covariances(3) if strain else 0,
         )
         return {
             **planes,
@@ -251,8 +218,6 @@ class LatticeFilter:
         tables: dict[str, NDArray[Any]] = {
             "sides_down": down.sides,
             "sides_along": along.sides,
-            "gram_down": down.gram,
-            "gram_along": np.moveaxis(along.gram, 2, 4),
             "rows_noise": NOISE_GAUSSIAN,
             "rows_risk": RISK_GAUSSIAN,
         }
@@ -262,30 +227,24 @@ class LatticeFilter:
         return tables
 
     def _work_layout(self) -> Layout:
-        axes, rows = self._axes, self._shape[0]
+        axes = self._axes
         pairs = len(self._down.sides) * len(self._along.sides)
         products = axes * (axes + 1) // 2
-        in_line = _planes(
+        return _planes(
             in_lines_of(self._shape),
             data=axes,
             vote=1,
             size=1,
-            near=_ESTIMATES + _MASKS + products,
+            near=products + _MASKS + _ESTIMATES,
             chosen=1,
             common=products,
             estimate=axes * pairs,
             loss=pairs,
             near_votes=1,
-            weights=pairs if self._slopes else 1,
             values=axes,
             mixed_variance=1,
             mixed_own=1,
         )
-        return {
-            **in_line,
-            "sums": ((rows, products), np.float32),
-            "rough": ((rows, _ROUGH), np.float32),
-        }
 
     # What is launched
 
@@ -293,7 +252,7 @@ class LatticeFilter:
         rows, eights = self._shape[0], multiple(self._shape[1], LANES) // LANES
         down, along = len(self._down.sides), len(self._along.sides)
         group = 1 if self._is_cpu else GROUP
-        listed = [
+        return [
             self._of_nodes("fill"),
             self._of("pilot", rows, _ESTIMATES),
             self._of("noise", *((self._shares, 1) if self._is_cpu else (rows, eights))),
@@ -302,9 +261,6 @@ class LatticeFilter:
             self._of("blend", rows, eights),
             self._of_nodes("finish"),
         ]
-        if self._slopes:
-            listed += [self._of("roughness", rows), self._of("slopes", rows)]
-        return listed
 
     def _of_nodes(self, name: str) -> Launch:
         return of_nodes(self._kernels, self._shape, self.parts, name)

@@ -5,15 +5,27 @@ import functools
 from typing import Any, Self
 
 import numpy as np
+import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.field import DisplacementField
 from cmp_cl.fits import bend_shift, surface_slopes
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
 from cmp_cl.motion.filter import Filtered, filtered
-from cmp_cl.motion.layout import flat, matrices, nodes, planes
+from cmp_cl.motion.layout import (
+    covariances,
+    defines_of,
+    flat,
+    matrices,
+    nodes,
+    of_nodes,
+    planes,
+)
 from cmp_cl.motion.scale import PlaneScale
 from cmp_cl.opencl.device import Device
+from cmp_cl.opencl.launches import constant, enqueue
+from cmp_cl.opencl.memory import Layout, Memory
+from cmp_cl.opencl.program import programs_of
 from cmp_cl.points import Points3D, PointStatus
 
 Array = NDArray[np.float64]
@@ -85,20 +97,17 @@ def measured_of(source: NDArray[np.uint8], valid: NDArray[np.bool_]) -> NDArray[
 
 
 class AtRest:
-    """The nodes at rest, and what the lattice filter makes of them on a device.
+    """The nodes at rest, and what the lattice filter makes of them on a device."""
 
-    slopes: whether the covariances of slopes will be used.
-    """
-
-    def __init__(self, moment: Moment, device: Device, *, slopes: bool = False) -> None:
-        self.moment, self._device, self._slopes = moment, device, slopes
+    def __init__(self, moment: Moment, device: Device) -> None:
+        self.moment, self._device = moment, device
 
     @functools.cached_property
     def filtered(self) -> Filtered:
         """Return the filtered positions."""
         at, measured = self.moment.at, measured_of(self.moment.source, self.moment.valid)
         own, covariance = self.moment.own, self.moment.covariance
-        return filtered(at, measured, covariance, self._device, own=own, slopes=self._slopes)
+        return filtered(at, measured, covariance, self._device, own=own)
 
     @functools.cached_property
     def position(self) -> Array:
@@ -117,36 +126,10 @@ class AtRest:
         own = self.moment.own
         return own + _OPENED**2 * np.maximum(np.square(self.filtered.noise) - own, 0)
 
-    @functools.cached_property
+    @property
     def strain_constants(self) -> dict[str, NDArray[np.float32]]:
-        """Return the planes of the positions, and the tables, that the strain's kernel takes."""
-        found = (self if self._slopes else AtRest(self.moment, self._device, slopes=True)).filtered
-        return {
-            "rest_position": planes(self.position - np.nanmean(self.position, axis=(0, 1))),
-            "rest_covariance": flat(found.covariance),
-            "rest_slopes": found.slopes,
-            "quadratic": surface_slopes(1, 2).astype(np.float32),
-            "cubic": surface_slopes(2, 3).astype(np.float32),
-        }
-
-    def change(
-        self,
-        moved: Array,
-        measured: NDArray[np.uint8],
-        own: NDArray[np.floating],
-        by_images: Array | None = None,
-        **strained: Any,
-    ) -> Filtered:
-        """Filter the displacement `moved`, (R, C, D).
-
-        measured: (R, C), see `measured_of`. own: (R, C), the variance per axis now, from the
-        images. by_images: the covariance of `moved` from the images. strained: see `filtered`.
-        """
-        if by_images is None:
-            by_images = np.zeros((*moved.shape, moved.shape[2]))
-        return filtered(
-            moved, measured, by_images, self._device, own=own, most=self.most, **strained
-        )
+        """Return what the strain's kernel takes of them, see `strain_constants`."""
+        return strain_constants(self.position, self.filtered.covariance)
 
     def field(
         self,
@@ -154,7 +137,6 @@ class AtRest:
         status: NDArray[np.uint8],
         source: NDArray[np.uint8],
         moved: Array,
-        own: NDArray[np.floating],
         displacement: Array,
         covariance: Array,
         raw_covariance: Array,
@@ -163,7 +145,7 @@ class AtRest:
 
         moved, displacement: (R, C, D), before the filter and after it, without the shift by bent
         edges. covariance, raw_covariance: their covariances. All are NaN where there is no
-        displacement. own: as in `change`.
+        displacement.
         """
         missing = status != PointStatus.VALID.value
 
@@ -188,27 +170,58 @@ class AtRest:
             covariance=covariance,
             position_covariance=known(self.filtered.covariance),
             raw=raw,
-            strain_of=_StrainOf(self, moved, own),
+            strain_of=_StrainOf(self._device),
         )
+
+
+def strain_constants(position: Array, covariance: Array) -> dict[str, NDArray[np.float32]]:
+    """Return the planes and the tables that the strain's kernel takes of the nodes at rest.
+
+    position: (R, C, D). covariance: (R, C, D, D). NaN where there is no node.
+    """
+    return {
+        "rest_position": planes(position - np.nanmean(position, axis=(0, 1))),
+        "rest_covariance": flat(covariance),
+        "quadratic": surface_slopes(1, 2).astype(np.float32),
+        "cubic": surface_slopes(2, 3).astype(np.float32),
+    }
+
+
+def strain_layout(shape: tuple[int, int]) -> Layout:
+    """Return the layout of Green-Lagrange strain, 3 planes (R, C), and its covariance, 6; NaN where
+    there is none."""
+    return {
+        "strain": ((3, *shape), np.float32),
+        "strain_covariance": ((covariances(3), *shape), np.float32),
+    }
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _StrainOf:
-    """Computes the strain of the field of a moment on its device; pickled, it is None."""
+    """Computes the strain of a field on a device; pickled, it is None."""
 
-    at_rest: AtRest
-    moved: Array
-    own: NDArray[np.floating]
+    device: Device
 
     def __call__(self, field: DisplacementField) -> tuple[Array, Array]:
-        measured = measured_of(field.source, field.valid)
-        rest = {
-            **self.at_rest.strain_constants,
+        shape, axes = field.status.shape, field.displacement.shape[2]
+        programs = programs_of(self.device.handle)
+        queue = cl.CommandQueue(programs.context)
+        given: dict[str, NDArray[Any]] = {
+            **strain_constants(field.position, field.position_covariance),
             "displacement": planes(field.displacement),
             "covariance": flat(field.covariance),
+            "valid": field.valid.astype(np.uint8),
         }
-        found = self.at_rest.change(self.moved, measured, self.own, slopes=True, rest=rest)
-        return nodes(found.strain), matrices(found.strain_covariance)
+        results = Memory(queue, strain_layout(shape))
+        parts = {name: constant(queue.context, each) for name, each in given.items()}
+        kernels = programs.kernels(["strain"], defines_of(shape, axes, self.device))
+        enqueue(queue, [of_nodes(kernels, shape, parts | results.parts, "strain")])
+        results.download()
+        queue.finish()
+        strain, covariance = (results.arrays[name] for name in ("strain", "strain_covariance"))
+        found = nodes(strain), matrices(covariance)
+        results.release()
+        return found
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(None), ()

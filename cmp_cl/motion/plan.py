@@ -20,13 +20,12 @@ from cmp_cl.motion.geometry import InPlane, InSpace
 from cmp_cl.motion.layout import (
     defines_of,
     flat,
-    in_lines_of,
     matrices,
     nodes,
     of_nodes,
     planes,
 )
-from cmp_cl.motion.moments import AtRest, Moment
+from cmp_cl.motion.moments import AtRest, Moment, strain_layout
 from cmp_cl.motion.nodes import put
 from cmp_cl.motion.tables import axis_tables
 from cmp_cl.motion.track import Tracker
@@ -63,7 +62,7 @@ class FieldPlan:
     ) -> None:
         self.shape = rest.shape
         self._queue, self._strained, self._geometry = queue, strain, geometry
-        self._at_rest = AtRest(rest, device, slopes=strain)
+        self._at_rest = AtRest(rest, device)
         self._double = has_double(device)
         self.frame = Memory(queue, self._frame_layout(listed))
         self._filter = LatticeFilter(
@@ -74,8 +73,6 @@ class FieldPlan:
             axes=geometry.axes,
             results=self.frame,
             bends=True,
-            slopes=strain,
-            rest=self._at_rest.strain_constants if strain else None,
         )
         self._filter.inputs.arrays["bound_rest"][:, : self.shape[1]] = self._at_rest.most
         self._filter.inputs.upload()
@@ -92,6 +89,11 @@ class FieldPlan:
             parts[name] = constant(queue.context, table)
         moved = of_nodes(kernels, self.shape, parts, geometry.kernel, width)
         self.launches = [moved, *self._filter.launches]
+        if strain:
+            kernels = programs.kernels(["strain"], defines_of(self.shape, geometry.axes, device))
+            for name, each in self._at_rest.strain_constants.items():
+                parts[name] = constant(queue.context, each)
+            self.launches.append(of_nodes(kernels, self.shape, parts, "strain"))
 
     def release(self) -> None:
         """Release the device's memory."""
@@ -116,10 +118,8 @@ class FieldPlan:
     def _frame_layout(self, listed: int) -> Layout:
         layout = {
             **Tracker.layout(self._geometry.views, self.shape),
-            **LatticeFilter.layout(
-                self.shape, self._geometry.axes, slopes=self._strained, strain=self._strained
-            ),
-            "own": (in_lines_of(self.shape), np.float32),
+            **LatticeFilter.layout(self.shape, self._geometry.axes),
+            **(strain_layout(self.shape) if self._strained else {}),
             "status": (self.shape, np.uint8),
             "source": (self.shape, np.uint8),
         }
@@ -159,7 +159,6 @@ class FieldPlan:
             status=status,
             source=source,
             moved=nodes(results["raw_displacement"]),
-            own=results["own"][:, : self.shape[1]],
             displacement=nodes(results["displacement"]),
             covariance=matrices(results["covariance"]),
             raw_covariance=matrices(results["raw_covariance"]),

@@ -27,9 +27,6 @@ class AxisTables:
     of a node in its own value, and the sum of the squares of all in it. pilot, pilot_own,
     pilot_side: the same for the filter that shows the noise. bend: (n, 3, S), the weights of the
     value of the line and of the first and second derivative of the parabola fitted to S nodes.
-    gram: (2, 2, n, F, F), for the value of the line and the first derivative of the parabola fitted
-    to three nodes of what each filter gives, the products of the weights of the nodes behind it: of
-    a node with itself, and with its neighbours.
     """
 
     sides: NDArray[np.int32]
@@ -40,7 +37,6 @@ class AxisTables:
     pilot_own: Single
     pilot_side: int
     bend: Single
-    gram: Single
 
 
 @functools.lru_cache(maxsize=16)
@@ -50,8 +46,6 @@ def axis_tables(n: int) -> AxisTables:
     filters = np.stack([polynomial(n, *each) for each in fitting])
     pilot_side, pilot_degree = (3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0)
     pilot = polynomial(n, pilot_side, pilot_degree)
-    half = min(1, (n - 1) // 2)
-    fits = polynomial(n, half, 1), polynomial(n, half, 2, 1)
     return AxisTables(
         sides=np.array([side for side, _ in fitting], np.int32),
         filters=filters.transpose(0, 2, 1).astype(np.float32),
@@ -61,17 +55,7 @@ def axis_tables(n: int) -> AxisTables:
         pilot_own=np.diag(pilot).astype(np.float32),
         pilot_side=pilot_side,
         bend=np.stack([_windows(each, bend_half(n)) for each in derivatives(n)], axis=1),
-        gram=np.stack([_gram(each, filters) for each in fits]),
     )
-
-
-def _gram(fit: Array, filters: Array) -> Single:
-    """Return `AxisTables.gram` of a value or a derivative (n, n), for filters (F, n, n)."""
-    n = len(fit)
-    apart = np.abs(np.arange(n)[:, None] - np.arange(n))
-    weights = np.einsum("iw,awj->iaj", fit, filters)
-    products = [weights @ (apart == lag) @ weights.transpose(0, 2, 1) for lag in (0, 1)]
-    return np.stack(products).astype(np.float32)
 
 
 def _gaussian(deviation: float, reach: int) -> Single:

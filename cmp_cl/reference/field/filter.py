@@ -9,14 +9,17 @@
    gives the node its value there; at an end the window stays inside. A pair is one filter along
    the column and one along the row.
 4. The pilot is (3, 5), (2, 3) for fewer than 8 nodes, none for fewer than 5. Its residual is r; k
-   is the node's own weight in it. With u = |r|^2 / (K (1 - k)) the variance of the noise is
-   s2 = (G2(root(u)) / e)^2, over the votes with 1 - k > 0.05 and at least three quarters of the
-   window measured. G is a Gaussian of that standard deviation, in nodes, whose weights sum to 1. e
-   is the mean of a chi variable over root(f), with f degrees of freedom: trace^2 / sum of squares
-   of the matrix sum r r^T / root(u).
-5. A node is rejected if |r|^2 / K > 36 s2 (1 - k) and no neighbour has a larger |r|. For a rough
-   corner |r| counts twice, and it is rejected too where less than three quarters of the pilot's
-   window are measured. This is done up to three times.
+   is the node's own weight in it. The variance of the noise is
+   s2 = G2(|r| / root(K (1 - k)))^2 (1 + .55 / f), over the votes with k < 0.95 and at least three
+   quarters of the window measured, whose coordinates covary as C = G2(r r^T / (1 - k)). G is a
+   Gaussian of that standard deviation, in nodes, whose weights sum to 1. f = trace(C)^2 / |C|^2 is
+   the effective number of directions: 1 + .55 / f is the mean square of a chi variable with f
+   degrees of freedom over the square of its mean, within 1.3 %.
+5. A node is rejected if |r|^2 / K > 46 s2 (1 - k) / (1 + .55 / f), at six standard deviations if
+   all directions are alike, and no neighbour has a larger |r|. For a rough corner |r| counts twice,
+   and it is rejected too where less than three quarters of the pilot's window are measured. This is
+   done up to three times. Its result is its own value, or that of a rough one the mean of its
+   neighbours.
 6. Each pair gives the estimate E, the loss Q = |X - E|^2 / K + 2 s2 H, with H the node's own weight
    in the pair, and the risk G1.5(Q) / s2 over the votes. The result is the mean of the E with
    weights w proportional to exp(-(risk - least risk) 2 pi 1.5^2 / 3).
@@ -26,13 +29,11 @@
    alone or along one diagonal alone, but at most s2. Along a diagonal the pilot is (3, 5), and
    is used only where its window fits. Then the variance is max(s1 sum w risk + 2 (s2 - s1) sum
    w H - s2, s2 sum w V). If an upper bound of the noise is known, s1 is at most its square.
-9. Of displacements, the images may show that a node is clearly worse now than the lattice, and than
-   it may be at rest: their variance v exceeds four times the sum of s2 and of what the upper bound
-   exceeds v by. v of a rough corner, where the images tell none, is its mean squared distance from
-   the result, to exceed 4 s2. Then the variance before the filter is v, and (sum w H)^2 v is added
-   to that of the result. A node that was rejected and keeps its value has at least this distance as
-   its variance; so has a rough one that gets the mean of its neighbours, where less than three
-   quarters of the pilot's window vote.
+9. A node may be worse than the lattice shows. Of displacements the images say so, if their variance
+   now exceeds four times the sum of s2 and of what the upper bound exceeds that variance by; of all
+   values their mean squared distance from the result does, if it exceeds 9 s2. With v the larger of
+   these, the variance before the filter is v, and (sum w H)^2 v is added to that of the result. A
+   rejected node has v, but for a rough one where three quarters of the pilot's window vote.
 10. If a refinement assumes straight edges within the radius r, bent edges shift its corner. For
     each of the corner's two lines, a parabola along it and a straight line across it are fitted to
     5 x 5 nodes. With the slope t and the second derivative d at the node, by the node's number, and
@@ -53,7 +54,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Source = NDArray[np.uint8]
 
-LEAST_OF_FIVE = 1.29
+LEAST_OF_FIVE, MOST_OWN, CHI = 1.29, 0.95, 0.55
 PAIRED = ((0, 0), (2, 1), (2, 3), (3, 3), (4, 3), (7, 3))  # half width in nodes, degree
 
 
@@ -67,8 +68,6 @@ class Filtered:
     quantity that rejects or accepts a node; if it is tiny, float32 may decide otherwise. common:
     (R, C, K, K), the covariance of the coordinates from the residuals of the votes around, over its
     mean diagonal.
-    weights: (A, B, R, C), of the pairs. estimates: (A, B, R, C, K), what each pair gives, but for
-    the surface of 1.
     """
 
     values: Floats
@@ -77,8 +76,6 @@ class Filtered:
     refused: Bools
     margin: float
     common: Floats
-    weights: Floats
-    estimates: Floats
 
 
 def filter_positions(values: Floats, measured: Source, by_images: Floats) -> Filtered:
@@ -110,51 +107,48 @@ def _filtered(values: Floats, measured: Source, by_images: Floats, most: Floats 
         data = _filled(data, votes)
     margin = math.inf
     kept = votes
-    residual, s2, own, length = _noise(data, kept)
+    residual, s2, own, common = _noise(data, kept)
     for _ in range(3):
-        gone, near = _rejected(residual * np.where(rough, 2, 1)[..., None], s2, own, kept)
+        usual = s2 / _over_mean(common)
+        gone, near = _rejected(residual * np.where(rough, 2, 1)[..., None], usual, own, kept)
         margin = min(margin, near)
         gone |= kept & rough & ~_supported(kept)
         if not gone.any():
             break
         kept = kept & ~gone
         data = _filled(np.where(kept[..., None], data, 0), kept)
-        residual, s2, own, length = _noise(data, kept)
+        residual, s2, own, common = _noise(data, kept)
     chosen = s2
     if most is not None:
-        chosen = _least_noise(data, kept, s2, length)
+        chosen = _least_noise(data, kept, s2, common)
         chosen = np.where(np.isnan(most), chosen, np.minimum(chosen, most**2))
-    smooth, variance, weights, estimates, used = _mixture(data, kept, s2, chosen)
+    smooth, variance, used = _mixture(data, kept, s2, chosen)
     gone = votes & ~kept
     off = ((values - smooth) ** 2).mean(axis=2)
-    variance = np.where(kept, variance, s2)
-    unknown = rough & ~(by_images > 0)
-    worse = np.where(unknown, off, by_images)
     at_rest = np.nan if most is None else most**2 - by_images
-    clearly = worse > 4 * np.where(unknown, s2, s2 + at_rest)
-    variance = np.where(clearly & kept, variance + used**2 * worse, variance)
-    kept_own = gone & ~rough
-    alone = kept_own | (rough & ~kept & ~_supported(kept))
-    variance = np.where(alone, np.maximum(off, np.where(clearly, worse, s2)), variance)
-    changed = there & ~kept_own & np.isfinite(variance)
-    rows, columns = (sum(n >= 2 * side + 1 for side, _ in PAIRED) for n in there.shape)
+    alone = np.where(by_images > 4 * (s2 + at_rest), by_images, 0)
+    alone = np.maximum(alone, np.where(off > 9 * s2, off, 0))
+    variance = np.where(kept, variance + used**2 * alone, s2)
+    own_error = gone & (alone > 0) & ~(rough & _supported(kept))
+    variance = np.where(own_error, alone, variance)
+    changed = there & ~(gone & ~rough) & np.isfinite(variance)
     return Filtered(
         values=np.where(changed[..., None], smooth, values),
         sigma=np.where(there, np.sqrt(variance), np.nan),
         noise=np.where(there, np.sqrt(s2), np.nan),
         refused=gone,
         margin=margin,
-        common=_common(residual, kept),
-        weights=weights.reshape(rows, columns, *there.shape),
-        estimates=estimates.reshape(rows, columns, *values.shape),
+        common=common,
     )
 
 
-def _common(residual: Floats, kept: Bools) -> Floats:
+def _common(residual: Floats, own: Floats, votes: Bools) -> Floats:
     """Return the covariance of the coordinates around each node, over its mean diagonal."""
     count = residual.shape[2]
-    down, along = (_gaussian(n, 2.0) for n in kept.shape)
-    squares = np.einsum("rc,rci,rcj->rcij", kept, residual, residual)
+    down, along = (_gaussian(n, 2.0) for n in votes.shape)
+    usable = votes & (own < MOST_OWN)
+    share = np.where(usable, 1 / np.maximum(1 - own, 1 - MOST_OWN), 0)
+    squares = np.einsum("rc,rci,rcj->rcij", share, residual, residual)
     sums = np.einsum("rm,mnij,cn->rcij", down, squares, along)
     mean = np.trace(sums, axis1=2, axis2=3)[..., None, None] / count
     return np.where(mean > 0, sums / np.where(mean > 0, mean, 1), np.eye(count))
@@ -208,15 +202,15 @@ def _average(values: Floats, counted: Bools, deviation: float) -> Floats:
     return np.where(total > 1e-6, mean / np.maximum(total, 1e-6), np.nan)
 
 
-def _noise(data: Floats, votes: Bools) -> tuple[Floats, Floats, Floats, float]:
-    """Return the pilot's residual (R, C, K), s2, the pilot's own weights (R, C), and e."""
+def _noise(data: Floats, votes: Bools) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the pilot's residual (R, C, K), s2, the pilot's own weights (R, C), and `_common`."""
     pilots = [_pilot(n) for n in votes.shape]
     down, along = (axis_filter(n, *each) for n, each in zip(votes.shape, pilots, strict=True))
     residual = data - np.einsum("ij,jlk,ml->imk", down, data, along)
     own = np.outer(np.diag(down), np.diag(along))
     supported = votes & _supported(votes)
-    length = _expected(residual, _lengths(residual, own, supported))
-    return residual, _variance(residual, own, supported, length) + 1e-30, own, length
+    common = _common(residual, own, supported)
+    return residual, _variance(residual, own, supported, common) + 1e-30, own, common
 
 
 def _supported(votes: Bools) -> Bools:
@@ -230,24 +224,12 @@ def _pilot(n: int) -> tuple[int, int]:
     return (3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0)
 
 
-def _expected(residual: Floats, size: Floats) -> float:
-    """Return e. size: (R, C), the root of u, 0 where it is not used."""
-    count = residual.shape[2]
-    common = np.zeros((count, count))
-    for node in zip(*np.nonzero(size > 0), strict=True):
-        common += np.outer(residual[node], residual[node]) / size[node]
-    square = (common**2).sum()
-    f = float(np.trace(common) ** 2 / square) if square > 0 else float(count)
-    share: float = math.sqrt(2 / f)
-    return share * math.gamma(f / 2 + 0.5) / math.gamma(f / 2)
-
-
-def _rejected(residual: Floats, s2: Floats, own: Floats, votes: Bools) -> tuple[Bools, float]:
+def _rejected(residual: Floats, usual: Floats, own: Floats, votes: Bools) -> tuple[Bools, float]:
     size = np.where(votes, (residual**2).mean(axis=2), 0)
     gone = np.zeros_like(votes)
     margin = math.inf
-    for r, c in zip(*np.nonzero(votes & np.isfinite(s2)), strict=True):
-        bound = 36 * s2[r, c] * (1 - own[r, c])
+    for r, c in zip(*np.nonzero(votes & np.isfinite(usual)), strict=True):
+        bound = 46 * usual[r, c] * (1 - own[r, c])
         around = size[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2]
         if bound > 1e-20:
             margin = min(margin, abs(size[r, c] / bound - 1))
@@ -257,9 +239,8 @@ def _rejected(residual: Floats, s2: Floats, own: Floats, votes: Bools) -> tuple[
 
 def _mixture(
     data: Floats, votes: Bools, s2: Floats, chosen: Floats
-) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Return the values, their variance, the weights (P, R, C) and the values of the pairs, and the
-    weight of each node in its own value."""
+) -> tuple[Floats, Floats, Floats]:
+    """Return the values, their variance, and the weight of each node in its own value."""
     rows, columns, _ = data.shape
     estimates, risks, gains, owns = [], [], [], []
     for h_row, p_row in PAIRED:
@@ -284,11 +265,11 @@ def _mixture(
     mean_own = (weights * np.array(owns)).sum(axis=0)
     expected = chosen * mean_risk + 2 * (s2 - chosen) * mean_own - s2
     share = (weights * gain).sum(axis=0)
-    return values, np.maximum(expected, s2 * share), weights, estimate, mean_own
+    return values, np.maximum(expected, s2 * share), mean_own
 
 
-def _least_noise(data: Floats, votes: Bools, s2: Floats, length: float) -> Floats:
-    """Return the variance of the noise with which the pairs are chosen. length: e."""
+def _least_noise(data: Floats, votes: Bools, s2: Floats, common: Floats) -> Floats:
+    """Return the variance of the noise with which the pairs are chosen."""
     rows, columns, _ = data.shape
     least = s2
     for axis in (0, 1):
@@ -297,7 +278,7 @@ def _least_noise(data: Floats, votes: Bools, s2: Floats, length: float) -> Float
         filters = axis_filter(n, *_pilot(n))
         residual = np.moveaxis(lines - np.tensordot(filters, lines, 1), 0, axis)
         own = np.expand_dims(np.diag(filters), 1 - axis) * np.ones(votes.shape)
-        least = np.fmin(least, _variance(residual, own, votes, length))
+        least = np.fmin(least, _variance(residual, own, votes, common))
     pilot = axis_filter(7, 3, 5)[3]
     for sense in (1, -1):
         residual, own = np.zeros_like(data), np.ones(votes.shape)
@@ -305,20 +286,19 @@ def _least_noise(data: Floats, votes: Bools, s2: Floats, length: float) -> Float
             for c in range(3, columns - 3):
                 line = np.array([data[r + t, c + sense * t] for t in range(-3, 4)])
                 residual[r, c], own[r, c] = data[r, c] - pilot @ line, pilot[3]
-        least = np.fmin(least, _variance(residual, own, votes, length))
+        least = np.fmin(least, _variance(residual, own, votes, common))
     return np.minimum(s2, LEAST_OF_FIVE * least)
 
 
-def _variance(residual: Floats, own: Floats, votes: Bools, length: float) -> Floats:
+def _variance(residual: Floats, own: Floats, votes: Bools, common: Floats) -> Floats:
     """Return the variance of the noise by a residual (R, C, K), NaN where it is unknown."""
-    mean = _average(_lengths(residual, own, votes), votes & (own < 0.95), 2.0) / length
-    return mean**2
+    size = np.sqrt((residual**2).mean(axis=2) / np.maximum(1 - own, 1 - MOST_OWN))
+    return _average(size, votes & (own < MOST_OWN), 2.0) ** 2 * _over_mean(common)
 
 
-def _lengths(residual: Floats, own: Floats, votes: Bools) -> Floats:
-    """Return the root of u, (R, C), 0 where it is not used."""
-    size = np.sqrt((residual**2).mean(axis=2) / np.maximum(1 - own, 0.05))
-    return np.where(votes & (own < 0.95), size, 0)
+def _over_mean(common: Floats) -> Floats:
+    """Return the mean square of a residual over the square of its mean length, (R, C)."""
+    return np.asarray(1 + CHI * (common**2).mean(axis=(2, 3)))
 
 
 def _filled(data: Floats, votes: Bools) -> Floats:

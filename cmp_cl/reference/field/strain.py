@@ -7,28 +7,16 @@
    surface, or if errors of variance 1 give a slope of a variance of more than 10.
 2. On a surface, Q are orthonormal axes of the tangent plane at rest, axis 1 along its first slope;
    in a plane they are x and y. F are the current slopes along them: E = (F F' - I) / 2.
-3. The slope of a filtered displacement is a combination of nodes before the filter. Each node has
-   the weights w_ab of the pairs of filters, times the deviation of its noise. They are replaced by
-   their mean over the votes of the 3 x 3, of which all nodes count: the slope weighs them by the
-   value of a line at the node along one axis and the slope of a parabola along the other. The
-   variance of its noise is the sum of the products of these weights over all pairs of nodes, times
-   their correlation, times 1.15, since the weights were chosen by the noise that they average. The
-   coordinates covary as the residuals of the votes around do.
-4. Neighbours in a column correlate by a, those in a row by b. Let r be the second differences along
-   rows of the second differences along columns, over the deviation of the noise, where all nine
-   nodes have votes. For noise of variance v, the mean of r r is (36 - 48 a - 48 b) v, that of r and
-   the r of the next row (42 a + 32 b - 24) v, of the next column (32 a + 42 b - 24) v. a and b are
-   clipped to 0 and 1/4.
-5. The variance is that times the variance of the slope of independent errors by 1, over the same
-   by 3: less at a corner. Where a node of the 3 x 3 is missing it is not less, since errors of
-   neighbours are alike. A slope whose variance is unknown has that of independent errors. What a
-   surface cannot follow shows in how far apart the slopes of the displacement are in a cubic and in
-   the quadratic one: three times the square of that is added. The cubic one is that of the valid of
-   the 5 x 5 nodes around. Where they do not determine it, or not to a variance of 10, or the
-   lattice ends, the 5 x 5 are those with the next nearest middle that hold the node. Across a tear
-   both surfaces go as wrong. There the fourth difference along an axis is large: a fiftieth of the
-   square of its mean over the lines of the 5 x 5 without a missing node is added too.
-6. To first order dE = sym(F' dG + (F - (2 E + I) Q)' dA), with dG and dA the errors of the slopes
+3. The covariance of a slope is half the sum of those of the nodes, each times the square of its
+   weight: errors of filtered neighbours are alike. In a lattice too small to filter, with fewer
+   than 5 nodes along both axes, it is the whole sum. What a surface cannot follow shows in how far
+   apart the slopes of the displacement are in a cubic and in the quadratic one: five times the
+   square of that is added. The cubic one is that of the valid of the 5 x 5 nodes around. Where they
+   do not determine it, or not to a variance of 10, or the lattice ends, the 5 x 5 are those with
+   the next nearest middle that hold the node. Across a tear both surfaces go as wrong. There the
+   fourth difference along an axis is large: .06 of the square of its mean over the lines of the 5 x
+   5 without a missing node is added too.
+4. To first order dE = sym(F' dG + (F - (2 E + I) Q)' dA), with dG and dA the errors of the slopes
    of the displacement and of the position at rest along Q; on a surface the turn of axis 1 by
    Q2 . dA1 comes on top. The errors of different axes of the lattice are independent; those of the
    coordinates correlate as their covariance says.
@@ -46,100 +34,17 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 REACH, WIDE_REACH = 1, 2
-CHOSEN, APART, TORN = 1.15, 3, 0.02
+ALIKE, APART, TORN = 0.5, 5, 0.06
 FOURTH = (1, -4, 6, -4, 1)
-MOST_SHARED = 0.25
 MOST_VARIANCE = 10
 
 
-def shared(data: Floats, votes: Bools, variance: Floats) -> tuple[float, float]:
-    """Return a and b, see 4. data: (R, C, K). variance: (R, C), of the noise."""
-    second = np.array([1.0, -2.0, 1.0])
-    rough: dict[tuple[int, int], Floats] = {}
-    for r, c in itertools.product(*(range(1, n - 1) for n in votes.shape)):
-        box = np.s_[r - 1 : r + 2, c - 1 : c + 2]
-        if votes[box].all():
-            rough[r, c] = np.einsum("i,j,ijk->k", second, second, data[box]) / np.sqrt(
-                variance[r, c]
-            )
-    means = []
-    for down, along in ((0, 0), (1, 0), (0, 1)):
-        products = [
-            r * rough[i + down, j + along]
-            for (i, j), r in rough.items()
-            if (i + down, j + along) in rough
-        ]
-        if not products:
-            return 0.0, 0.0
-        means.append(np.mean(products))
-    v, of_rows, of_columns = np.linalg.solve(
-        [[36, -48, -48], [-24, 42, 32], [-24, 32, 42]], np.array(means)
-    )
-    if v <= 0:
-        return 0.0, 0.0
-    return float(np.clip(of_rows / v, 0, MOST_SHARED)), float(
-        np.clip(of_columns / v, 0, MOST_SHARED)
-    )
-
-
-def slope_covariances(
-    weights: Floats,
-    size: Floats,
-    votes: Bools,
-    filters: tuple[Floats, Floats],
-    correlations: tuple[float, float],
-    common: Floats,
-) -> Floats:
-    """Return the covariances of the slopes by column and by row, (R, C, 2, K, K), by 3.
-
-    weights: (A, B, R, C). size: (R, C), the deviation of the noise. filters: (A, R, R) and (B, C,
-    C). correlations: a and b of 4. common: (R, C, K, K), the covariance of the noise over its mean
-    diagonal.
-    """
-    shape = votes.shape
-    found = np.full((*shape, 2, *common.shape[2:]), np.nan)
-    votes = votes & np.isfinite(size)
-    scaled = np.where(votes, weights * size, 0)
-    together = [
-        np.eye(n) + part * (np.eye(n, k=1) + np.eye(n, k=-1))
-        for n, part in zip(shape, correlations, strict=True)
-    ]
-    for r, c in np.ndindex(*shape):
-        rows, columns = (window(i, n, REACH) for i, n in zip((r, c), shape, strict=True))
-        count = np.count_nonzero(votes[np.ix_(rows, columns)])
-        if not count:
-            continue
-        mean = scaled[:, :, rows][..., columns].sum(axis=(2, 3)) / count
-        down, along = filters[0][:, rows], filters[1][:, columns]
-        (value_down, slope_down), (value_along, slope_along) = (
-            _line_and_parabola(r, rows),
-            (_line_and_parabola(c, columns)),
-        )
-        for step, (one, two) in enumerate(((value_down, slope_along), (slope_down, value_along))):
-            slope = np.einsum("ab,s,asi,t,btj->ij", mean, one, down, two, along, optimize=True)
-            variance = (slope * (together[0] @ slope @ together[1])).sum()
-            found[r, c, step] = CHOSEN * variance * common[r, c]
-    return found
-
-
-def _line_and_parabola(i: int, nodes: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """Return the weights of the nodes of a window in the value at node i of the line, and in the
-    slope there of the parabola, that fit them best."""
-    off = (nodes - i).astype(np.float64)
-    line, parabola = (np.linalg.pinv(np.vander(off, n, increasing=True)) for n in (2, 3))
-    return line[0], parabola[1]
-
-
 def strain(
-    rest: Floats,
-    displacement: Floats,
-    covariances: tuple[Floats, Floats],
-    slopes: tuple[Floats, Floats],
+    rest: Floats, displacement: Floats, covariances: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
     """Return E11 E22 E12 (R, C, 3), and their covariance, (R, C, 3, 3).
 
-    rest, displacement: (R, C, D). covariances: (R, C, D, D), of rest and displacement. slopes: the
-    same by column and by row, by 3, (R, C, 2, D, D), NaN where unknown.
+    rest, displacement: (R, C, D). covariances: (R, C, D, D), of both.
     """
     shape, size = rest.shape[:2], rest.shape[2]
     valid = np.isfinite(displacement[..., 0])
@@ -147,12 +52,12 @@ def strain(
         np.where(valid[..., None], each, 0).reshape(-1, size) for each in (rest, displacement)
     )
     found, covariance = np.full((*shape, 3), np.nan), np.full((*shape, 3, 3), np.nan)
+    alike = ALIKE if max(shape) >= 5 else 1.0
     for r, c in zip(*np.nonzero(valid), strict=True):
         near, wide = (
             [window(i, n, reach) for i, n in zip((r, c), shape, strict=True)]
             for reach in (REACH, WIDE_REACH)
         )
-        down, along = (_line_and_parabola(*each) for each in zip((r, c), near, strict=True))
         whole = bool(valid[np.ix_(*near)].all())
         fit = _slopes_of_surface((r, c), near if whole else wide, valid, 2)
         if fit is None:
@@ -164,13 +69,8 @@ def strain(
             apart, torn = (cubic - fit) @ moved, _fourth(around, valid) @ moved
             whole_around = min(r, c) >= 2 and valid[r - 2 : r + 3, c - 2 : c + 3].sum() == 25
             fit = cubic if whole_around else fit
-        own = np.square(fit).sum(axis=1)
-        if max(own) > MOST_VARIANCE:
+        if np.square(fit).sum(axis=1).max() > MOST_VARIANCE:
             continue
-        more = own / [
-            np.square(np.outer(*pair)).sum() for pair in ((down[0], along[1]), (down[1], along[0]))
-        ]
-        more = more if whole else np.maximum(more, 1)
         a = fit @ still
         b = a + fit @ moved
         inverse = np.linalg.inv(a if size == 2 else np.linalg.cholesky(a @ a.T))
@@ -188,13 +88,14 @@ def strain(
         ]
         total = np.zeros((3, 3))
         wrong = APART * _squares(apart) + TORN * _squares(torn)
-        moments = zip((before, now), covariances, slopes, (0 * wrong, wrong), strict=True)
-        for gradients, of_values, of_slopes, more_by in moments:
+        moments = zip((before, now), covariances, (0 * wrong, wrong), strict=True)
+        for gradients, of_values, more_by in moments:
             by_step = np.array([inverse.T @ np.array(each) for each in gradients])  # (3, 2, D)
-            for k, slope in enumerate(of_slopes[r, c]):
-                step = own[k] * of_values[r, c] if np.isnan(slope).any() else more[k] * slope
-                step = step + more_by[k]
-                total += by_step[:, k] @ step @ by_step[:, k].T
+            for k, weight in enumerate(fit):
+                used = weight != 0
+                of_nodes = of_values.reshape(-1, size, size)[used]
+                step = alike * np.tensordot(weight[used] ** 2, of_nodes, 1)
+                total += by_step[:, k] @ (step + more_by[k]) @ by_step[:, k].T
         covariance[r, c] = total
     return found, covariance
 
