@@ -146,7 +146,7 @@ def _check(arguments: argparse.Namespace, files: Mapping[str, list[Path]], pictu
             "for each view"
         )
     outputs = arguments.out, arguments.corners, picture
-    inputs = *every, *window_files(arguments, list(files))
+    inputs = *every, *window_files(arguments)
     check_files(inputs, outputs)
 
 

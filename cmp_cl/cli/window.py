@@ -2,7 +2,6 @@
 
 import argparse
 import itertools
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from cmp_cl.measure import find_pattern
 from cmp_cl.measure.patterns import align_views
 from cmp_cl.opencl.device import Device
 from cmp_cl.points import sides
-from cmp_cl.space import Lens, StereoRig, calibrate_window
+from cmp_cl.space import StereoRig, calibrate_window
 
 # Share by which the thickness of the last medium may differ from the given one without advice.
 _THICKNESS = 0.1
@@ -57,11 +56,9 @@ def media(text: str) -> tuple[tuple[float, float], ...]:
         ) from None
 
 
-def window_files(arguments: argparse.Namespace, cameras: Sequence[str]) -> list[Path]:
-    """Return the images of the window's options; raises ConfigError if these do not fit together.
-
-    cameras: the names of the cameras.
-    """
+def window_files(arguments: argparse.Namespace) -> list[Path]:
+    """Return the images of the window's options; raises ConfigError if these do not fit
+    together."""
     needed = {"--rest": arguments.rest, "--grid": arguments.grid, "--pitch": arguments.pitch}
     given = [name for name, value in needed.items() if value is not None]
     if arguments.window is None:
@@ -74,8 +71,6 @@ def window_files(arguments: argparse.Namespace, cameras: Sequence[str]) -> list[
         raise ConfigError(
             f"--window needs --rest IMAGE, --grid 40x40 and --pitch LENGTH: {missing}"
         )
-    if len(cameras) != 2 or arguments.lens == Lens.FISHEYE.value:
-        raise ConfigError("--window is for two cameras, neither of them a fisheye")
     images = [arguments.rest]
     if arguments.step:
         length, *views = arguments.step
