@@ -144,6 +144,40 @@ def test_the_number_of_a_camera_may_be_an_int(monkeypatch):
         assert sensor.getFrame()["index"] == 0
 
 
+def test_a_camera_that_is_unplugged_is_told_to_those_who_wait_and_those_who_ask(monkeypatch):
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of([pressed(0.0).frame]))
+    with Sensor(0, RIG, shape=NODES) as sensor:
+        sensor.waitForFrame(timeout=60)
+        assert sensor.getFrame()["index"] == 0
+        for call in (sensor.waitForFrame, sensor.getFrame):
+            with pytest.raises(ImageError, match="0 delivers no frames any more: was it unplugged"):
+                call()
+
+
+def test_behind_a_slow_callback_only_the_newest_frames_of_a_camera_wait(monkeypatch):
+    called, all_came, got = threading.Event(), threading.Event(), []
+
+    def images():
+        yield pressed(0.0).frame
+        called.wait(60)
+        for _ in range(20):
+            yield pressed(0.0).frame
+        all_came.set()
+
+    def receive(frame, _):
+        called.set()
+        all_came.wait(60)
+        got.append(frame["index"])
+
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of(images()))
+    settings = {"shape": NODES, "recvCallback": receive, "maxQSize": 3}
+    with contextlib.suppress(ImageError), Sensor(0, RIG, **settings) as sensor:
+        while True:
+            sensor.waitForFrame(timeout=60)
+            sensor.getFrame()
+    assert got == [0, 18, 19, 20]
+
+
 def test_a_new_rest_is_taken_while_running(video):
     got, made = [], threading.Event()
 

@@ -93,6 +93,9 @@ class Sensor(Frames):
     serial: the name of the sensor in its frames.
     device: as for `Detector`. The others are those of `Frames`.
 
+    Of a camera no more than maxQSize frames wait to be measured either: if measuring or a callback
+    takes longer than a frame, frames are missed, and those that come are new.
+
     Raises ConfigError, FileNotFoundError or ImageError for a source or a rig that cannot be opened.
     What happens in the thread is raised by `getFrame` and `waitForFrame`: GridError if the frame at
     rest shows no pattern, ImageError if a camera fails, what a callback raises.
@@ -117,7 +120,8 @@ class Sensor(Frames):
         callbackParam: Any = None,
         device: Device | str | None = None,
     ) -> None:
-        self._source = Source(str(source) if isinstance(source, int) else source)
+        name = str(source) if isinstance(source, int) else source
+        self._source = Source(name, waiting=maxQSize)
         self._rig = rig if isinstance(rig, StereoRig) else StereoRig.load(rig)
         self._split, self._shape, self._device = split, shape, device
         self._serial = serial
@@ -202,6 +206,8 @@ class Sensor(Frames):
                     serial=self._serial, index=frame.index, time_s=frame.time_ms / 1e3
                 )
                 yield {**field, "ambiguous": ambiguous, "misfit": measured.misfit}
+        if self._source.live:
+            raise ImageError(f"{self._source.name} delivers no frames any more: was it unplugged?")
 
     def _keep(
         self, measure: TwoViews, measured: Measured, index: int, time_ms: float, *, ambiguous: bool

@@ -23,7 +23,6 @@ from cmp_cl.media.ahead import Ahead
 from cmp_cl.media.images import find_inputs, numbers_of
 from cmp_cl.media.videos import LONGEST_GAP, Frame, VideoInfo, read_frames, video_info
 
-_WAITING = 64  # the most frames of a camera that wait to be measured
 _LONGEST_WAIT = 10.0  # s, the longest wait for a frame of a camera
 _EARLY = 0.1  # of a pair: a step this much shorter is one of it
 _PAIR_WITHIN = 20.0  # ms, between frames that are paired if their interval is unknown
@@ -48,6 +47,7 @@ class Source:
 
     settings: what to ask of a camera, by OpenCV's names of properties: fps is CAP_PROP_FPS. A value
         is a number, or a text of one; fourcc, the format of pixels, is four letters such as MJPG.
+    waiting: how many frames of a camera wait to be taken; older ones are missed.
     live: whether it is a camera or a stream, whose frames arrive whether or not they are read.
     paths: the files, () of a live source. period_ms: time between frames, NaN if unknown.
     full_scale: largest grey level, None if unknown.
@@ -56,8 +56,11 @@ class Source:
     ImageError as `cmp_cl.media` does.
     """
 
-    def __init__(self, name: str, settings: Mapping[str, float | str] | None = None) -> None:
+    def __init__(
+        self, name: str, settings: Mapping[str, float | str] | None = None, *, waiting: int = 64
+    ) -> None:
         self.name = name
+        self._waiting = waiting
         self.live = is_live(name)
         asked = {what.lower(): value for what, value in (settings or {}).items()}
         self._settings = {what: _asked(what, value) for what, value in asked.items()}
@@ -98,7 +101,7 @@ class Source:
 
     def _live_frames(self) -> Generator[Frame, None, None]:
         index = 0
-        with Ahead(_captured(self._capture()), _WAITING, lossy=True) as waiting:
+        with Ahead(_captured(self._capture()), self._waiting, lossy=True) as waiting:
             while (frame := waiting.take(_LONGEST_WAIT)) is not None:
                 for missed in range(index, frame.index):
                     why = "the camera did not deliver it, or frames come faster than they are taken"

@@ -18,6 +18,7 @@ import array
 import numpy as np
 import rclpy
 from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image, PointCloud2, PointField
 
 import cmp_cl
@@ -36,7 +37,8 @@ class Deformation(Node):
         self._names = names
         self._measure: OneView | TwoViews | None = None
         self._publisher = self.create_publisher(PointCloud2, names["nodes"], 10)
-        self.create_subscription(Image, names["image"], self.take, 10)
+        # Drivers may publish as "best effort", which a subscriber that asks for more never gets.
+        self.create_subscription(Image, names["image"], self.take, qos_profile_sensor_data)
 
     def take(self, message: Image) -> None:
         """Measure an image and publish its nodes."""
