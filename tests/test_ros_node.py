@@ -32,13 +32,15 @@ def node(monkeypatch):
             self.declare_parameter = lambda name, value: Message(value=value)
             self.create_publisher = lambda *_: Message(publish=self.published.append)
 
-        def create_subscription(self, kind, topic, callback, depth):
+        def create_subscription(self, kind, topic, callback, qos):
             assert topic == "image_raw"
+            assert qos == "best effort"  # what cameras publish, and any subscriber may ask for
 
     kinds = {kind: Message for kind in ("Image", "PointCloud2", "PointField")}
     for name, content in {
         "rclpy": {},
         "rclpy.node": {"Node": Node},
+        "rclpy.qos": {"qos_profile_sensor_data": "best effort"},
         "sensor_msgs.msg": kinds,
     }.items():
         monkeypatch.setitem(sys.modules, name, Message(**content))
