@@ -26,7 +26,6 @@
 #define STRAY_CELLS 0.3f /* from the prediction of the nodes around */
 #define STRAY_TORN_CELLS 0.07f
 #define STRAY_PX 1.0f
-#define STENCIL 24 /* at most so many nodes predict a node */
 #define LEAST_AROUND 16 /* nodes that say where one without a corner is */
 #define ADRIFT_CELLS 0.75f /* a free corner so near to a lost node may be its own */
 #define ATTACHED 2
@@ -249,20 +248,36 @@ float2 moved_as_others(const int i, __global const float2 *at, __global const fl
   }
 }
 
+/* Where the nodes along its row and its column predict node i: with two on both sides of a line the
+ * cubic function through them, which weighs four times as much as the middle of one on both sides.
+ * Return whether there are such nodes. */
+int predicted_by_lines(const int i, __global const float2 *at, float2 *place) {
+  float2 sum = 0;
+  float weights = 0;
+  for (int axis = 0; axis < 2; ++axis) {
+    const int n = axis ? i / COLUMNS : i % COLUMNS, last = (axis ? ROWS : COLUMNS) - 1;
+    const int step = axis ? COLUMNS : 1, reach = min(min(n, last - n), 2);
+    if (reach == 0) continue;
+    const float2 near = at[i - step] + at[i + step];
+    const float2 far = at[i - reach * step] + at[i + reach * step];
+    sum += reach == 2 ? 4 * (4 * near - far) / 6 : near / 2;
+    weights += reach == 2 ? 4 : 1;
+  }
+  *place = sum / weights;
+  return weights > 0;
+}
+
 /* A node that failed, or that is far from what the nodes around predict, is looked at a second
  * time: refinement starts at a free corner near the place where it is expected, or there. For that
  * it is listed in `looks` as kernels/result.clh lists corners; `look` is its place in that list,
  * NONE for the others.
  *
  * Free corners where a line beyond a side would be are counted, and failed nodes that have a corner
- * near: where corners moved too far they have one, where they are torn they have none. `stencils`:
- * the weights of nodes around, and how far away they are in the list of nodes, for each of 16 x 16
- * distances from the sides, 0 to 3 above, below, before and behind; a weight of 0 ends them, and is
- * the first where too few nodes predict. One work-item a node. */
+ * near: where corners moved too far they have one, where they are torn they have none. One work-item
+ * a node. */
 __kernel void check(CORNERS_IN_BINS, __global const int *claims, __global const int *nearest,
                     __global const int *kept, __global const float2 *nodes,
-                    __global const uchar *torn,
-                    __global const float2 *stencils, __global const float2 *rest,
+                    __global const uchar *torn, __global const float2 *rest,
                     const int image_rows, const int image_columns, __global float2 *expected,
                     __global int *look, __global int *looks, const uint look_length,
                     __global uint *look_counts, const uint first_count, __global int *tracked) {
@@ -271,24 +286,11 @@ __kernel void check(CORNERS_IN_BINS, __global const int *claims, __global const 
   __global const float2 *at = nodes + view * NODES;
   __global int *own = tracked + view * COUNTED;
   STEPS(at)
-  const int rows_around = 4 * min(row, 3) + min(ROWS - 1 - row, 3);
-  const int columns_around = 4 * min(column, 3) + min(COLUMNS - 1 - column, 3);
-  __global const float2 *stencil = stencils + STENCIL * (16 * rows_around + columns_around);
-  __global const int *kept_here = kept + view * NODES;
-  float2 mean = 0;
-  float sum = 0;
-  int all_kept = 1;
-  for (int k = 0; k < STENCIL; ++k) {
-    const float weight = stencil[k].x;
-    if (weight == 0) break;
-    const int j = i + (int)stencil[k].y;
-    mean += weight * at[j];
-    sum += weight;
-    all_kept &= kept_here[j] >= 0;
-  }
+  float2 mean;
+  const int between = predicted_by_lines(i, at, &mean);
   const float cell = (length(along) + length(down)) / 2, off = length(at[i] - mean);
   const float most = torn[OF_NODE] ? STRAY_TORN_CELLS : STRAY_CELLS;
-  const int lost = kept[OF_NODE] < 0, between = sum > 0.5f;
+  const int lost = kept[OF_NODE] < 0;
   const int astray = !lost && between && off > STRAY_PX && off > most * cell;
   look[OF_NODE] = NONE;
   if (lost) {
@@ -296,9 +298,8 @@ __kernel void check(CORNERS_IN_BINS, __global const int *claims, __global const 
     if (best >= 0 || nearest[OF_NODE] != NONE) atomic_inc(own + ADRIFT);
   }
   if (lost || astray) {
-    const float2 place = astray || (between && all_kept)
-                             ? mean
-                             : moved_as_others(i, at, rest + view * NODES, kept_here);
+    const float2 place =
+        astray ? mean : moved_as_others(i, at, rest + view * NODES, kept + view * NODES);
     expected[OF_NODE] = place;
     NEAREST(place, NEAR_CELLS * cell, claims[CORNERS + j] == 0)
     const float2 last_pixel = (float2)(image_columns - 1, image_rows - 1);

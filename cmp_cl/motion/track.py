@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners
 from cmp_cl.grid.grid import MEASURED, NO_SIDES, Grid
-from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.motion.nodes import whole
 from cmp_cl.opencl.launches import GROUP, Launch, bound, constant, multiple
 from cmp_cl.opencl.memory import Layout, Memory, copy
@@ -22,7 +21,6 @@ from cmp_cl.stages.layout import CORNER_COLUMNS, LISTS
 from cmp_cl.stages.plan import Plan
 from cmp_cl.stages.refine import EDGES, METHOD, RESULT_FIELDS, RESULT_HEAD, VARIANCE
 
-STRONG = 8.0  # least weight of the predictions of a node that is checked
 LOST = 0.10  # largest share of the nodes without a corner
 CROSSED = 0.02  # largest share of the nodes whose corner has the other colour
 BEYOND = 0.05  # largest share of the nodes of all sides beyond which a free corner is
@@ -32,7 +30,6 @@ GONE = 0.50  # largest share of a side's nodes that are lost
 KNOWN = 0.95  # least share of the nodes that the frame at rest must show
 COUNTED = 11  # numbers for each view, as in kernels/track.cl
 LEAST_ROOM = 4096  # corners of a view
-STENCIL = 24  # nodes that predict a node, at most, as in kernels/track.cl
 _BIN = 1.0  # cells at rest: side of a bin
 _LEAST_BIN = 4.0  # px
 
@@ -143,7 +140,6 @@ class Tracker:
             **frame.parts,
             **self._work.parts,
             "colour": constant(queue.context, colour),
-            "stencils": constant(queue.context, stencils(columns)),
             "rest": constant(queue.context, rest),
         }
         self._kernels = programs.kernels(
@@ -309,49 +305,3 @@ def _step(grid: Grid) -> float:
     """Return the smaller median step between nodes of a grid, px."""
     steps = [np.linalg.norm(np.diff(grid.xy, axis=axis), axis=2) for axis in (0, 1)]
     return float(min(np.nanmedian(each) for each in steps))
-
-
-def stencils(row: int) -> NDArray[np.float32]:
-    """Return the nodes around that predict a node, (16, 16, STENCIL, 2).
-
-    These are the weight of each, and how far behind the node it is in the list of nodes. row: nodes
-    of a row.
-
-    The first two axes count its distances from the sides, 4 times the one before plus the one
-    behind, up to 3 each. Nodes of too weak predictions have no weights.
-    """
-    found = np.zeros((16, 16, STENCIL, 2), np.float32)
-    for rows in range(16):
-        for columns in range(16):
-            reach = (-(rows // 4), rows % 4), (-(columns // 4), columns % 4)
-            total, mean = 0.0, np.zeros((7, 7))
-            for weight, factors in _predictors():
-                if all(
-                    low <= step <= high
-                    for place in factors
-                    for step, (low, high) in zip(place, reach, strict=True)
-                ):
-                    total += weight
-                    for (r, c), factor in factors.items():
-                        mean[r + 3, c + 3] += weight * factor
-            if total >= STRONG:
-                used = np.argwhere(mean)
-                behind = (used - 3) @ (row, 1)
-                weights = mean[tuple(used.T)] / total
-                found[rows, columns, : len(used)] = np.stack([weights, behind], axis=1)
-    return found
-
-
-def _predictors() -> list[tuple[float, dict[tuple[int, int], float]]]:
-    """Return the predictions of a node from those around, each with its weight."""
-    of_cubic, of_middle, of_cell, of_beyond = LatticeConstants().prediction_weights
-    found: list[tuple[float, dict[tuple[int, int], float]]] = []
-    for r, c in ((0, 1), (1, 0)):
-        line = {(-r, -c): 4 / 6, (r, c): 4 / 6, (-2 * r, -2 * c): -1 / 6, (2 * r, 2 * c): -1 / 6}
-        found += [(of_cubic, line), (of_middle, {(-r, -c): 0.5, (r, c): 0.5})]
-    for r, c in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        found.append((of_cell, {(r, 0): 1, (0, c): 1, (r, c): -1}))
-    for r, c in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-        found.append((of_beyond, {(r, c): 2, (2 * r, 2 * c): -1}))
-        found.append((of_beyond, {(r, c): 3, (2 * r, 2 * c): -3, (3 * r, 3 * c): 1}))
-    return found

@@ -10,15 +10,16 @@
 4. The distance to what is expected is within .18 step of the mean of those of the four neighbours
    that meet 1 to 3; a node without such neighbours fails.
 5. A node that fails moves as these neighbours do.
-6. A node over 1 px and .3 cell, or with a torn corner .07 cell, from the prediction of the nodes
-   around is astray.
+6. Along its row and its column the nodes around predict a node: with L, LL before it and R, RR
+   behind it as (4 (L + R) - LL - RR) / 6, with one on both sides only as (L + R) / 2, which weighs
+   a quarter. A node over 1 px and .3 cell, or with a torn corner .07 cell, from the mean is astray.
 7. Free corners within .3 step of where the next line beyond a side would be are counted, and so are
    failed nodes with a corner at the expected place, or a free one within .75 cell.
 8. A node that fails or is astray is looked at again. If that finds nothing, it keeps a corner
-   within .3 cell of the prediction; else it takes the prediction. A node that fails takes it only
-   if all nodes that predict have corners; else it has moved from rest as the quadratic surface
-   through 16 nodes around, or more, that have one. It is interpolated if both neighbours along a
-   line have corners and are not astray.
+   within .3 cell of the prediction; else it takes the prediction. For a node that fails this is
+   where it would be if it had moved from rest as the quadratic surface through 16 nodes around, or
+   more, that have corners. It is interpolated if both neighbours along a line have corners and are
+   not astray.
 """
 
 import dataclasses
@@ -26,16 +27,12 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.reference.field.filter import surface_at
 from cmp_cl.reference.lattice.borders import ways
-from cmp_cl.reference.lattice.nodes import FOUR, predictors
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Bools = NDArray[np.bool_]
-
-_K = LatticeConstants()
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -145,8 +142,8 @@ def track(
     status = np.where(rough, 2, 1).astype(np.int32)
     for node in zip(*np.nonzero(~good), strict=True):
         prediction = predictions[node]
-        place = moved[node] if prediction is None else prediction
-        if lost[node] and (prediction is None or any(lost[n] for n in _around(node, shape))):
+        place = prediction
+        if place is None or lost[node]:
             place = rest[node] + _surface(node, moved - rest, ~lost)
         apart = float(np.linalg.norm(moved[node] - place))
         if not lost[node]:
@@ -191,35 +188,16 @@ def _inside(node: tuple[int, int], shape: tuple[int, ...]) -> bool:
 
 
 def _predicted(nodes: Floats, node: tuple[int, int]) -> Floats | None:
-    """Return the prediction of a node from those around; None if its weight is below 8."""
+    """Return the prediction of a node from those along its lines, None without any."""
     total, mean = 0.0, np.zeros(2)
-    for weight, form in _forms(node, nodes.shape[:2]):
-        total += weight
-        mean += weight * sum(factor * nodes[place] for place, factor in form.items())
-    return mean / total if total >= 8 else None
-
-
-def _around(node: tuple[int, int], shape: tuple[int, ...]) -> set[tuple[int, int]]:
-    """Return the nodes that predict a node."""
-    return {place for _, form in _forms(node, shape) for place in form}
-
-
-def _forms(
-    node: tuple[int, int], shape: tuple[int, ...]
-) -> list[tuple[float, dict[tuple[int, int], float]]]:
-    """Return the weights of the predictions of a node, and the factors of the nodes in each.
-
-    They are those of a lattice's nodes, and extrapolation from three nodes, which weighs as much as
-    that from two.
-    """
-    forms = predictors(_K)
-    for r, c in FOUR:
-        forms.append((_K.prediction_weights[3], {(r, c): 3, (2 * r, 2 * c): -3, (3 * r, 3 * c): 1}))
-    placed = [
-        (weight, {(node[0] + r, node[1] + c): factor for (r, c), factor in form.items()})
-        for weight, form in forms
-    ]
-    return [each for each in placed if all(_inside(place, shape) for place in each[1])]
+    for r, c in ((0, 1), (1, 0)):
+        line = [(node[0] + far * r, node[1] + far * c) for far in (-2, -1, 1, 2)]
+        if all(_inside(place, nodes.shape) for place in line):
+            far, near, behind, far_behind = (nodes[place] for place in line)
+            total, mean = total + 4, mean + 4 * (4 * (near + behind) - far - far_behind) / 6
+        elif all(_inside(place, nodes.shape) for place in line[1:3]):
+            total, mean = total + 1, mean + (nodes[line[1]] + nodes[line[2]]) / 2
+    return mean / total if total else None
 
 
 def _surface(node: tuple[int, int], values: Floats, known: NDArray[np.bool_]) -> Floats:
