@@ -29,13 +29,13 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
                         __global int *restrict layout, __global float2 *restrict seen,
                         __global int *restrict owner, __global uchar *restrict torn,
                         __global uchar *restrict used, __global int *restrict claim,
-                        __global uchar *restrict tried, __global int *restrict marks) {
+                        __global int *restrict marks) {
   const int count = (int)COUNT(corners);
-  __local int left, right, top, bottom, sum, nodes;
+  __local int left, right, top, bottom, sum;
   if (get_local_id(0) == 0) {
     left = top = INT_MAX;
     right = bottom = INT_MIN;
-    sum = nodes = 0;
+    sum = 0;
   }
   ALL_TOGETHER;
   int least_x = INT_MAX, most_x = INT_MIN, least_y = INT_MAX, most_y = INT_MIN;
@@ -68,7 +68,7 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   FOR_ALL(place, all) {
     const int i = owner[place];
     seen[place] = (float2)(NAN, NAN);
-    torn[place] = tried[place] = 0;
+    torn[place] = 0;
     marks[place] = 0;
     if (i == INT_MAX) {
       owner[place] = NONE;
@@ -78,7 +78,6 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
     seen[place] = POSITIONS(corners)[i];
     torn[place] = IS_TORN(i);
     used[i] = 1;
-    atomic_add(&nodes, 1);
     atomic_add(&sum, (n.z ^ (n.x - origin_x + n.y - origin_y)) & 1 ? -1 : 1);
   }
   ALL_TOGETHER;
@@ -86,7 +85,6 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   layout[BOARD_ROWS] = height;
   layout[BOARD_COLUMNS] = width;
   layout[SIGN] = sum < 0 ? -1 : 1;
-  layout[NODES] = nodes;
 }
 
 /* The places of a board, but for some at its edge, row by row. */
@@ -337,15 +335,6 @@ __kernel void score_nodes(__global const int *restrict layout, PLACES_OF_BOARD) 
   }
 }
 
-/* Whether a node scores too little, and is the worst of its 3 x 3: the others may need it less. */
-bool is_weak(const int width, const int place, __global const float *score) {
-  const float own = score[place];
-  bool is_worst = own < 0;
-  for (int r = -1; is_worst && r <= 1; ++r)
-    for (int c = -1; c <= 1; ++c) is_worst &= own <= score[place + r * width + c];
-  return is_worst;
-}
-
 /* A node that a missing place beside another may have: its corner, PLACE or NONE, and its position.
  * nearest: the corner there that decides, NONE without one. */
 typedef struct {
@@ -412,9 +401,9 @@ void empty_list(LISTS_OF_PLACES, const int kind) {
   ALL_TOGETHER;
   if (get_local_id(0) == 0) counts[kind] = 0;
 }
-/* List listed places as another kind, and the nodes within so many steps of them, and of missing
- * places those to look at, if that is asked for. A node without a step of its own along an axis
- * takes those of the nodes near it. */
+/* List listed places as another kind, and the nodes within so many steps of them; and the missing
+ * places there, to look at. A node without a step of its own along an axis takes those of the nodes
+ * near it. */
 #define SQUARE(reach)                                                               \
   for (int r = -(reach); r <= (reach); ++r)                                         \
     for (int c = -(reach); c <= (reach); ++c)
@@ -423,13 +412,13 @@ bool has_steps(__global const float2 *seen, const int place, const int width) {
          (IS_HERE(seen[place + width]) || IS_HERE(seen[place - width]));
 }
 void list_around(LISTS_OF_PLACES, const int from, const int reach, const int steps, const int kind,
-                 const bool looks, const int width, __global const float2 *seen) {
+                 const int width, __global const float2 *seen) {
   FOR_LISTED(from) SQUARE(reach) {
     const int other = place + r * width + c;
     const bool is_node = IS_HERE(seen[other]), is_near = r * r + c * c <= steps * steps;
     if (other == place || (is_node && (is_near || !has_steps(seen, other, width))))
       list_place(OF_PLACES, kind, other);
-    if (looks && !is_node) list_place(OF_PLACES, LOOKED, other);
+    if (!is_node) list_place(OF_PLACES, LOOKED, other);
   }
   ALL_TOGETHER;
 }
@@ -445,14 +434,13 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
                            LEVELS_OF_IMAGE, __global const int *restrict starts,
                            __global const int *restrict binned,
                            __global int *restrict layout, PLACES_OF_BOARD, __global int *owner,
-                           __global uchar *used, __global uchar *tried, __global int *candidate,
+                           __global uchar *used, __global int *candidate,
                            __global float2 *found, __global int *listed, __global int *asked,
                            __global int *claim, __global int *marks, __global int *lists,
                            const int places) {
   const int width = layout[BOARD_COLUMNS], height = layout[BOARD_ROWS];
-  __local int counts[LISTS], nodes, candidates;
+  __local int counts[LISTS], candidates;
   FOR_ALL(kind, LISTS) counts[kind] = 0;
-  if (get_local_id(0) == 0) nodes = layout[NODES];
   ALL_TOGETHER;
   const int edge = MARGIN - 1; /* there is no node beyond it yet */
   const int down = LARGER(height - 2 * edge, 0), across = LARGER(width - 2 * edge, 0);
@@ -460,33 +448,29 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
     const int place = (edge + k / across) * width + edge + k % across;
     if (!IS_HERE(seen[place])) {
       if (is_beside_nodes(seen, place, width)) list_place(OF_PLACES, LOOKED, place);
-    } else if (is_weak(width, place, score)) {
+    } else if (score[place] < 0) {
       list_place(OF_PLACES, JUDGED, place);
     }
   }
   ALL_TOGETHER;
   for (int round = 1;;) {
     FOR_LISTED(JUDGED) {
-      if (!is_weak(width, place, score)) continue;
       if (owner[place] >= 0) used[owner[place]] = 0;
       owner[place] = NONE;
       seen[place] = (float2)(NAN, NAN);
       torn[place] = 0;
       list_place(OF_PLACES, CHANGED, place);
-      atomic_add(&nodes, -1);
     }
-    if (get_local_id(0) == 0) {
-      candidates = 0;
-    }
+    if (get_local_id(0) == 0) candidates = 0;
     ALL_TOGETHER;
     empty_list(OF_PLACES, JUDGED);
-    const bool looks = !counts[CHANGED] && nodes >= 4;
+    const bool looks = !counts[CHANGED];
     if (looks) {
       FOR_LISTED(ASKING)
         if (asked[place] != ASKED(asked[place] / 2)) list_place(OF_PLACES, LOOKED, place);
       ALL_TOGETHER;
       FOR_LISTED(LOOKED) {
-        if (IS_HERE(at[place]) || tried[place]) continue;
+        if (IS_HERE(at[place])) continue;
         const Candidate own = candidate_at(corners, capacity, LEVELS, layout, width, place,
                                            PARITY_OF(place / width, place % width), starts, binned,
                                            at, cells, used);
@@ -508,11 +492,9 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
       if (own >= 0 && claim[own] != place) continue;
       owner[place] = own;
       seen[place] = found[place];
-      tried[place] = 1;
       torn[place] = own == PLACE || IS_TORN(own);
       if (own >= 0) used[own] = 1;
       list_place(OF_PLACES, CHANGED, place);
-      atomic_add(&nodes, 1);
     }
     ALL_TOGETHER;
     FOR_ALL(k, candidates) {
@@ -520,20 +502,22 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
       if (own >= 0) claim[own] = INT_MAX;
     }
     if (!counts[CHANGED]) return;
-    list_around(OF_PLACES, CHANGED, NEAR, 2, BLENDED, true, width, seen);
+    list_around(OF_PLACES, CHANGED, NEAR, 2, BLENDED, width, seen);
     FOR_LISTED(BLENDED)
       if (blend(PLACES, width, place)) list_place(OF_PLACES, MOVED, place);
     ALL_TOGETHER;
-    list_around(OF_PLACES, MOVED, NEAR, 1, MEASURED, true, width, seen);
+    list_around(OF_PLACES, MOVED, NEAR, 1, MEASURED, width, seen);
     FOR_LISTED(MEASURED)
       measure(LEVELS, PLACES, width, place, PARITY_OF(place / width, place % width));
     if (looks && round++ == ROUNDS) return;
     FOR_LISTED(BLENDED) list_place(OF_PLACES, SCORED, place);
     ALL_TOGETHER;
-    list_around(OF_PLACES, MEASURED, NEAR, 3, SCORED, true, width, seen);
-    FOR_LISTED(SCORED) score_node(PLACES, width, place);
+    list_around(OF_PLACES, MEASURED, NEAR, 3, SCORED, width, seen);
+    FOR_LISTED(SCORED) {
+      score_node(PLACES, width, place);
+      if (score[place] < 0) list_place(OF_PLACES, JUDGED, place);
+    }
     ALL_TOGETHER;
-    list_around(OF_PLACES, SCORED, 1, 2, JUDGED, false, width, seen);
     for (int kind = CHANGED; kind <= SCORED; ++kind) empty_list(OF_PLACES, kind);
     ALL_TOGETHER;
   }

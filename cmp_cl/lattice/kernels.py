@@ -15,7 +15,7 @@ from cmp_cl.stages.refine import RESULT_FIELDS, RESULT_HEAD
 
 FILES = ("bins", "lattice")  # the type of pixels matters for the first alone
 DIRECTIONS = 1024  # unit vectors in a full turn
-PARTS, VOTES, LAYOUT = 7, 9, 10  # in the layout, see kernels/lattice.clh; numbers in all
+PARTS, VOTES, LAYOUT = 6, 8, 9  # in the layout, see kernels/lattice.clh; numbers in all
 ROUNDS = 12  # times that nodes are looked for
 LISTS = 8  # of places, see `settle_nodes`
 ROUGH, FIRM = 1, 2  # kinds of a node
@@ -74,7 +74,7 @@ def sizes(*, corners: int, places: int, rows: int, columns: int, step: int) -> d
         **{"used": 1, "cut": 4, "steps": 64, "state": 64},
     }
     of_places = {
-        **dict.fromkeys(("torn", "rough", "tried", "node_kind"), 1),
+        **dict.fromkeys(("torn", "rough", "node_kind"), 1),
         **dict.fromkeys(("owner", "cell", "score", "candidate", "listed", "asked"), 4),
         **dict.fromkeys(("marks", "spread", "node_owner", "node_spread"), 4),
         **dict.fromkeys(("seen", "at", "result", "sides", "cells", "found", "nodes"), 8),

@@ -315,8 +315,7 @@ def settled(
 ) -> Board:
     """Return the board after rounds of dropping nodes and finding others, until none changes it.
 
-    A missing place beside a node takes the free corner near its prediction, else the prediction. It
-    does so once: a place whose node is dropped after that stays empty.
+    A missing place beside a node takes the free corner near its prediction, else the prediction.
 
     xy: (N, 2), all corners. torn: (N,), those whose refinement was rejected. sigma: (N,), px, of
     the others, NaN where unknown. taken: (N,), those of
@@ -325,12 +324,9 @@ def settled(
     """
     corners, edge = at_of(*xy.T), F(k.contrast_radius_px)
     bottom, right = (F(size - 1) - edge for size in plane.shape)
-    tried = np.zeros(board.x.shape, np.bool_)
     for _ in range(ROUNDS):
         board = dropped(plane, board, k)
         there = board.there
-        if np.count_nonzero(there) < 4:
-            break
         now = evidence(plane, board, k)
         place, weight = predicted(now.at, k)
         beside = np.zeros(there.shape, np.bool_)
@@ -338,7 +334,7 @@ def settled(
             beside |= shifted(there, *step, False)
         inside = (place.real > edge) & (place.real < right)
         inside &= (place.imag > edge) & (place.imag < bottom)
-        want = ~there & ~tried & beside & now.steps.known & (weight > 0) & inside
+        want = ~there & beside & now.steps.known & (weight > 0) & inside
         row, column = (each.astype(np.int64) for each in np.nonzero(want))
         if not len(row):
             break
@@ -360,22 +356,15 @@ def settled(
         take &= _first_claims(new_owner, take)
         if not take.any():
             break
-        tried |= take
         board = replaced(board, take, new, new_owner, new_torn)
     blend = result(board, np.where(torn, F(np.nan), sigma), k)
     return dataclasses.replace(blend, firm=firm(plane, board, blend.torn, k))
 
 
 def dropped(plane: Plane, board: Board, k: LatticeConstants) -> Board:
-    """Return the board without nodes that score too little, the worst of each 3 x 3 first."""
+    """Return the board without nodes that score too little."""
     while True:
-        now = evidence(plane, board, k)
-        score, there = now.score, board.there
-        worst = np.full(score.shape, F(99))
-        for i in range(-1, 2):
-            for j in range(-1, 2):
-                worst = np.fmin(worst, shifted(score, i, j, np.nan))
-        bad = there & (score < 0) & (score <= worst)
+        bad = board.there & (evidence(plane, board, k).score < 0)
         if not bad.any():
             return board
         board = replaced(board, bad, NOWHERE, NONE, False)
