@@ -18,7 +18,6 @@ import numpy as np
 from environment import run
 from peers import PEERS, Pattern, available
 from scenes import DENSITIES, INDENTERS, SEVERITIES, TEST_SEED, rendered
-from tqdm import tqdm
 
 from cmp_cl.synthetic import Mode, Scene, random_scene
 from cmp_cl.synthetic.scoring import Score, total
@@ -65,8 +64,7 @@ def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     for markers in densities:
         pattern = Pattern(markers)
         used: list[methods.Method] = []
-        kinds = tqdm(list(scenes(markers, severities, repeats)), unit=" kinds of scenes")
-        for number, some in enumerate(kinds):
+        for number, some in enumerate(scenes(markers, severities, repeats)):
             frames = [rendered(scene) for scene in some]
             if not used:
                 used = methods.used(pattern, frames[0].image.shape, names)

@@ -68,19 +68,13 @@ def _good_features(settings: Settings, pattern: Pattern) -> Detect:
     count = pattern.views * (pattern.markers + settings["margin"]) ** 2
     given = count, settings["quality"], settings["distance"]
     sizes = {"blockSize": settings["block"], "gradientSize": settings["gradient"]}
-    return lambda image: _points(cv2.goodFeaturesToTrack(image, *given, mask=None, **sizes))
-
-
-def _good_features_refined(settings: Settings, pattern: Pattern) -> Detect:
-    coarse = _good_features(settings, pattern)
     window = (settings["window"], settings["window"])
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, settings["rounds"], 0.01)
 
     def detect(image: np.ndarray) -> np.ndarray:
-        xy = coarse(image)
-        if not len(xy):
-            return xy
-        start = np.ascontiguousarray(xy.reshape(-1, 1, 2))
+        start = cv2.goodFeaturesToTrack(image, *given, mask=None, **sizes)
+        if start is None:
+            return _points(None)
         return cv2.cornerSubPix(image, start, window, (-1, -1), criteria).reshape(-1, 2)
 
     return detect
@@ -191,6 +185,7 @@ def _libcbdetect(settings: Settings, pattern: Pattern) -> Detect:
 
 # mrgingham, Debian: its binding belongs to the system's Python, so it runs in a process of its own
 
+_PYTHON = "/usr/bin/python3"
 _WORKER = """
 import struct, sys, time
 import mrgingham, numpy
@@ -211,35 +206,20 @@ class _Mrgingham:
     """A process that runs mrgingham. `seconds`: the time of the last call, taken inside it."""
 
     def __init__(self) -> None:
-        python = os.environ.get("MRGINGHAM_PYTHON", "/usr/bin/python3")
-        try:
-            check = subprocess.run([python, "-c", "import mrgingham"], capture_output=True)
-        except OSError as error:
-            raise Unavailable(f"no {python} to run mrgingham in: {error}") from error
-        if check.returncode:
+        if subprocess.run([_PYTHON, "-c", "import mrgingham"], capture_output=True).returncode:
             raise Unavailable("not installed; apt-get install python3-mrgingham")
-        self._process = subprocess.Popen(
-            [python, "-c", _WORKER], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-        )
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        self._process = subprocess.Popen([_PYTHON, "-c", _WORKER], **pipes)
         self.seconds = 0.0
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         to, back = self._process.stdin, self._process.stdout
-        if to is None or back is None:
-            raise Unavailable("mrgingham's process has no pipes")
         to.write(struct.pack("<qq", *image.shape) + image.tobytes())
         to.flush()
         self.seconds, size = struct.unpack("<dq", back.read(16))
         return np.frombuffer(back.read(8 * size), np.float64).reshape(-1, 2)
 
 
-_FEATURES: dict[str, list[Any]] = {
-    "margin": [2, 0],
-    "quality": [0.01, 0.05, 0.15],
-    "distance": [8, 6, 4],
-    "block": [3, 5, 7],
-    "gradient": [3, 5],
-}
 _CHESS: dict[str, list[Any]] = {
     "threshold": [0.2, 0.05, 0.1, 0.15, 0.3, 0.4],
     "sigma": [0.0, 0.7, 1.0, 1.3],
@@ -249,11 +229,18 @@ _SPECTRUM = {**_CHESS, "weight": [1.0, 0.5, 0.75]}
 _LEAN: dict[str, list[Any]] = {"threshold": [100.0, 10.0, 20.0, 30.0, 50.0, 200.0]}
 
 PEERS: dict[str, Peer] = {
-    "good_features": Peer("goodFeaturesToTrack", _good_features, _FEATURES),
-    "good_features_refined": Peer(
+    "good_features": Peer(
         "goodFeaturesToTrack + cornerSubPix",
-        _good_features_refined,
-        {**_FEATURES, "window": [3, 2, 4, 5], "rounds": [20, 5]},
+        _good_features,
+        {
+            "margin": [2, 0],
+            "quality": [0.01, 0.05, 0.15],
+            "distance": [8, 6, 4],
+            "block": [3, 5, 7],
+            "gradient": [3, 5],
+            "window": [3, 2, 4, 5],
+            "rounds": [20, 5],
+        },
     ),
     "find_chessboard": Peer(
         "findChessboardCorners",
@@ -304,7 +291,7 @@ def available() -> list[str]:
         try:
             peer.make(peer.settings(40), Pattern(40))
             names.append(name)
-        except Unavailable as reason:
+        except (Unavailable, OSError) as reason:  # a system without that Python
             print(f"left out: {peer.label}: {reason}")
     return names
 

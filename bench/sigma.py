@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from environment import run
 from scenes import DENSITIES, INDENTERS, SEVERITIES, TEST_SEED, rendered
-from tqdm import tqdm
 
 from cmp_cl import Detector, GridError
 from cmp_cl.grid.grid import MEASURED
@@ -94,7 +93,7 @@ def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     detectors: dict[int, Detector] = {}
     groups: dict[tuple[str, float, float, float], list[Errors]] = defaultdict(list)
     lost = 0
-    for scene in tqdm(list(scenes(arguments.quick)), unit=" scenes"):
+    for scene in scenes(arguments.quick):
         detector = detectors.setdefault(scene.markers, Detector(shape=scene.shape))
         found = measured(scene, detector)
         lost += found is None

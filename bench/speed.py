@@ -24,7 +24,7 @@ from cmp_cl import Corners, Detector
 from cmp_cl.synthetic.scoring import Score, total
 
 SCENES: dict[str, Callable[[int], View]] = {"vga": vga, "wide": wide}
-SHORT = ("good_features_refined", "chess_corners_saddle", "chess_opencl", "spectrum_opencl")
+SHORT = ("good_features", "chess_corners_saddle", "chess_opencl", "spectrum_opencl")
 BLOCK = 8  # frames of a turn
 MANY = 16  # frames in a stream, and in a batch
 

@@ -1,7 +1,7 @@
 """Attacks on the numbers that a frame takes from the one before it: what is accepted, and wrong.
 
     python bench/tracking.py --quick       some minutes
-    python bench/tracking.py               2100 jumps, twenty minutes
+    python bench/tracking.py               1400 jumps, a quarter of an hour
 
 A board of 24 x 24 corners is drawn at rest, once more after a small motion, and then after a jump
 that no camera should see: the frames in between are missing. The detector finds the corners, so
@@ -11,10 +11,8 @@ of tracking:
     jump            shift, turn and zoom of the whole board, up to three cells
     slip            each of the 40 of whole cells of the right colour, up to four, in turn: every
                     corner is where one was
-    push            parts of the board, by up to three cells in their middle, steep
-    wide push       the same, wider and less steep
+    push            parts of the board, by up to three cells in their middle, steep or wide
     hidden slip     a slip, and an object hides one of its sides
-    slip at squares a slip, and squares like those of the board appear beside it
 """
 
 import argparse
@@ -28,12 +26,12 @@ from environment import run
 
 from cmp_cl import DetectorConfig, GridError, NodeStatus
 from cmp_cl.measure import OneView
-from cmp_cl.synthetic.boards import BLACK, WHITE, View, drawn, samples
+from cmp_cl.synthetic.boards import View, drawn, samples
 
 NODES, CELL, SIDE, FINE = 24, 15.0, 480, 2
 SIZE = SIDE, SIDE
 WRONG = 0.35  # cells from its node that a corner has the number of
-KINDS = ("jump", "slip", "push", "wide push", "hidden slip", "slip at squares")
+KINDS = ("jump", "slip", "push", "hidden slip")
 GROUPS, EACH = 14, 25  # frames at rest, and jumps from each
 SLIPS = [
     (across, down)
@@ -73,19 +71,9 @@ def seen(
     surround: np.ndarray,
     rng: np.random.Generator,
     hidden: np.ndarray | None = None,
-    squares: tuple[int, int] | None = None,
 ) -> View:
-    """Return a view. hidden: samples behind an object. squares: a side, and the lines of squares
-    that appear there."""
+    """Return a view. hidden: samples behind an object."""
     front, (x, y) = np.nan, samples(SIZE, FINE)
-    if squares is not None:
-        side, lines = squares
-        u, v = pose(x, y)
-        away = (-1 - u, u - NODES, -1 - v, v - NODES)[side]
-        along = v if side < 2 else u
-        shown = (away >= 0) & (away < lines) & (along > 2) & (along < NODES - 3)
-        black = (np.floor(u) + np.floor(v)) % 2 == 0
-        surround = np.where(shown, np.where(black, BLACK, WHITE), surround)
     if hidden is not None:
         front = np.where(hidden, 90 + 30 * np.sin(x / 7) * np.sin(y / 9), np.nan)
     return drawn(
@@ -104,13 +92,9 @@ def seen(
 
 def surround_of(rng: np.random.Generator) -> np.ndarray:
     """Return an even surround, or one with clouds or with a texture of corners."""
-    size = SIDE * FINE, SIDE * FINE
-    kind = rng.choice(3, p=(0.4, 0.4, 0.2))
-    if kind == 0:
-        return np.full(size, 120.0)
-    rough = 22 if kind == 1 else 40
-    cloud = cv2.resize(rng.normal(0, 1, (rough, rough)), size, interpolation=cv2.INTER_CUBIC)
-    return 120 + 40 * cloud
+    rough = rng.choice([1, 22, 40], p=(0.4, 0.4, 0.2))
+    cloud = rng.normal(0, 1, (rough, rough))
+    return 120 + 40 * cv2.resize(cloud, (SIDE * FINE, SIDE * FINE), interpolation=cv2.INTER_CUBIC)
 
 
 def jump(
@@ -123,9 +107,9 @@ def jump(
         size = rng.choice([0.5, 1.5, 3.0])
         shift = shift + rng.uniform(-size, size, 2)
         turn, zoom = turn + rng.normal() * 0.02 * size, zoom * (1 + rng.normal() * 0.01 * size)
-    elif "push" in kind:
+    elif kind == "push":
         for _ in range(rng.integers(1, 3)):
-            width = rng.uniform(6, 14) if kind == "wide push" else rng.uniform(1.5, 4.5)
+            width = rng.uniform(1.5, 14)
             far = rng.uniform(0.2, min(3.2, width / 0.62))
             way = rng.uniform(0, 2 * np.pi)
             column, row = rng.uniform(-1, NODES, 2)
@@ -144,8 +128,6 @@ def jump(
         hidden = place < -inside if side % 2 == 0 else place > inside
         along, ends = (y if side < 2 else x), np.sort(rng.uniform(0, SIDE, 2))
         also["hidden"] = hidden & ((along > ends[0]) & (along < ends[1]) | (rng.random() < 0.5))
-    elif kind == "slip at squares":
-        also["squares"] = side, int(rng.integers(1, 5))
     return pose, also
 
 

@@ -73,7 +73,7 @@ def test_the_search_for_settings_runs(script, monkeypatch, tmp_path):
     small = {"DENSITIES": (20,), "SEVERITIES": (0.25,), "SCENES_EACH": 1}
     for constant, value in {**small, "FOUND_SETTINGS": tmp_path / "found.json"}.items():
         monkeypatch.setattr(search, constant, value)
-    assert search.main(["good_features"]) == 0
+    assert search.main(["find_chessboard"]) == 0
     assert (tmp_path / "found.json").is_file()
 
 
