@@ -261,6 +261,28 @@ def test_a_pattern_beyond_the_view_is_tracked_though_it_is_turned(degrees):
         assert np.nanmax(np.linalg.norm(off, axis=2)) < 0.3
 
 
+def test_a_pattern_beyond_the_view_is_tracked_while_lines_come_into_view_and_leave_it():
+    sheet, _ = drawn(40, 40)
+    steps = (0, 4, 9, 14, 19, 24, 26)
+    frames = [np.ascontiguousarray(sheet[200:560, 200 - x : 620 - x]) for x in steps]
+    with OneView(frames[0], track=True) as following:
+        found = list(map(following, frames))
+    assert [each.tracked for each in found] == [False] + 6 * [True]
+    for x, each in zip(steps, found, strict=True):
+        off = each.field.displacement - (x, 0)
+        assert each.field.valid.mean() > 0.9
+        assert np.nanmax(np.linalg.norm(off, axis=2)) < 0.3
+
+
+def test_a_slip_shows_at_a_side_where_the_pattern_ends():
+    sheet, _ = drawn(40, 40)
+    rest, slipped = (np.ascontiguousarray(sheet[30 - y : 390 - y, 200:620]) for y in (0, 20))
+    with OneView(rest, track=True) as following:
+        assert following.rest_grids[0].border == (True, False, False, False)
+        found = list(map(following, (rest, rest, slipped)))
+    assert [each.tracked for each in found] == [False, True, False]
+
+
 def test_a_tracked_frame_says_what_its_kernels_took(film):
     with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES, profile=True) as following:
         following(film[0])

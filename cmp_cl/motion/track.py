@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from itertools import compress
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -49,25 +50,34 @@ class Tracked:
     gone: tuple[int, ...] = (0, 0, 0, 0)
     adrift: int = 0
 
-    def holds(self, shape: tuple[int, int], at_rest: "Tracked | None" = None) -> bool:
+    def holds(
+        self,
+        shape: tuple[int, int],
+        at_rest: "Tracked | None" = None,
+        ends: tuple[bool, ...] = (True, True, True, True),
+    ) -> bool:
         """Return whether the numbers of the frame before hold for a lattice of that shape.
 
-        A lattice that slips by whole cells has free corners beyond a side, or loses a whole side.
+        A lattice that slips by whole cells has free corners beyond a side at which the pattern
+        ends, or loses the whole side; at others, lines come into view and leave it.
         at_rest: what is found there: free corners beyond a side, where squares meet the surround,
-        and nodes that the view does not show.
+        and nodes that the view does not show. ends: whether the pattern ends at each side.
         """
         rest = at_rest or Tracked()
         rows, columns = shape
-        sides = columns, columns, rows, rows
-        more = [now - before for now, before in zip(self.beyond, rest.beyond, strict=True)]
-        gone = zip(self.gone, rest.gone, sides, strict=True)
+        every = self.beyond, self.gone, rest.beyond, rest.gone, (columns, columns, rows, rows)
+        beyond, gone, usual, missing, sides = (list(compress(each, ends)) for each in every)
+        more = [now - before for now, before in zip(beyond, usual, strict=True)]
         return (
             self.lost - rest.lost <= LOST * (rows * columns - rest.lost)
             and self.crossed <= CROSSED * rows * columns
             and self.adrift <= ADRIFT * rows * columns
-            and sum(more) <= BEYOND * sum(sides) + 2 * math.sqrt(sum(rest.beyond))
+            and sum(more) <= BEYOND * sum(sides) + 2 * math.sqrt(sum(usual))
             and all(each <= BEYOND_ONE * side for each, side in zip(more, sides, strict=True))
-            and all(now - before <= GONE * (side - before) for now, before, side in gone)
+            and all(
+                now - before <= GONE * (side - before)
+                for now, before, side in zip(gone, missing, sides, strict=True)
+            )
         )
 
 
@@ -108,6 +118,7 @@ class Tracker:
         self.capacity = multiple(max(LEAST_ROOM, 2 * rows * columns), GROUP)
         self._at_rest = [Tracked()] * len(views)
         self._known = [np.count_nonzero(grid.valid) for grid, _ in views]
+        self._ends = [grid.border or NO_SIDES for grid, _ in views]
         self.room = multiple(rows * columns, GROUP)  # of second looks
         self._first_count = len(views) * LISTS
         self._bin = max(_LEAST_BIN, _BIN * min(_step(grid) for grid, _ in views))
@@ -241,8 +252,10 @@ class Tracker:
         arrays: of the frame, see `FieldPlan.read`. corners: their number in each view.
         """
         return max(corners) <= self.capacity and all(
-            each.holds(self.shape, at_rest)
-            for each, at_rest in zip(self.found(arrays), self._at_rest, strict=True)
+            each.holds(self.shape, at_rest, ends)
+            for each, at_rest, ends in zip(
+                self.found(arrays), self._at_rest, self._ends, strict=True
+            )
         )
 
     def know_rest(self, arrays: Mapping[str, NDArray[Any]]) -> None:
