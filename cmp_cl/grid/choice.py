@@ -279,7 +279,7 @@ def chosen_of(boards: Iterable[Found], asked: Asked, count: int) -> tuple[Found 
 
     Raises GridError if two are comparable, or the board holds few of the corners that no other has.
     """
-    found = by_size(boards)
+    found = by_size(boards if asked.like else _until_two(boards, asked.shape))
     if not found:
         return None, NOTHING
     others = 0
@@ -308,6 +308,18 @@ def chosen_of(boards: Iterable[Found], asked: Asked, count: int) -> tuple[Found 
         Told(0 if fits else chosen.beyond, Others.BESIDE),
     )
     return chosen, next((each for each in told if each.number), NOTHING)
+
+
+def _until_two(found: Iterable[Found], shape: tuple[int, int] | None) -> Iterator[Found]:
+    """Yield the boards, up to the second of two that leave no choice: those after it need not be
+    laid out."""
+    whole: list[Found] = []
+    for each in found:
+        yield each
+        if each.is_whole if shape is None else each.fills(shape):
+            if whole and each.is_comparable(whole[0]):
+                return
+            whole.append(each)
 
 
 def _alike(found: list[Found]) -> tuple[Found, int]:
