@@ -25,6 +25,7 @@ from cmp_cl.reference.lattice.parts import (
     at_of,
     depth_within,
     dot,
+    in_view,
     inverse_root,
     length_of,
     read,
@@ -322,8 +323,7 @@ def settled(
     other boards. `board` has positions as seen, and says which are torn; the result has the blended
     positions, and which are rough.
     """
-    corners, edge = at_of(*xy.T), F(k.contrast_radius_px)
-    bottom, right = (F(size - 1) - edge for size in plane.shape)
+    corners = at_of(*xy.T)
     for _ in range(ROUNDS):
         board = dropped(plane, board, k)
         there = board.there
@@ -332,9 +332,7 @@ def settled(
         beside = np.zeros(there.shape, np.bool_)
         for step in FOUR:
             beside |= shifted(there, *step, False)
-        inside = (place.real > edge) & (place.real < right)
-        inside &= (place.imag > edge) & (place.imag < bottom)
-        want = ~there & beside & now.steps.known & (weight > 0) & inside
+        want = ~there & beside & now.steps.known & (weight > 0) & in_view(plane.shape, place)
         row, column = (each.astype(np.int64) for each in np.nonzero(want))
         if not len(row):
             break
