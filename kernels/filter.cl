@@ -35,10 +35,6 @@
 __constant float DIAGONAL[7] = {5 / 231.0f,  -30 / 231.0f, 75 / 231.0f, 131 / 231.0f,
                                 75 / 231.0f, -30 / 231.0f, 5 / 231.0f};
 
-/* Nodes without a vote now. */
-#define MISSING_NOW \
-  (counts[HOLES] + counts[REJECTED] + counts[REJECTED + 1] + counts[REJECTED + 2])
-
 /* Whether the pilot's window around a node holds enough votes. */
 int is_supported(const int row, const int column, __global const uchar *votes) {
   const int top = WINDOW_START(row, PILOT_DOWN, ROWS);
@@ -53,11 +49,11 @@ int is_supported(const int row, const int column, __global const uchar *votes) {
  * too few. Its vote: 0, 1, or 2 if the pilot's window holds enough of them. It is a number, since
  * NVIDIA's compiler (580.159) made others of bytes in the loops over a row of 33 to 40 nodes. */
 void fill_node(const int i, __global const float *moved, __global const uchar *votes,
-               __global const int *counts, __global float *data, __global float *vote) {
+               __global float *data, __global float *vote) {
   const int row = i / COLUMNS, column = i % COLUMNS, at = IN_LINE(i);
   for (int k = 0; k < K; ++k) data[k * PLANE + at] = votes[i] ? moved[k * NODES + i] : 0.0f;
   if (votes[i]) {
-    vote[at] = MISSING_NOW == 0 || is_supported(row, column, votes) ? 2.0f : 1.0f;
+    vote[at] = is_supported(row, column, votes) ? 2.0f : 1.0f;
     return;
   }
   vote[at] = 0;
@@ -82,9 +78,9 @@ void fill_node(const int i, __global const float *moved, __global const uchar *v
 
 /* Fill the holes. One work-item a node. */
 __kernel void fill(__global const float *moved, __global const uchar *votes,
-                   __global const int *counts, __global float *data, __global float *vote) {
+                   __global float *data, __global float *vote) {
   const int i = get_global_id(0);
-  if (i < NODES) fill_node(i, moved, votes, counts, data, vote);
+  if (i < NODES) fill_node(i, moved, votes, data, vote);
 }
 
 /* Apply a filter along the columns for eight nodes of a row. */
@@ -170,10 +166,10 @@ void left_by_diagonal(const int row, const int estimate, __global const float *d
 #define OF_PILOT \
   __global float *data, __global const float *pilot_down, __global const float *pilot_along
 #define NOISE_READS \
-  bound_rest, own, measured, bends, counts, votes, variance, chosen, common
+  bound_rest, own, measured, bends, rejected, votes, variance, chosen, common
 #define OF_NOISE                                                                             \
   __global const float *bound_rest, __global const float *own, __global const uchar *measured, \
-      const int bends, __global int *counts, __global uchar *votes, __global float *variance,  \
+      const int bends, __global int *rejected, __global uchar *votes, __global float *variance,  \
       __global float *chosen, __global float *common
 #define BOTH_READ vote, pilot_own_down, pilot_own_along, rows_noise, size, near
 #define OF_BOTH                                                            \
@@ -291,7 +287,7 @@ void noise_of_eight(const int row, const int c, const int round, OF_BOTH, OF_NOI
         largest = fmax(largest, SURPRISE(r * COLUMNS + t, r * LINE + t));
     if (!unsupported && here < largest) continue;
     votes[node] = 0;
-    atomic_inc(counts + REJECTED + round);
+    atomic_inc(rejected + round);
   }
 }
 
@@ -307,8 +303,8 @@ __kernel void noise(OF_BOTH, OF_NOISE) {
  * work-group: a launch for each step of each round would cost more than all of them mostly do. */
 __kernel void settle(__global const float *moved, OF_PILOT, OF_BOTH, OF_NOISE) {
   const int first = get_local_id(0), items = get_local_size(0);
-  for (int round = 1; round <= ROUNDS && counts[REJECTED + round - 1] > 0; ++round) {
-    for (int i = first; i < NODES; i += items) fill_node(i, moved, votes, counts, data, vote);
+  for (int round = 1; round <= ROUNDS && rejected[round - 1] > 0; ++round) {
+    for (int i = first; i < NODES; i += items) fill_node(i, moved, votes, data, vote);
     barrier(CLK_GLOBAL_MEM_FENCE);
     for (int i = first; i < ESTIMATES * ROWS; i += items)
       pilot_of_row(i % ROWS, i / ROWS, PILOT_READS, BOTH_READ);
@@ -466,9 +462,9 @@ __kernel void finish(__global const float *moved, __global const float *values,
                      __global const uchar *valid,
                      __global float *displacement, __global float *raw_displacement,
                      __global float *covariance, __global float *raw_covariance,
-                     __global int *counts) {
+                     __global int *rejected) {
   const int i = get_global_id(0);
-  if (i <= ROUNDS) counts[i] = 0; /* the next frame counts from 0 */
+  if (i < ROUNDS) rejected[i] = 0; /* the next frame counts from 0 */
   if (i >= NODES) return;
   if (!valid[i]) {
     for (int k = 0; k < K; ++k) displacement[k * NODES + i] = raw_displacement[k * NODES + i] = NAN;
@@ -476,7 +472,7 @@ __kernel void finish(__global const float *moved, __global const float *values,
       covariance[p * NODES + i] = raw_covariance[p * NODES + i] = NAN;
     return;
   }
-  const int rejected = measured[i] == DETECTED && !votes[i], at = IN_LINE(i);
+  const int keeps_own = measured[i] == DETECTED && !votes[i], at = IN_LINE(i);
   float before = variance[at], after = votes[i] ? mixed_variance[at] : before, off = 0;
   for (int k = 0; k < K; ++k) {
     const float gap = moved[k * NODES + i] - values[k * PLANE + at];
@@ -487,12 +483,12 @@ __kernel void finish(__global const float *moved, __global const float *values,
   if (alone > 0) {
     before = alone;
     if (votes[i]) after += mixed_own[at] * mixed_own[at] * alone;
-    else if (rejected || (IS_ROUGH(i) && !is_supported(i / COLUMNS, i % COLUMNS, votes)))
+    else if (keeps_own || (IS_ROUGH(i) && !is_supported(i / COLUMNS, i % COLUMNS, votes)))
       after = alone;
   }
   for (int k = 0; k < K; ++k) {
     const float seen = moved[k * NODES + i];
-    const float found = rejected || isnan(after) ? seen : values[k * PLANE + at];
+    const float found = keeps_own || isnan(after) ? seen : values[k * PLANE + at];
     displacement[k * NODES + i] = found - bent[k * NODES + i];
     raw_displacement[k * NODES + i] = seen;
   }

@@ -15,14 +15,13 @@ __kernel void in_plane(__global const float2 *nodes, __global const uchar *seen_
                        __global const float *rest_points, __global const float *rest_bent,
                        __global float *moved, __global float *points, __global float *own,
                        __global float *bent, __global uchar *status, __global uchar *source,
-                       __global uchar *valid, __global uchar *measured, __global uchar *votes,
-                       __global int *counts) {
+                       __global uchar *valid, __global uchar *measured, __global uchar *votes) {
   const int i = get_global_id(0);
   if (i >= NODES) return;
   __global const REAL *h = homography;
   const int now = seen_status[i] != MISSING ? VALID : MISSING;
   const int good = judge(i, now, seen_status[i], rest_status, rest_source, status, source, valid,
-                         measured, votes, counts);
+                         measured, votes);
   const REAL x = nodes[i].x, y = nodes[i].y, share = 1 / (h[6] * x + h[7] * y + h[8]);
   const REAL u = share * (h[0] * x + h[1] * y + h[2]), v = share * (h[3] * x + h[4] * y + h[5]);
   const REAL slope[4] = {share * (h[0] - u * h[6]), share * (h[1] - u * h[7]),

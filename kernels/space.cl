@@ -242,8 +242,7 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
                     __global const float *rest_bent, __global float *moved,
                     __global float *points, __global float *own, __global float *bent,
                     __global float *misfit, __global uchar *status, __global uchar *source,
-                    __global uchar *valid, __global uchar *measured, __global uchar *votes,
-                    __global int *counts) {
+                    __global uchar *valid, __global uchar *measured, __global uchar *votes) {
   const int first = WIDTH * get_global_id(0);
   if (first >= NODES) return;
   BY_LANE pixel_of[4], weight_of[2], bend_in[4];
@@ -324,7 +323,7 @@ __kernel void space(__global const float2 *nodes, __global const uchar *seen_sta
     for (int j = 0; j < 2; ++j)
       misfit[j * NODES + i] = seen_by_both ? (float)misfit_of[j].each[lane] : NAN;
     const int good = judge(i, now, worst, rest_status, rest_source, status, source, valid, measured,
-                           votes, counts);
+                           votes);
     const REAL trace = v[0].each[lane] + v[3].each[lane] + v[5].each[lane];
     own[IN_LINE(i)] = good && known ? (float)(trace / 3) : NAN;
     for (int k = 0; k < 3; ++k) {

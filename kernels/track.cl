@@ -268,9 +268,8 @@ int predicted_by_lines(const int i, __global const float2 *at, float2 *place) {
 }
 
 /* A node that failed, or that is far from what the nodes around predict, is looked at a second
- * time: refinement starts at a free corner near the place where it is expected, or there. For that
- * it is listed in `looks` as kernels/result.clh lists corners; `look` is its place in that list,
- * NONE for the others.
+ * time: refinement starts where it is expected. For that it is listed in `looks` as
+ * kernels/result.clh lists corners; `look` is its place in that list, NONE for the others.
  *
  * Free corners where a line beyond a side would be are counted, and failed nodes that have a corner
  * near: where corners moved too far they have one, where they are torn they have none. One work-item
@@ -301,10 +300,8 @@ __kernel void check(CORNERS_IN_BINS, __global const int *claims, __global const 
     const float2 place =
         astray ? mean : moved_as_others(i, at, rest + view * NODES, kept + view * NODES);
     expected[OF_NODE] = place;
-    NEAREST(place, NEAR_CELLS * cell, claims[CORNERS + j] == 0)
     const float2 last_pixel = (float2)(image_columns - 1, image_rows - 1);
-    const float2 from = best >= 0 ? corners[CORNERS + best].xy : place;
-    const float2 start = fmin(fmax(from, 0.0f), last_pixel); /* NaN becomes 0 */
+    const float2 start = fmin(fmax(place, 0.0f), last_pixel); /* NaN becomes 0 */
     const int slot = (int)atomic_inc(look_counts + first_count + view);
     look[OF_NODE] = slot;
     __global int *entry = looks + view * LOOKS + slot;

@@ -120,7 +120,7 @@ def filtered(
     inputs["valid"][:] = there
     inputs["measured"][:] = np.where(there, measured, 0)
     inputs["votes"][:] = votes
-    results.arrays["counts"][:] = (there.size - np.count_nonzero(votes), *ROUNDS * [0])
+    results.arrays["rejected"][:] = 0
     plan.inputs.upload()
     results.upload()
     enqueue(queue, plan.launches)
@@ -148,7 +148,7 @@ class LatticeFilter:
     own, bound_rest: (R, C and more columns that are not used), of which the sum is the largest
     variance of the noise. valid, measured, votes: (R, C), the nodes with a value, the source of
     those that have a vote, and these.
-    results: holds the arrays of `layout`; in counts, the number of nodes without a vote, then 0.
+    results: holds the arrays of `layout`; rejected is 0.
     """
 
     def __init__(
@@ -197,8 +197,8 @@ class LatticeFilter:
 
         displacement, raw_displacement: K planes (R, C), NaN where not valid. covariance,
         raw_covariance: 6 planes xx xy xz yy yz zz, or the variance per axis. variance: (R, C and
-        more columns that are not used), of the noise before the filter. counts: nodes without a
-        vote, and those that each round has rejected; 0 at the end.
+        more columns that are not used), of the noise before the filter. rejected: the nodes that
+        each round has rejected; 0 at the end.
         """
         planes = _planes(
             shape,
@@ -210,7 +210,7 @@ class LatticeFilter:
         return {
             **planes,
             "variance": (in_lines_of(shape), np.float32),
-            "counts": ((1 + ROUNDS,), np.int32),
+            "rejected": ((ROUNDS,), np.int32),
         }
 
     def _tables(self) -> dict[str, NDArray[Any]]:

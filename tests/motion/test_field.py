@@ -205,7 +205,7 @@ def test_the_field_is_the_oracles(run, case, views, lens, window):
     rig = rig_with(lens, window)
     seen = seen_by(views, rig, *pressed(case, rig, 3))
     _, results, field = run(*seen)
-    assert not results["counts"].any()  # the next frame counts from 0
+    assert not results["rejected"].any()  # the next frame counts from 0
     wanted = expected(*seen)
     found = wanted.found
     assert found.margin > 1e-3, "the case tests a bound"
