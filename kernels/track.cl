@@ -3,7 +3,7 @@
 
 /* The nodes of a frame from those of the frame before. A check can only make a node fail, never
  * give it another number. A corner is (x, y, angle, sigma): px of the view; its first boundary,
- * rad, NaN if unknown; px, negative if it is torn, NaN if it is unknown, and then it is torn too.
+ * rad, NaN if unknown; px, NaN if unknown.
  * Each view has at most CAPACITY corners, and NODES nodes; dimension 1 of a launch is the view.
  *
  * `result` has the corners of all views as kernels/result.clh lays them out: `stride` numbers for a
@@ -16,16 +16,11 @@
 #if !defined(HEAD) || !defined(EDGES_FIELD) || !defined(METHOD_FIELD) || !defined(VARIANCE_FIELD)
 #error "HEAD and the fields of a result must be defined"
 #endif
-#define TORN_PX 0.15f           /* a corner whose sigma is not below it is torn */
 #define CENTROID 0
 #define SAME_PX 0.5f            /* a corner so near is the same */
 
-#define NEAR_CELLS 0.3f /* from the prediction, of the smaller local step */
-#define ALONE_CELLS 0.5f /* no second corner may be as near as that */
+#define NEAR_CELLS 0.3f /* from a prediction */
 #define ALIKE_CELLS 0.18f /* from the mean residual of the neighbours */
-#define STRAY_CELLS 0.3f /* from the prediction of the nodes around */
-#define STRAY_TORN_CELLS 0.07f
-#define STRAY_PX 1.0f
 #define LEAST_AROUND 16 /* nodes that say where one without a corner is */
 #define ADRIFT_CELLS 0.75f /* a free corner so near to a lost node may be its own */
 #define ATTACHED 2
@@ -36,11 +31,10 @@
 
 /* What is counted in each view; a side is top, bottom, left or right. */
 #define LOST 0    /* nodes without a corner */
-#define CROSSED 1 /* nodes whose corner has the other colour */
-#define BEYOND 2  /* free corners beyond a side, where the next line would be */
-#define GONE 6    /* lost nodes on a side */
-#define ADRIFT 10 /* lost nodes near a corner that is not like those of the neighbours */
-#define COUNTED 11
+#define BEYOND 1  /* free corners beyond a side, where the next line would be */
+#define GONE 5    /* lost nodes on a side */
+#define ADRIFT 9  /* lost nodes near a corner that is not like those of the neighbours */
+#define COUNTED 10
 
 /* The status of a node with this corner. */
 #define STATUS_OF(corner) (isnan((corner).w) ? ATTACHED : DETECTED)
@@ -126,10 +120,8 @@ __kernel void place(__global const float *result, const uint stride, const uint 
   VIEW
   RESULT_OF_VIEW(result, stride, room)
   if (i >= min(count, CAPACITY)) return;
-  const float sigma = sqrt(variances[i]);
-  const int whole = sigma < TORN_PX && refusals[i] == 0;
   const float4 corner =
-      (float4)(fields[2 * i], fields[2 * i + 1], edges[4 * i], whole ? sigma : -sigma);
+      (float4)(fields[2 * i], fields[2 * i + 1], edges[4 * i], sqrt(variances[i]));
   corners[CORNERS + i] = corner;
   const int at = BINS + BIN_ROW(corner.y) * bin_columns + BIN_COLUMN(corner.x);
   claims[CORNERS + i] = 0;
@@ -141,10 +133,9 @@ __kernel void place(__global const float *result, const uint stride, const uint 
   __global const float4 *corners, const float bins_per_px, const int bin_rows,       \
       const int bin_columns, __global const int *first_of_bin, __global const int *next
 
-/* Find the allowed corner nearest to a place within `reach`, of equally near ones the first, and
- * count them. */
+/* Find the allowed corner nearest to a place within `reach`, of equally near ones the first. */
 #define NEAREST(place, reach, IS_ALLOWED)                                           \
-  int best = NONE, within = 0;                                                      \
+  int best = NONE;                                                                  \
   float best_2 = (reach) * (reach);                                                 \
   float2 best_off = 0;                                                              \
   for (int y = BIN_ROW((place).y - (reach)); y <= BIN_ROW((place).y + (reach)); ++y) \
@@ -153,7 +144,6 @@ __kernel void place(__global const float *result, const uint stride, const uint 
         const float2 off = corners[CORNERS + j].xy - (place);                       \
         const float off_2 = off.x * off.x + off.y * off.y; /* dot is a call on PoCL */  \
         if (!(off_2 < (reach) * (reach)) || !(IS_ALLOWED)) continue;                \
-        ++within;                                                                   \
         if (best >= 0 && (off_2 > best_2 || (off_2 == best_2 && j > best))) continue; \
         best = j;                                                                   \
         best_2 = off_2;                                                             \
@@ -164,21 +154,18 @@ __kernel void place(__global const float *result, const uint stride, const uint 
  * node. */
 __kernel void match(CORNERS_IN_BINS, __global const float2 *last,
                     __global const float2 *predicted, __global const int *colour,
-                    __global int *nearest, __global float2 *residual, __global int *claims,
-                    __global int *tracked) {
+                    __global int *nearest, __global float2 *residual, __global int *claims) {
   VIEW
   if (i >= NODES) return;
   STEPS(last + view * NODES)
   const float cell = sqrt(fmin(dot(along, along), dot(down, down)));
   const float2 place = predicted[OF_NODE];
-  NEAREST(place, ALONE_CELLS * cell, 1)
-  if (within != 1 || !(best_2 < NEAR_CELLS * NEAR_CELLS * cell * cell)) best = NONE;
+  NEAREST(place, NEAR_CELLS * cell, 1)
   residual[OF_NODE] = best_off;
   if (best >= 0) {
-    if (!has_colour(corners[CORNERS + best].z, along, down, i, colour[view])) {
-      best = OTHER_COLOUR;
-      atomic_inc(tracked + view * COUNTED + CROSSED);
-    } else atomic_inc(claims + CORNERS + best);
+    if (has_colour(corners[CORNERS + best].z, along, down, i, colour[view]))
+      atomic_inc(claims + CORNERS + best);
+    else best = OTHER_COLOUR;
   }
   nearest[OF_NODE] = best;
 }
@@ -189,7 +176,7 @@ __kernel void agree(__global const float4 *corners, __global const float2 *last,
                     __global const float2 *predicted, __global int *nearest,
                     __global const float2 *residual, __global const int *claims,
                     __global float2 *nodes, __global uchar *seen_status,
-                    __global float *seen_sigma, __global uchar *torn, __global int *kept,
+                    __global float *seen_sigma, __global int *kept,
                     __global int *tracked) {
   VIEW
   if (i >= NODES) return;
@@ -212,8 +199,7 @@ __kernel void agree(__global const float4 *corners, __global const float2 *last,
   kept[OF_NODE] = good ? j : NONE;
   nodes[OF_NODE] = good ? corners[CORNERS + j].xy : predicted[OF_NODE] + mean;
   seen_status[OF_NODE] = good ? STATUS_OF(corners[CORNERS + j]) : MISSING;
-  seen_sigma[OF_NODE] = good ? fabs(corners[CORNERS + j].w) : NAN;
-  torn[OF_NODE] = !(good && corners[CORNERS + j].w > 0);
+  seen_sigma[OF_NODE] = good ? corners[CORNERS + j].w : NAN;
   if (good) return;
   __global int *own = tracked + view * COUNTED;
   atomic_inc(own + LOST);
@@ -276,7 +262,7 @@ int predicted_by_lines(const int i, __global const float2 *at, float2 *place) {
  * a node. */
 __kernel void check(CORNERS_IN_BINS, __global const int *claims, __global const int *nearest,
                     __global const int *kept, __global const float2 *nodes,
-                    __global const uchar *torn, __global const float2 *rest,
+                    __global const float2 *rest,
                     const int image_rows, const int image_columns, __global float2 *expected,
                     __global int *look, __global int *looks, const uint look_length,
                     __global uint *look_counts, const uint first_count, __global int *tracked) {
@@ -288,9 +274,8 @@ __kernel void check(CORNERS_IN_BINS, __global const int *claims, __global const 
   float2 mean;
   const int between = predicted_by_lines(i, at, &mean);
   const float cell = (length(along) + length(down)) / 2, off = length(at[i] - mean);
-  const float most = torn[OF_NODE] ? STRAY_TORN_CELLS : STRAY_CELLS;
   const int lost = kept[OF_NODE] < 0;
-  const int astray = !lost && between && off > STRAY_PX && off > most * cell;
+  const int astray = !lost && between && off > NEAR_CELLS * cell;
   look[OF_NODE] = NONE;
   if (lost) {
     NEAREST(at[i], ADRIFT_CELLS * cell, claims[CORNERS + j] == 0)
@@ -322,8 +307,7 @@ __kernel void check(CORNERS_IN_BINS, __global const int *claims, __global const 
 
 /* A node takes what its second look has found, if it is near the expected place and has the right
  * colour. A corner there that is free, or was its own, is its corner. A node that nothing is found
- * for keeps a corner that is not too far; else it stays at that place, INTERPOLATED between two
- * neighbours. One work-item a node. */
+ * for stays at that place, INTERPOLATED between two neighbours. One work-item a node. */
 __kernel void enter(__global const float *look_result, const uint look_stride,
                     CORNERS_IN_BINS, __global const int *claims, __global const int *kept,
                     __global const int *look, __global const float2 *expected,
@@ -341,19 +325,16 @@ __kernel void enter(__global const float *look_result, const uint look_stride,
   const float2 place = expected[OF_NODE];
   if (n < count && refusals[n] == 0 && methods[n] != CENTROID) {
     const float2 found = (float2)(fields[2 * n], fields[2 * n + 1]);
-    const float deviation = sqrt(variances[n]), off = length(found - place);
-    const float most = deviation < TORN_PX ? NEAR_CELLS : STRAY_TORN_CELLS;
-    if ((off < most * cell || off < STRAY_PX) &&
+    if (length(found - place) < NEAR_CELLS * cell &&
         has_colour(edges[4 * n], along, down, i, colour[view])) {
       NEAREST(found, SAME_PX, claims[CORNERS + j] == 0 || j == before_look)
       owner[OF_NODE] = best;
       nodes[OF_NODE] = best >= 0 ? corners[CORNERS + best].xy : found;
       seen_status[OF_NODE] = best < 0 ? SECOND_LOOK : STATUS_OF(corners[CORNERS + best]);
-      seen_sigma[OF_NODE] = best >= 0 ? fabs(corners[CORNERS + best].w) : deviation;
+      seen_sigma[OF_NODE] = best >= 0 ? corners[CORNERS + best].w : sqrt(variances[n]);
       return;
     }
   }
-  if (before_look >= 0 && length(nodes[OF_NODE] - place) < STRAY_CELLS * cell) return;
   const int near[4] = {before, behind, above, below};
   int there[4];
   for (int k = 0; k < 4; ++k) {

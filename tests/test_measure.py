@@ -127,7 +127,7 @@ def torn(node, half, by):
         (enlarged, enlarged, lambda grid: np.nanmedian(grid.image_sigma) > 0.2),
         (grainy, grainy, lambda grid: np.nanmedian(grid.image_sigma) > 0.05),
         (np.copy, torn((5, 6), 4, 2), lambda grid: grid.status[5, 6] == NodeStatus.ATTACHED),
-        (np.copy, torn((7, 7), 2, 3), lambda grid: grid.status[7, 7] == NodeStatus.SECOND_LOOK),
+        (np.copy, torn((5, 6), 2, 4), lambda grid: grid.status[5, 6] == NodeStatus.SECOND_LOOK),
     ],
     ids=["enlarged", "grainy", "torn, attached", "torn, looked at again"],
 )

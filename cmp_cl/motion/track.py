@@ -23,13 +23,12 @@ from cmp_cl.stages.plan import Plan
 from cmp_cl.stages.refine import EDGES, METHOD, RESULT_FIELDS, RESULT_HEAD, VARIANCE
 
 LOST = 0.10  # largest share of the nodes without a corner
-CROSSED = 0.02  # largest share of the nodes whose corner has the other colour
 BEYOND = 0.05  # largest share of the nodes of all sides beyond which a free corner is
 BEYOND_ONE = 0.25  # the same of one side
 ADRIFT = 0.005  # largest share of the nodes that are lost beside a corner
 GONE = 0.50  # largest share of a side's nodes that are lost
 KNOWN = 0.95  # least share of the nodes that the frame at rest must show
-COUNTED = 11  # numbers for each view, as in kernels/track.cl
+COUNTED = 10  # numbers for each view, as in kernels/track.cl
 LEAST_ROOM = 4096  # corners of a view
 _BIN = 1.0  # cells at rest: side of a bin
 _LEAST_BIN = 4.0  # px
@@ -39,13 +38,12 @@ _LEAST_BIN = 4.0  # px
 class Tracked:
     """What tracking found in a view.
 
-    lost, crossed: nodes without a corner, and with one of the other colour. beyond, gone: by side
-    (top, bottom, left, right), the free corners beyond it and its lost nodes. adrift: lost nodes
-    beside a corner that may be theirs.
+    lost: nodes without a corner. beyond, gone: by side (top, bottom, left, right), the free corners
+    beyond it and its lost nodes. adrift: lost nodes beside a corner that may be theirs, or that has
+    the other colour.
     """
 
     lost: int = 0
-    crossed: int = 0
     beyond: tuple[int, ...] = (0, 0, 0, 0)
     gone: tuple[int, ...] = (0, 0, 0, 0)
     adrift: int = 0
@@ -70,7 +68,6 @@ class Tracked:
         more = [now - before for now, before in zip(beyond, usual, strict=True)]
         return (
             self.lost - rest.lost <= LOST * (rows * columns - rest.lost)
-            and self.crossed <= CROSSED * rows * columns
             and self.adrift <= ADRIFT * rows * columns
             and sum(more) <= BEYOND * sum(sides) + 2 * math.sqrt(sum(usual))
             and all(each <= BEYOND_ONE * side for each, side in zip(more, sides, strict=True))
@@ -133,7 +130,6 @@ class Tracker:
                 "predicted": ((*nodes, 2), np.float32),
                 "residual": ((*nodes, 2), np.float32),
                 "nearest": (nodes, np.int32),
-                "torn": (nodes, np.uint8),
                 "first_of_bin": ((self._count, *self._bins), np.int32),
                 "next": (corners, np.int32),
                 "claims": (corners, np.int32),
@@ -176,7 +172,7 @@ class Tracker:
         nodes: (V, R, C, 2) float32, px of the view, complete: a node without a position has a
             prediction. seen_status: (V, R, C) uint8 of `NodeStatus`. seen_sigma: (V, R, C) float32,
             px, not positive if unknown. owner: (V, R, C) int32, the corner of each node, -1 without
-            one. tracked: (V, 11) int32, what was counted.
+            one. tracked: (V, 10) int32, what was counted.
         """
         nodes = (views, *shape)
         return {
@@ -267,10 +263,9 @@ class Tracker:
         return [
             Tracked(
                 lost=counts[0],
-                crossed=counts[1],
-                beyond=tuple(counts[2:6]),
-                gone=tuple(counts[6:10]),
-                adrift=counts[10],
+                beyond=tuple(counts[1:5]),
+                gone=tuple(counts[5:9]),
+                adrift=counts[9],
             )
             for counts in arrays["tracked"].tolist()
         ]

@@ -8,7 +8,7 @@ import pytest
 from lattices import corners_at, keep
 from stereo_data import grid_of
 
-from cmp_cl.grid.grid import Sides
+from cmp_cl.grid.grid import NodeStatus, Sides
 from cmp_cl.motion.nodes import put
 from cmp_cl.motion.track import Tracker, colour_of
 from cmp_cl.opencl.launches import enqueue
@@ -36,13 +36,13 @@ def whole(xy):
     return dataclasses.replace(grid_of(xy, 0.03), border=Sides(True, True, True, True))
 
 
-def board_at(xy, *, turn=0.05, torn=()):
+def board_at(xy, *, turn=0.05):
     """Return the corners of a checkerboard whose nodes (R, C, 2) are there."""
     r, c = np.indices(xy.shape[:2])
     angle = np.where((r + c) % 2, np.pi / 2, 0.0).ravel() + turn
-    sigma = np.full(angle.size, 0.04)
-    sigma[list(torn)] = 0.3
-    return corners_at(xy, sigma=sigma, edges=angle[:, None] + (0, 1.6, 3.1, -1.5))
+    return corners_at(
+        xy, sigma=np.full(angle.size, 0.04), edges=angle[:, None] + (0, 1.6, 3.1, -1.5)
+    )
 
 
 def joined(one, other):
@@ -52,11 +52,8 @@ def joined(one, other):
 
 
 def records(corners):
-    """Return what the kernels take of corners, (N, 4): x, y, first boundary, sigma, negative for
-    torn ones."""
-    whole = (corners.sigma < 0.15) & (corners.refusal == 0)
-    sigma = np.where(whole, corners.sigma, -corners.sigma)
-    return np.column_stack([corners.xy, corners.edges[:, 0], sigma]).astype(np.float64)
+    """Return what the kernels take of corners, (N, 4): x, y, first boundary, sigma."""
+    return np.column_stack([corners.xy, corners.edges[:, 0], corners.sigma]).astype(np.float64)
 
 
 def result_of(found, room):
@@ -129,11 +126,12 @@ def test_nodes_are_those_of_the_oracle(tracker_of):
         for view in range(2):
             shift = np.array([1.5 + view, 0.7]) * (frame + 1)
             xy = rest + shift + rng.normal(0, 0.2, rest.shape)
-            xy[4, 4] += 2.6  # torn, astray
+            xy[4, 4] += 2.6
+            xy[12, 12, 1] += min(2.8 * frame, 5.6)  # astray
             xy[7, 7] += 4.0  # not alike
             xy[10, 3, 0] += 2.2  # whole, and near enough
             xy[9, 9] += 30.0
-            corners = board_at(xy, torn=[4 * 22 + 4, 20])
+            corners = board_at(xy)
             edges = corners.edges.copy()
             edges[[30, 31], 0] += np.pi / 2  # the other colour
             edges[40] = np.nan
@@ -148,11 +146,13 @@ def test_nodes_are_those_of_the_oracle(tracker_of):
             np.testing.assert_array_equal(arrays["owner"][view], expected.owner)
             np.testing.assert_array_equal(arrays["seen_status"][view], expected.status)
             np.testing.assert_allclose(arrays["nodes"][view], expected.nodes, rtol=0, atol=1e-3)
-            for name in ("crossed", "lost", "adrift"):
+            for name in ("lost", "adrift"):
                 assert getattr(numbers[view], name) == getattr(expected, name), name
             assert numbers[view].beyond == tuple(expected.beyond)
             assert numbers[view].gone == tuple(expected.gone)
             known[view] = expected.nodes, expected.motion, np.isin(expected.status, (1, 2))
+            if frame == 2:
+                assert expected.status[12, 12] == NodeStatus.INTERPOLATED
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 1. A node is expected where it moves on to as it moved last: from corner to corner, or from one
    place where it was taken to be to the next; between the two it keeps the motion that it had. It
-   takes the corner within .3 of the smaller local step there, if no other is within .5.
+   takes the nearest corner within .3 of the smaller local step there.
 2. The colour of the corner must be that of the node: the sine of the angle between its first
    boundary and the lattice's step along the row is smaller than that with the step down the column
    (times their lengths) for one of the two, and larger for the other. An unknown boundary fits.
@@ -12,14 +12,13 @@
 5. A node that fails moves as these neighbours do.
 6. Along its row and its column the nodes around predict a node: with L, LL before it and R, RR
    behind it as (4 (L + R) - LL - RR) / 6, with one on both sides only as (L + R) / 2, which weighs
-   a quarter. A node over 1 px and .3 cell, or with a torn corner .07 cell, from the mean is astray.
+   a quarter. A node over .3 cell from the mean is astray.
 7. Free corners within .3 step of where the next line beyond a side would be are counted, and so are
    failed nodes with a corner at the expected place, or a free one within .75 cell.
-8. A node that fails or is astray is looked at again. If that finds nothing, it keeps a corner
-   within .3 cell of the prediction; else it takes the prediction. For a node that fails this is
-   where it would be if it had moved from rest as the quadratic surface through 16 nodes around, or
-   more, that have corners. It is interpolated if both neighbours along a line have corners and are
-   not astray.
+8. A node that fails or is astray is looked at again. If that finds nothing, it takes the
+   prediction. For a node that fails this is where it would be if it had moved from rest as the
+   quadratic surface through 16 nodes around, or more, that have corners. It is interpolated if both
+   neighbours along a line have corners and are not astray.
 """
 
 import dataclasses
@@ -39,16 +38,14 @@ Bools = NDArray[np.bool_]
 class Found:
     """nodes, motion: (R, C, 2), and how they move on. owner: (R, C), the corner, -1 without one.
     status: (R, C), 0 missing, 1 with a corner, 2 with a rough one, whose sigma is unknown, 4
-    interpolated. crossed, lost, adrift: numbers of nodes with a corner of another colour, that
-    failed, and that failed beside a corner. beyond, gone: (4,), free corners and failed nodes of
-    each side, top, bottom, left, right. margin: the least distance of a quantity from its bound,
-    px."""
+    interpolated. lost, adrift: numbers of nodes that failed, and that failed beside a corner.
+    beyond, gone: (4,), free corners and failed nodes of each side, top, bottom, left, right.
+    margin: the least distance of a quantity from its bound, px."""
 
     nodes: Floats
     motion: Floats
     owner: Ints
     status: Ints
-    crossed: int
     lost: int
     adrift: int
     beyond: Ints
@@ -60,26 +57,25 @@ def track(
     rest: Floats, nodes: Floats, motion: Floats, seen: Bools, corners: Floats, colour: int
 ) -> Found:
     """Follow the nodes (R, C, 2) of a frame, `rest` those at rest, to the corners (N, 4): x, y,
-    angle, sigma, negative for torn ones. motion: (R, C, 2), how they move on. seen: (R, C), those
+    angle, sigma. motion: (R, C, 2), how they move on. seen: (R, C), those
     that have corners. colour: 1 if corners of even row + column have their first boundary along the
     row, else -1."""
     shape = nodes.shape[0], nodes.shape[1]
     expected = nodes + motion
-    before_step = along, down = _steps(nodes)
+    along, down = _steps(nodes)
     step = np.minimum(np.linalg.norm(along, axis=2), np.linalg.norm(down, axis=2))
     owner = np.full(shape, -1, np.int32)
     residual = np.zeros((*shape, 2))
     there = np.zeros(shape, np.bool_)  # whether a corner is at the expected place
-    crossed, margins = 0, [np.inf]
+    margins = [np.inf]
     for node in np.ndindex(*shape):
         off = corners[:, :2] - expected[node]
         far = np.linalg.norm(off, axis=1)
         if not len(far):
             continue
         nearest = int(far.argmin())
-        margins += [abs(far[nearest] - 0.3 * step[node]), np.abs(far - 0.5 * step[node]).min()]
-        near = far < 0.5 * step[node]
-        if not far[nearest] < 0.3 * step[node] or np.count_nonzero(near) > 1:
+        margins.append(abs(far[nearest] - 0.3 * step[node]))
+        if not far[nearest] < 0.3 * step[node]:
             continue
         residual[node] = off[nearest]
         there[node] = True
@@ -89,7 +85,6 @@ def track(
         fit = sign * (abs(_cross(edge, down[node])) - abs(_cross(along[node], edge)))
         margins += [abs(fit)] if np.isfinite(fit) else []
         if fit <= 0:
-            crossed += 1
             continue
         owner[node] = nearest
     taken = np.bincount(owner[owner >= 0], minlength=len(corners))
@@ -114,11 +109,9 @@ def track(
         prediction = predictions[node]
         if prediction is None:
             continue
-        torn = not corners[kept[node], 3] > 0
         apart = float(np.linalg.norm(moved[node] - prediction))
-        most = max(1.0, (0.07 if torn else 0.3) * float(cell[node]))
-        margins.append(abs(apart - most))
-        astray[node] = apart > most
+        margins.append(abs(apart - 0.3 * float(cell[node])))
+        astray[node] = apart > 0.3 * float(cell[node])
     free = corners[taken == 0, :2]
     beyond = np.zeros(4, np.int32)
     for side, (line, inside, *_) in enumerate(ways(moved)):
@@ -135,7 +128,6 @@ def track(
         margins.append(abs(gap - 0.75 * cell[node]))
         adrift += bool(there[node] or gap < 0.75 * cell[node])
     gone = [np.count_nonzero(line) for line, *_ in ways(lost)]
-    step = (np.linalg.norm(before_step[0], axis=2) + np.linalg.norm(before_step[1], axis=2)) / 2
     good = ~lost & ~astray
     final, owner = moved.copy(), kept.copy()
     rough = np.isnan(corners[:, 3])[kept] if len(corners) else np.zeros(shape, np.bool_)
@@ -145,11 +137,6 @@ def track(
         place = prediction
         if place is None or lost[node]:
             place = rest[node] + _surface(node, moved - rest, ~lost)
-        apart = float(np.linalg.norm(moved[node] - place))
-        if not lost[node]:
-            margins.append(abs(apart - 0.3 * step[node]))
-            if apart < 0.3 * step[node]:
-                continue
         final[node], owner[node] = place, -1
         sides = [_inside(n, shape) and bool(good[n]) for n in _beside(node)]
         status[node] = 4 if all(sides[:2]) or all(sides[2:]) else 0
@@ -159,7 +146,6 @@ def track(
         motion=np.where(alike[..., None], final - nodes, motion),
         owner=owner,
         status=status,
-        crossed=crossed,
         lost=int(np.count_nonzero(lost)),
         adrift=adrift,
         beyond=beyond,
