@@ -276,7 +276,7 @@ def test_a_pattern_beyond_the_view_is_tracked_while_lines_come_into_view_and_lea
 
 def test_a_slip_shows_at_a_side_where_the_pattern_ends():
     sheet, _ = drawn(40, 40)
-    rest, slipped = (np.ascontiguousarray(sheet[30 - y : 390 - y, 200:620]) for y in (0, 20))
+    rest, slipped = (np.ascontiguousarray(sheet[y : 360 + y, 200:620]) for y in (0, 40))
     with OneView(rest, track=True) as following:
         assert following.rest_grids[0].border == (True, False, False, False)
         found = list(map(following, (rest, rest, slipped)))
