@@ -46,16 +46,17 @@ def calibrated(seen, size=SIZE, **settings):
     return calibrate(seen, spacing=20, sizes=dict.fromkeys(seen, size), **settings)
 
 
-def rig_views(count=12, noise=0.05, seed=3, tilt=0.5, shared=False, printed=0.0):
+def rig_views(count=12, noise=0.05, seed=3, tilt=0.5, shared=False, printed=0.0, bend=0.0):
     """Return views of a board of 3 mm squares in the two cameras of the toed-in rig.
 
     shared: neighbours have nearly the same noise. printed: by how much its corners are off, mm, but
-        for the size of the squares.
+        for the size of the squares. bend: of the board, 1/mm.
     """
     rng = np.random.default_rng(seed)
     board = flat_board(7, 10) * 3 / 20
     off = np.random.default_rng(seed).normal(0, printed, board.shape) * [1, 1, 0]
     board += off - board * (off * board).sum() / np.square(board).sum()
+    board[..., 2] += bend * (np.square(board[..., 0]) - board[..., 0] * board[..., 1])
     seen = {"left": [], "right": []}
     for _ in range(count):
         rotation = cv2.Rodrigues(rng.uniform(-tilt, tilt, 3))[0]
@@ -241,6 +242,29 @@ def test_the_covariance_of_a_rig_is_that_of_its_errors(printed):
         off = np.einsum("nij,ni->nj", axes, xyz - truth.reshape(-1, 3))
         ratios.append((off / np.sqrt(values))[:, 2])
     assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.5
+
+
+def test_a_bent_board_does_not_bend_the_rig():
+    """It is as far from flat as thin cardboard, 0.2 mm of 27."""
+    scores = []
+    for seed in range(6):
+        found = rig_of(rig_views(count=10, seed=seed, bend=0.001))
+        rig, truth = found.rig(), toed_in_rig()
+        off = np.array([rig.K1[0, 0] - truth.K1[0, 0], *(rig.T - truth.T)])
+        scores.append(off / np.sqrt(np.diag(rig.covariance)[[0, 19, 20, 21]]))
+        board = flat_board(7, 10) * 3 / 20
+        height = 0.001 * (board[..., 0] ** 2 - board[..., 0] * board[..., 1]).ravel()
+        plane = np.column_stack([board.reshape(-1, 3)[:, :2], np.ones(len(height))])
+        height -= plane @ np.linalg.lstsq(plane, height, rcond=None)[0]
+        assert found.flatness == pytest.approx(np.ptp(height), rel=0.1)
+    # From 24 numbers, the ratio has a standard error of 15 %.
+    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.5
+
+
+def test_few_views_or_rows_do_not_tell_whether_a_board_is_flat():
+    assert math.isnan(rig_of(rig_views(count=9)).flatness)
+    two_rows = calibrated(views({"a": THREE["a"]}, board=flat_board(2, 9)))
+    assert math.isnan(two_rows.flatness)
 
 
 def test_opencvs_pairs_measure_a_board_in_a_view_that_calibration_did_not_see():

@@ -221,6 +221,8 @@ def _report(found: Calibration, names: Mapping[str, list[str]]) -> None:
             f"{matrix[1, 2]:.1f}){pose}"
         )
     print(f"all views: {found.error:.3f} px")
+    if np.isfinite(found.flatness):
+        print(f"the board is flat to {found.flatness:.3g} mm")
     if len(names) == 2 and all(each.lens is not Lens.FISHEYE for each in found.cameras.values()):
         rig = found.rig()
         pairs = [pair for pair in zip(*found.grids.values(), strict=True) if None not in pair]

@@ -1,7 +1,8 @@
 """The last step of a calibration: cameras and poses of the board are adjusted together.
 
 Any number of cameras look at one board at any number of moments. The unknowns are the parameters of
-the cameras and the pose of the board at each moment.
+the cameras, the pose of the board at each moment, and the bend of the board, the same at all
+moments. Source of the last: mrcal, https://mrcal.secretsauce.net, whose board has two curvatures.
 """
 
 import dataclasses
@@ -19,6 +20,7 @@ Array = NDArray[np.float64]
 _STEPS = 50
 _SMALL = 1e-9  # relative decrease of the cost at which the iteration ends
 _DAMPING = 1e-6  # the first one, a share of the diagonal
+BEND = 3  # parameters of a bent board
 _SINGULAR = 1e-14  # of the scaled equations: below it, a parameter is not determined
 
 
@@ -38,10 +40,15 @@ class Look:
 @dataclasses.dataclass(frozen=True, eq=False)
 class State:
     """The cameras (C, P), see `cmp_cl.space.lens`, and the poses of the board in the first camera's
-    frame (M, 6)."""
+    frame (M, 6).
+
+    bend: (3,), half the curvatures of the board, one over squares: z = bend . (x^2, xy, y^2). Where
+    x and y begin does not matter: it turns and moves the board. (0,) for a flat board.
+    """
 
     cameras: Array
     poses: Array
+    bend: Array
 
 
 def residuals(look: Look, state: State) -> Array:
@@ -114,28 +121,32 @@ def _equations(looks: Sequence[Look], state: State) -> tuple[Array, Array]:
     free = unknowns(state.cameras)
     number = np.cumsum(free).reshape(free.shape) - 1
     poses = number[-1, -1] + 1
-    size = poses + state.poses.size
+    bend = poses + state.poses.size
+    size = bend + state.bend.size
     matrix, right = np.zeros((size, size)), np.zeros(size)
     for look in looks:
-        by_camera, by_pose = _slopes(look, state)
+        by_camera, *by_board = _slopes(look, state)
         chosen = free[look.camera]
         of_pose = poses + POSE * look.moment + np.arange(POSE)
-        column = np.concatenate([number[look.camera][chosen], of_pose])
-        slopes = np.concatenate([by_camera[..., chosen], by_pose], axis=2).reshape(-1, len(column))
+        column = np.concatenate([number[look.camera][chosen], of_pose, np.arange(bend, size)])
+        slopes = np.concatenate([by_camera[..., chosen], *by_board], axis=2)
+        slopes = slopes.reshape(-1, len(column))
         matrix[np.ix_(column, column)] += slopes.T @ slopes
         right[column] += slopes.T @ residuals(look, state).ravel()
     return matrix, right
 
 
-def _slopes(look: Look, state: State) -> tuple[Array, Array]:
-    """Return the derivatives of the projection by the camera, (N, 2, P), and by the pose of the
-    board, (N, 2, 6), px."""
+def _slopes(look: Look, state: State) -> tuple[Array, Array, Array]:
+    """Return the derivatives of the projection by the camera, (N, 2, P), by the pose of the board,
+    (N, 2, 6), and by its bend, (N, 2, 3), px."""
     camera, pose = state.cameras[look.camera], state.poses[look.moment]
     by_turn = np.asarray(cv2.Rodrigues(pose[:3])[1], np.float64).reshape(3, 3, 3)
     by_camera = projected(_placed(look, state), camera)[1]
     by_point = by_camera[..., -3:] @ rotation_of(camera)
-    turning = np.einsum("kij,nj->nik", by_turn, look.nodes)
-    return by_camera, np.concatenate([by_point @ turning, by_point], axis=2)
+    turning = np.einsum("kij,nj->nik", by_turn, _bent(look, state))
+    by_height = by_point @ rotation_of(pose)[:, 2:]
+    by_bend = by_height * heights(look.nodes)[:, None, : len(state.bend)]
+    return by_camera, np.concatenate([by_point @ turning, by_point], axis=2), by_bend
 
 
 def _step(matrix: Array, right: Array, damping: float) -> Array:
@@ -150,7 +161,8 @@ def _moved(state: State, step: Array) -> State:
     free, cameras = unknowns(state.cameras), state.cameras.copy()
     count = int(np.count_nonzero(free))
     cameras[free] += step[:count]
-    return State(cameras, state.poses + step[count:].reshape(-1, POSE))
+    of_poses, of_bend = np.split(step[count:], [state.poses.size])
+    return State(cameras, state.poses + of_poses.reshape(-1, POSE), state.bend + of_bend)
 
 
 def _shared_variance(looks: Sequence[Look], state: State, inverse: Array) -> float:
@@ -181,16 +193,17 @@ def _shared_variance(looks: Sequence[Look], state: State, inverse: Array) -> flo
 
 def _without_poses(looks: Sequence[Look], state: State) -> tuple[Array, Array]:
     """Return the derivatives of all corners by the unknown parameters of the cameras, (N, 2, n),
-    with each board at its best pose, and the residuals, (N, 2), px."""
+    with the board at its best poses and bend, and the residuals, (N, 2), px."""
     matrix, _ = _equations(looks, state)
     free = unknowns(state.cameras)
     count = int(np.count_nonzero(free))
-    by_pose = np.linalg.solve(matrix[count:, count:], matrix[count:, :count])
+    by_board = np.linalg.solve(matrix[count:, count:], matrix[count:, :count])
+    by_pose, by_bend = np.split(by_board, [state.poses.size])
     by_pose = by_pose.reshape(-1, POSE, count)
     every = []
     for look in looks:
-        by_camera, pose = _slopes(look, state)
-        slopes = -pose @ by_pose[look.moment]
+        by_camera, pose, bend = _slopes(look, state)
+        slopes = -pose @ by_pose[look.moment] - bend @ by_bend
         own = np.zeros(free.shape, bool)
         own[look.camera] = free[look.camera]
         slopes[..., own[free]] += by_camera[..., free[look.camera]]
@@ -201,5 +214,18 @@ def _without_poses(looks: Sequence[Look], state: State) -> tuple[Array, Array]:
 def _placed(look: Look, state: State) -> Array:
     """Return the nodes in the frame of the first camera, (N, 3)."""
     pose = state.poses[look.moment]
-    placed: Array = look.nodes @ rotation_of(pose).T + pose[3:]
+    placed: Array = _bent(look, state) @ rotation_of(pose).T + pose[3:]
     return placed
+
+
+def _bent(look: Look, state: State) -> Array:
+    """Return the nodes of the bent board, (N, 3), squares."""
+    nodes = look.nodes.copy()
+    nodes[:, 2] += heights(nodes)[:, : len(state.bend)] @ state.bend
+    return nodes
+
+
+def heights(nodes: Array) -> Array:
+    """Return the derivatives of the heights of nodes (N, 3) by the bend, (N, 3)."""
+    x, y, _ = nodes.T
+    return np.column_stack([x * x, x * y, y * y])

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.grid import Grid
-from cmp_cl.space.calibration.calibrate import Calibration, Camera
+from cmp_cl.space.calibration.calibrate import ENOUGH_VIEWS, Calibration, Camera
 from cmp_cl.space.lens import Lens, rays_of
 
 _PARTS = [
@@ -18,7 +18,6 @@ _PARTS = [
 COVERAGE = 90  # cells along each side of an image
 _PROBES = 41  # pixels along each side of an image
 _COVERED = 0.3  # share of a part that boards cover; less is worth a word
-_VIEWS = 10  # fewer different views are worth a word
 _ODD = 3.0  # times the median error of a camera's views: a view with more is worth a word
 _TILT, _EITHER_TILT = 15.0, 7.0  # degrees: the largest tilt, and the typical one about each axis
 
@@ -72,8 +71,11 @@ def advice(found: Calibration, names: Mapping[str, Sequence[str]] | None = None)
         which = _listed([str(each) if names is None else names[first][each] for each in group])
         said.append(f"{which} show the same and count as one view; move and tilt the board")
     count = int(np.isfinite(found.normals[:, 0]).sum())
-    if count < _VIEWS:
-        said.append(f"{count} different views; {_VIEWS} or more are better")
+    if count < ENOUGH_VIEWS:
+        said.append(
+            f"{count} different views, too few to tell whether the board is flat; {ENOUGH_VIEWS} "
+            "or more are better"
+        )
     ways = np.array([_long_side(grid) for grid in found.grids[first] if grid is not None])
     if (np.real(ways * ways.mean().conj()) > 0).all():
         said.append(

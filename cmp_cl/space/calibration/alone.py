@@ -69,7 +69,7 @@ def calibrate_alone(name: str, lens: Lens, looks: Sequence[Look], size: tuple[in
     numbered = [
         dataclasses.replace(look, camera=0, moment=moment) for moment, look in enumerate(looks)
     ]
-    spread = covariance(numbered, State(camera[None], np.array(poses)))
+    spread = covariance(numbered, State(camera[None], np.array(poses), np.zeros(0)))
     if spread is None:
         raise CalibrationError(f"{name}: the views do not determine the camera: {cure}")
     share = math.sqrt(float(np.diag(spread)[:2].max())) / camera[0]
