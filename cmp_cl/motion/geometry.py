@@ -32,7 +32,7 @@ class InSpace:
         window = self._rig.window
         return {
             "MEDIA": 0 if window is None else len(window.layers) + 1,
-            "NEAR": "1e-9" if double else "1e-6f",
+            "NEAR": "1e-6" if double else "1e-4f",
             "SMALL": "1e-4" if double else "1e-2f",
             "TINY": "1e-300" if double else "1e-30f",
         }
