@@ -78,7 +78,7 @@ __kernel void cut_board(const uint rows, const uint columns, __global const int 
         const int one = place_on(side, 1, k, box, width);
         const int two = place_on(side, 2, k, box, width);
         const float2 p = 2.0f * result[one] - result[two];
-        counts = owner[one] != NONE && owner[two] != NONE && is_in_view(p, rows, columns);
+        counts = owner[one] != NONE && owner[two] != NONE && is_readable(p, rows, columns);
       }
       if (is_here) atomic_inc(there + side);
       if (counts) atomic_inc(asked + side);
@@ -154,6 +154,10 @@ __kernel void cut_board(const uint rows, const uint columns, __global const int 
   corner_at(nodes, node_owner, place_on(side, line, k, (int4)(0, height, 0, width), width))
 float2 corner_at(__global const float2 *nodes, __global const int *node_owner, const int place) {
   return node_owner[place] >= 0 ? nodes[place] : (float2)(NAN, NAN);
+}
+
+bool is_in_view(const float2 p, const uint rows, const uint columns) {
+  return p.x >= 0 && p.y >= 0 && p.x < (float)columns && p.y < (float)rows;
 }
 
 /* A square at a side: the middle of its side on the last line, and the steps out of the board and

@@ -341,8 +341,10 @@ typedef struct {
   int owner, nearest;
   float2 at;
 } Candidate;
-bool is_in_view(const float2 p, const uint rows, const uint columns) {
-  return p.x >= 0 && p.y >= 0 && p.x < (float)columns && p.y < (float)rows;
+bool is_readable(const float2 p, const uint rows, const uint columns) {
+  const float edge = CONTRAST_RADIUS_PX;
+  return p.x > edge && p.y > edge && p.x < (float)((int)columns - 1) - edge &&
+         p.y < (float)((int)rows - 1) - edge;
 }
 Candidate candidate_at(__global const float *corners, const uint capacity, LEVELS_OF_IMAGE,
                        __global const int *layout, const int width, const int place,
@@ -353,7 +355,7 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
   if (!is_beside_nodes(at, place, width)) return found;
   const Prediction prediction = predicted(at, place, width);
   const float2 p = prediction.at;
-  if (!(prediction.weight > 0) || !is_in_view(p, rows, columns)) return found;
+  if (!(prediction.weight > 0) || !is_readable(p, rows, columns)) return found;
   const Steps steps = steps_of(at, place, width);
   if (!steps.known) return found;
   found.nearest = nearest_corner(corners, capacity, layout, starts, binned, rows, columns, p,

@@ -17,7 +17,7 @@ class LatticeConstants:
     """The constants of the lattice: unit, and meaning.
 
     contrast_radius_px: px, distance from a corner at which the levels of its four cells are
-        read; the inner ring of the detector.
+        read; the inner ring of the detector. No place nearer to the edge of the image gets a node.
     link_neighbours: corners, bins around a corner are added until they hold so many; 24 are the
         places within 2.8 cells, and its own bin is not in their middle. With 24, stretched patterns
         lose 45 of 20 250 nodes.

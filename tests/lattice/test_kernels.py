@@ -263,3 +263,15 @@ def test_places_without_a_corner(device):
     _, board = assert_equal_to_the_oracle(device, image, keep(corners, kept))
     assert np.count_nonzero(board.owner == LOOKED) > 0.05 * len(corners)
     assert np.count_nonzero(board.owner != NONE) > 0.95 * len(corners)
+
+
+def test_a_place_at_the_edge_of_the_image_gets_no_node(device):
+    """Its four cells cannot be read there; corners that are seen there may be nodes."""
+    for first in (28, 37):
+        image = np.ascontiguousarray(gel(0.5)[first:170, first + 9 : 250])
+        corners = detect(image)
+        kept = np.random.default_rng(first).random(len(corners)) < 0.8
+        _, board = assert_equal_to_the_oracle(device, image, keep(corners, kept))
+        looked = np.stack([board.x, board.y], axis=-1)[board.owner == LOOKED]
+        last = np.array(image.shape[::-1]) - 1
+        assert np.minimum(looked, last - looked).min() > K.contrast_radius_px

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cmp_cl.lattice.arrays import UNSEEN, WHOLE, Board
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.reference.lattice.nodes import Plane, inverse, seen_at
-from cmp_cl.reference.lattice.parts import NOWHERE, F, Places, Whole, in_view, length_of, read
+from cmp_cl.reference.lattice.parts import NOWHERE, F, Mask, Places, Whole, length_of, read
 
 PAIRS = 16  # pairs of neighbouring squares of a side that are read
 DEPTHS = range(2, 10)  # steps, where the last squares may end
@@ -22,6 +22,8 @@ def trimmed(board: Board, shape: tuple[int, int], k: LatticeConstants) -> Board:
     """Return the board without empty outer lines, and without those that hold less than
     `least_line` of their places in the image, and less than half of them with firm nodes. A place
     is where the next two lines predict it. The line that lacks most goes first."""
+    rows, columns = np.array(shape) - 1
+    edge = F(k.contrast_radius_px)
     box = [0, board.x.shape[0], 0, board.x.shape[1]]
     while True:
         all_of = board.owner, seen_at(board), board.firm
@@ -37,7 +39,9 @@ def trimmed(board: Board, shape: tuple[int, int], k: LatticeConstants) -> Board:
                 continue
             there = line != -1
             next_one = F(2) * place[1] - place[2]
-            inside = there[1] & there[2] & in_view(shape, next_one)
+            inside = there[1] & there[2]
+            for each, size in ((next_one.real, columns), (next_one.imag, rows)):
+                inside &= (each > edge) & (each < F(size) - edge)
             asked = np.count_nonzero(there[0] | inside)
             lack = F(k.least_line) * F(asked) - F(np.count_nonzero(there[0]))
             if lack > worst and 2 * np.count_nonzero(firm_of[0]) < asked:
@@ -102,6 +106,11 @@ class Sides:
         """Return all in the order of the kernel, after rows, columns and sign."""
         return [*self.room.tolist(), *self.follows.tolist(), *self.reach.tolist()]
 
+    def _in_view(self, at: Places) -> Mask:
+        rows, columns = self.plane.shape
+        inside: Mask = (at.real >= 0) & (at.imag >= 0)
+        return inside & (at.real < F(columns)) & (at.imag < F(rows))
+
     def _has_room(self, at: Places) -> bool:
         known = inside = 0
         far = F(self.k.beyond_cells[0])
@@ -111,7 +120,7 @@ class Sides:
                 continue
             last, before = column[nodes[:2]]
             known += 1
-            inside += bool(in_view(self.plane.shape, last + far * (last - before)))
+            inside += bool(self._in_view(last + far * (last - before)))
         return 2 * inside > known
 
     def _read(self, nodes: Places) -> tuple[bool, np.float32]:
@@ -130,7 +139,7 @@ class Sides:
             return places
 
         cells = [F(each) for each in self.k.beyond_cells]
-        seen = [in_view(self.plane.shape, at(each, F(0))).all(axis=1) for each in cells]
+        seen = [self._in_view(at(depth, F(0))).all(axis=1) for depth in cells]
         near = bool(2 * np.count_nonzero(seen[0]) < asked)
         both = both[seen[near]]
         if not len(both):

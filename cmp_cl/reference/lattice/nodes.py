@@ -25,7 +25,6 @@ from cmp_cl.reference.lattice.parts import (
     at_of,
     depth_within,
     dot,
-    in_view,
     inverse_root,
     length_of,
     read,
@@ -323,7 +322,8 @@ def settled(
     other boards. `board` has positions as seen, and says which are torn; the result has the blended
     positions, and which are rough.
     """
-    corners = at_of(*xy.T)
+    corners, edge = at_of(*xy.T), F(k.contrast_radius_px)
+    bottom, right = (F(size - 1) - edge for size in plane.shape)
     for _ in range(ROUNDS):
         board = dropped(plane, board, k)
         there = board.there
@@ -332,7 +332,9 @@ def settled(
         beside = np.zeros(there.shape, np.bool_)
         for step in FOUR:
             beside |= shifted(there, *step, False)
-        want = ~there & beside & now.steps.known & (weight > 0) & in_view(plane.shape, place)
+        inside = (place.real > edge) & (place.real < right)
+        inside &= (place.imag > edge) & (place.imag < bottom)
+        want = ~there & beside & now.steps.known & (weight > 0) & inside
         row, column = (each.astype(np.int64) for each in np.nonzero(want))
         if not len(row):
             break

@@ -140,13 +140,6 @@ def read(plane: NDArray[np.integer], at: Places) -> Whole:
     return level
 
 
-def in_view(shape: tuple[int, ...], at: Places) -> Mask:
-    """Return which points lie in an image of so many rows and columns."""
-    rows, columns = shape
-    inside: Mask = (at.real >= 0) & (at.imag >= 0)
-    return inside & (at.real < F(columns)) & (at.imag < F(rows))
-
-
 # --- corners and links --------------------------------------------------------------------
 
 
