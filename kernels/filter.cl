@@ -230,8 +230,9 @@ __kernel void pilot(OF_PILOT, OF_BOTH) {
  * are chosen, the least of it and of an upper bound and, if the values may bend sharply, of five
  * estimates; the covariance of the coordinates over its mean diagonal; and a node whose residual is
  * too large loses its vote, and so does a rough one that the pilot's window does not support. The
- * freedom of the lengths of residuals is the effective number of their directions. The upper bound is the sum of that at rest and of the variance of the points now. round: of the search
- * for outliers; the last one rejects none. */
+ * freedom of the lengths of residuals is the effective number of their directions. The upper bound is
+ * the sum of that at rest and of the variance of the points now. round: of the search for outliers;
+ * the last one rejects none. */
 #define SURPRISE(i, at) (size[at] * (IS_ROUGH(i) ? ROUGH_COUNTS : 1))
 void noise_of_eight(const int row, const int c, const int round, OF_BOTH, OF_NOISE) {
   const float8 none_near = NONE_NEAR, unknown = NAN, smallest = LEAST_VARIANCE;
