@@ -174,9 +174,9 @@ def drawn(rng):
     )
 
 
-def fitted(rig, rest, **changes):
+def fitted(rig, rest, stepped=None, **changes):
     given = {"pitch": PITCH, "media": MEDIA, "index_sigma": 0.0}
-    return calibrate_window(rig, rest, **(given | changes))
+    return calibrate_window(rig, rest, stepped=stepped, **(given | changes))
 
 
 def errors(window):
@@ -237,12 +237,35 @@ def test_errors_that_neighbours_share_make_a_window_less_certain():
     assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.5
 
 
+def test_noise_of_the_depth_does_not_move_a_window():
+    """It makes the sides of a square longer, and turns them as it does so."""
+    rng, scores = np.random.default_rng(8), []
+    for _ in range(8):
+        found = fitted(RIG, views(pattern(tilt=(0.0, 0.4)), rng, noise=0.4))
+        scores.append(errors(found.window)[:3] / np.sqrt(np.diag(found.covariance)[22:25]))
+    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.5
+
+
+def test_the_index_from_a_step_is_as_certain_as_it_is_said_to_be():
+    """Though noise parts nodes under the punch by more than 2 % of the step."""
+    rng, scores = np.random.default_rng(9), []
+    for _ in range(8):
+        found = fitted(RIG, *stepped_by_1_mm(rng, noise=0.2), step=1.0)
+        scores.append(errors(found.window)[3] / np.sqrt(found.covariance[25, 25]))
+    assert 0.4 < np.sqrt(np.mean(np.square(scores))) < 1.7
+
+
+def stepped_by_1_mm(rng, noise=0.05):
+    """Return the views at rest, and with a flat punch in the middle of the pattern."""
+    row, column = np.mgrid[:NODES, :NODES] - (NODES - 1) / 2
+    under = np.clip((9 - np.hypot(row, column)) / 2, 0, 1)[..., None]
+    return [views(pattern() - each * NORMAL, rng, noise=noise) for each in (0 * under, under)]
+
+
 @pytest.mark.parametrize("given", [1.38, 1.44])
 def test_a_known_step_of_a_flat_punch_gives_the_index_too(given):
     rng = np.random.default_rng(4)
-    row, column = np.mgrid[:NODES, :NODES] - (NODES - 1) / 2
-    under = np.clip((9 - np.hypot(row, column)) / 2, 0, 1)[..., None]
-    rest, stepped = (views(pattern() - each * NORMAL, rng) for each in (0 * under, under))
+    rest, stepped = stepped_by_1_mm(rng)
     found = fitted(RIG, rest, media=(MEDIA[0], (GEL, given)), stepped=stepped, step=1.0)
     assert abs(errors(found.window)[3]) < 0.004
     sigma = np.sqrt(np.diag(found.covariance)[22:])
@@ -271,7 +294,7 @@ def test_a_window_that_the_views_do_not_fix_is_refused_by_name():
     ("changes", "words"),
     [
         ({"media": ()}, "at least the pattern's medium"),
-        ({"pitch": 1.6}, "the squares of the pattern measure 0.8001 mm, not 1.6"),
+        ({"pitch": 1.6}, "the squares of the pattern measure 0.8 mm, not 1.6"),
     ],
 )
 def test_wrong_layers_or_a_wrong_pitch_are_refused(changes, words):

@@ -11,12 +11,12 @@ from collections.abc import Sequence
 from numbers import Real
 from typing import NamedTuple, cast
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError, check_kind, check_positive, listed
 from cmp_cl.grid.grid import Grid
-from cmp_cl.points import sides
 from cmp_cl.space.lens import ESTIMATED, POSE
 from cmp_cl.space.rig import StereoRig, points_by_image
 from cmp_cl.space.window import WINDOW, Window
@@ -27,8 +27,10 @@ _STEPS = 30
 _DONE = 1e-3  # share of its sigma by which a parameter still moves
 _BLOCKS = 6  # of the pattern along each side, see `_with_neighbours`
 _GROSS = 5.0  # times the scatter: a difference beyond is left out
-_UNDER = 0.02  # share of the step by which the motion of nodes under a punch differs
+# Share of the step by which the motion of nodes under a punch differs; or times its sigma, if more.
+_UNDER, _UNDER_SIGMA = 0.02, 3.0
 _FEWEST = 9  # nodes
+_SMOOTH = 5  # sides along each axis, whose mean direction is that of the middle one
 _LEAST_NODES = 0.75  # share of the nodes that must lie behind the window
 # With the largest sigma of one of these, a displacement errs by about half a percent.
 _LARGEST_TILT = 0.015  # rad
@@ -50,13 +52,15 @@ class _Differences(NamedTuple):
 class _Surface(NamedTuple):
     """The pattern at one moment: points (R, C, 3), and their derivatives by the pixels of both
     views, (R, C, 3, 4), and by the parameters of the rig, (R, C, 3, P). missed, (R, C): by how much
-    the rays miss each other, px, with derivatives (R, C, P)."""
+    the rays miss each other, px, with derivatives (R, C, P). covariance, (R, C, 3, 3): of the
+    points by the noise of the corners, 0 where that is unknown."""
 
     points: Array
     by_image: Array
     by_rig: Array
     missed: Array
     missed_by_rig: Array
+    covariance: Array
 
 
 def calibrate_window(
@@ -80,8 +84,8 @@ def calibrate_window(
     index_sigma: standard deviation of the index of the last medium, unless a step measures it.
     stepped, step: the grids of a second moment, at which a stage has pressed a flat punch into the
         pattern by a known length, which is taken as exact. Then the index of the last medium is
-        found too. Nodes that moved as far as most of those that moved farthest, to 2 %, are under
-        the punch.
+        found too. Nodes that moved as far as most of those that moved farthest, to 2 % or three
+        sigma, are under the punch.
 
     The surface of the pattern may be of any form. The rig's covariance has 26 parameters, see
     `StereoRig`; it includes what the errors of the cameras and of the index do to the window.
@@ -141,7 +145,7 @@ def calibrate_window(
         what=f"an index of the last layer that is known to {index_sigma:g} does",
         cure="measure it (step), or give a smaller index_sigma",
     )
-    mean = float(sides(before.points).mean())
+    mean = float(np.nanmean(np.concatenate([_side(before, axis)[0].ravel() for axis in (0, 1)])))
     if abs(mean / pitch - 1) > _LARGEST_SCALE:
         raise CalibrationError(
             f"the squares of the pattern measure {mean:.4g} {rig.unit}, not {pitch:g}; check the "
@@ -203,7 +207,8 @@ def _start(rig: StereoRig, rest: tuple[Grid, Grid], media: Sequence[tuple[float,
 
 
 def _surface(rig: StereoRig, grids: tuple[Grid, Grid]) -> _Surface:
-    points = rig.triangulate(*grids).xyz
+    found = rig.triangulate(*grids)
+    points = found.xyz
     there = np.isfinite(points[..., 0])
     both = grids[0].valid & grids[1].valid
     if not there.sum() >= _LEAST_NODES * both.sum():
@@ -226,6 +231,7 @@ def _surface(rig: StereoRig, grids: tuple[Grid, Grid]) -> _Surface:
         by_rig=(-by_image @ by_rig).reshape(*shape, 3, -1),
         missed=(one @ seen[..., None]).reshape(shape),
         missed_by_rig=(one @ by_rig).reshape(*shape, -1),
+        covariance=np.nan_to_num(found.covariance),
     )
 
 
@@ -233,15 +239,48 @@ def _sides(surface: _Surface, pitch: float) -> _Differences:
     """Compare the sides of all squares with the pitch; each over its noise at 1 px."""
     found = []
     for axis in (0, 1):
-        way = np.diff(surface.points, axis=axis)
-        length = np.linalg.norm(way, axis=2)
-        along = (way / length[..., None])[..., None, :]
+        length, along = _side(surface, axis)
         slopes = (along @ np.diff(surface.by_rig, axis=axis))[..., 0, :]
-        nodes = np.arange(surface.points.shape[axis])
-        ends = (np.take(surface.by_image, part, axis=axis) for part in (nodes[1:], nodes[:-1]))
+        ends = _ends(surface.by_image, axis)
         noise = np.sqrt(sum(np.square(along @ end).sum(axis=(2, 3)) for end in ends))
         found.append(_listed((pitch - length) / noise, slopes / noise[..., None]))
     return _Differences(*map(np.concatenate, zip(*found, strict=True)))
+
+
+def _side(surface: _Surface, axis: int) -> tuple[Array, Array]:
+    """Return the lengths of the sides along an axis of the pattern, and their directions, see
+    `_along`.
+
+    Noise of variance v across a side makes it longer by v / (2 length) on average, which is
+    subtracted. The directions are means of neighbours: noise of the depth would turn a side as it
+    makes it longer.
+    """
+    way = np.diff(surface.points, axis=axis)
+    sums = cv2.blur(np.nan_to_num(way), (_SMOOTH, _SMOOTH), borderType=cv2.BORDER_CONSTANT)
+    along = _along(np.asarray(sums, np.float64))
+    far, near = _ends(surface.covariance, axis)
+    across = np.trace(far + near, axis1=2, axis2=3) - _variance(along, far + near)
+    seen = np.linalg.norm(way, axis=2)
+    return seen - across / (2 * seen), along
+
+
+def _along(way: Array) -> Array:
+    """Return the directions of vectors (R, C, 3), (R, C, 1, 3), NaN of those without length."""
+    with np.errstate(invalid="ignore"):
+        along: Array = (way / np.linalg.norm(way, axis=2, keepdims=True))[..., None, :]
+    return along
+
+
+def _variance(along: Array, covariance: Array) -> Array:
+    """Return the variance of vectors of covariance (R, C, 3, 3) along a direction, (R, C)."""
+    variance: Array = (along @ covariance @ along.swapaxes(2, 3))[..., 0, 0]
+    return variance
+
+
+def _ends(values: Array, axis: int) -> tuple[Array, Array]:
+    """Return the values of nodes (R, C, ...) at both ends of all sides along an axis."""
+    nodes = np.arange(values.shape[axis])
+    return np.take(values, nodes[1:], axis=axis), np.take(values, nodes[:-1], axis=axis)
 
 
 def _misses(surface: _Surface) -> _Differences:
@@ -252,16 +291,16 @@ def _misses(surface: _Surface) -> _Differences:
 def _steps(before: _Surface, after: _Surface, step: float) -> _Differences:
     """Compare the motion of the nodes under a punch with its step."""
     way = after.points - before.points
-    length = np.linalg.norm(way, axis=2)
+    length, along = np.linalg.norm(way, axis=2), _along(way)
+    sigma = np.sqrt(_variance(along, after.covariance + before.covariance))
     far = length[length > 0.9 * np.nanpercentile(length, 98)]
     most = np.median(far) if len(far) else 0.0
-    under = np.abs(length - most) < _UNDER * most
+    under = np.abs(length - most) < np.maximum(_UNDER * most, _UNDER_SIGMA * sigma)
     if under.sum() < _FEWEST:
         raise CalibrationError(
             f"{under.sum()} nodes moved as one between rest and stepped, at least {_FEWEST} are "
             "needed; press with a flat punch"
         )
-    along = (way / length[..., None])[..., None, :]
     slopes = (along @ (after.by_rig - before.by_rig))[..., 0, :]
     return _listed(np.where(under, step - length, np.nan), slopes)
 
