@@ -68,7 +68,7 @@ def rig_views(count=12, noise=0.05, seed=3, tilt=0.5, shared=False, printed=0.0,
 
 
 def rig_of(seen, spacing=3.0, **settings):
-    sizes = dict.fromkeys(seen, (800, 1200))
+    sizes = dict.fromkeys(seen, (1000, 1300))
     return calibrate(seen, spacing=spacing, sizes=sizes, **settings)
 
 
@@ -200,6 +200,11 @@ def test_views_all_from_the_front_are_refused(tilt):
         assert "\n" not in str(refusal.value)
 
 
+def test_a_size_in_which_corners_do_not_fit_is_refused():
+    with pytest.raises(CalibrationError, match=r"a: corners .* beyond images of 480 x 640 px; a"):
+        calibrated(views({"a": THREE["a"]}), size=SIZE[::-1])
+
+
 def test_views_that_determine_nothing_are_refused():
     seen = views(THREE)
     empty = grid_of(np.full((6, 9, 2), np.nan))
@@ -318,3 +323,6 @@ def test_advice_tells_a_lens_model_that_turns_back_inside_the_image():
     bent = dataclasses.replace(found.cameras["a"], distortion=np.array([-0.6, 0, 0, 0, 0]))
     said = advice(dataclasses.replace(found, cameras={"a": bent}))
     assert any("turns back inside the image, so that" in line for line in said), said
+    little = dataclasses.replace(found.cameras["a"], distortion=np.array([-0.165, 0, 0, 0, 0]))
+    said = advice(dataclasses.replace(found, cameras={"a": little}))
+    assert any("so that 0.2% of it give no ray" in line for line in said), said

@@ -46,7 +46,7 @@ def advice(found: Calibration, names: Mapping[str, Sequence[str]] | None = None)
         blind = _blind(found.cameras[name])
         if blind > 0:
             said.append(
-                f"{name}: the lens model turns back inside the image, so that {blind:.0%} of it "
+                f"{name}: the lens model turns back inside the image, so that {blind:.1%} of it "
                 "give no ray: add views with the board near all borders, or choose another lens"
             )
         side = COVERAGE // len(_PARTS)

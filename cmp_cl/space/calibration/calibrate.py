@@ -157,7 +157,8 @@ def calibrate(
 
     Raises CalibrationError if a camera has fewer than three different views of at least eight
     nodes, if they do not determine the focal length (the board faces the camera in all of them), if
-    a camera shares no moment with the others, or if no pose between the cameras fits the views.
+    a camera shares no moment with the others, if no pose between the cameras fits the views, or if
+    a node lies outside its image.
     """
     if not views or views.keys() != sizes.keys():
         raise CalibrationError(
@@ -165,6 +166,8 @@ def calibrate(
         )
     check_positive("spacing", spacing, CalibrationError)
     check_kind("lens", lens, Lens, CalibrationError)
+    for name, each in views.items():
+        _check_size(name, each, sizes[name])
     seen, alike = _different(views)
     names = list(views)
     alone = {
@@ -223,6 +226,17 @@ def calibrate(
         covariance=cov if lens is Lens.PINHOLE and len(names) == 2 else None,
         flatness=spacing * _flatness(every, state),
     )
+
+
+def _check_size(name: str, views: Sequence[Grid | None], size: tuple[int, int]) -> None:
+    """Raise CalibrationError if a node of a camera's views lies beyond its images."""
+    every = [grid.xy[grid.valid] for grid in views if grid is not None]
+    x, y = np.concatenate([np.zeros((1, 2)), *every]).max(axis=0)
+    if x > size[0] or y > size[1]:
+        raise CalibrationError(
+            f"{name}: corners lie at up to x = {x:.0f} and y = {y:.0f}, beyond images of "
+            f"{size[0]} x {size[1]} px; a size is (width, height)"
+        )
 
 
 def _may_bend(looks: Sequence[Look], moments: int) -> bool:
