@@ -13,11 +13,11 @@ ushort root_of(const float level) {
   return (ushort)(int)(64.0f * root * (1.5f - 0.5f * root * y));
 }
 
-/* The square root of the image under [1 2 1] along both axes, which is in sixteenths of 1/255 of full
- * scale. Light multiplies what a print reflects, so cells in a shadow differ by less than others; in
- * roots by the root of that, and the noise of a camera is even. Beyond the image its border is
- * repeated, in a row by the padding. One spare row lies before the image. One work-item per element
- * of a row; in the padding it computes what is never used. */
+/* The square root of the image under [1 2 1] along both axes, which is in sixteenths of 1/255 of
+ * full scale. Light multiplies what a print reflects, so cells in a shadow differ by less than
+ * others; in roots by the root of that, and the noise of a camera is even. Beyond the image its
+ * border is repeated, in a row by the padding. One spare row lies before the image. One work-item
+ * per element of a row; in the padding it computes what is never used. */
 #if WHOLE_LEVELS /* a pixel is the grey level */
 #define GREY(v) (ushort)(v)
 #define AS_LEVEL(v) (v)

@@ -25,8 +25,8 @@
 #define FOLLOWS_OF 7
 #define REACH_OF 11
 
-/* A place, by its line from a side and its number there. box: top, bottom, left, right, the ends not
- * included. */
+/* A place, by its line from a side and its number there. box: top, bottom, left, right, the ends
+ * not included. */
 int place_on(const int side, const int line, const int k, const int4 box, const int width) {
   const int row = side == 0 ? box.x + line : side == 1 ? box.y - 1 - line : box.x + k;
   const int column = side == 2 ? box.z + line : side == 3 ? box.w - 1 - line : box.z + k;
@@ -188,7 +188,8 @@ float last_over_next(NODES_OF_BOARD, const int side) {
   return last ? (float)before * (root * root) : 1.0f;
 }
 
-/* Which pairs of squares a side has in sight, as far as some cells beyond it. Returns their number. */
+/* Which pairs of squares a side has in sight, as far as some cells beyond it. Returns their
+ * number. */
 #define PAIRS_IN_SIGHT(side, sight)                                                 \
   pairs_in_sight(OF_BOARD, side, own, pairs[side], sight, rows, columns, own_shown)
 int pairs_in_sight(NODES_OF_BOARD, const int side, __local const int *first, const int pairs,

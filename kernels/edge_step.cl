@@ -38,8 +38,8 @@ float8 seen_weight(const float8 weight, const int8 x, const int last_x, const in
   SLOPES                                                                            \
   const float8 r = w > 0 ? RESIDUAL(I, P) : (float8)(0.0f), wr = w * r;
 
-/* From the last pixel to the first of v and, to its right, the first two of what follows: the sums of
- * those at distance two, and the pixels between them. */
+/* From the last pixel to the first of v and, to its right, the first two of what follows: the sums
+ * of those at distance two, and the pixels between them. */
 #define NEIGHBOURS_BACKWARDS(v, right) \
   (v.s76543210 + (float8)(right.s10, v.s7654, v.s32))
 #define BACKWARDS(v, right) (float8)(right.s0, v.s7654, v.s321)

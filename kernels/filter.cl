@@ -178,9 +178,9 @@ void left_by_diagonal(const int row, const int estimate, __global const float *d
       __global float *size, __global float *near
 
 /* What an estimate of the noise is made of, averaged along the row into `near`: the lengths of its
- * residuals over the share of the noise in them, and the mask of the nodes that count. Of those along
- * both axes also the products of their coordinates, and in `size` the squares, by which nodes are
- * rejected. */
+ * residuals over the share of the noise in them, and the mask of the nodes that count. Of those
+ * along both axes also the products of their coordinates, and in `size` the squares, by which nodes
+ * are rejected. */
 void pilot_of_row(const int row, const int estimate, OF_PILOT, OF_BOTH) {
   float left[K][LINE], share[LINE], line[LINE + 2 * NOISE_REACH], mask[LINE + 2 * NOISE_REACH];
   if (estimate < 3) left_by_axes(row, estimate, data, pilot_down, pilot_along, left);
@@ -230,9 +230,9 @@ __kernel void pilot(OF_PILOT, OF_BOTH) {
  * are chosen, the least of it and of an upper bound and, if the values may bend sharply, of five
  * estimates; the covariance of the coordinates over its mean diagonal; and a node whose residual is
  * too large loses its vote, and so does a rough one that the pilot's window does not support. The
- * freedom of the lengths of residuals is the effective number of their directions. The upper bound is
- * the sum of that at rest and of the variance of the points now. round: of the search for outliers;
- * the last one rejects none. */
+ * freedom of the lengths of residuals is the effective number of their directions. The upper bound
+ * is the sum of that at rest and of the variance of the points now. round: of the search for
+ * outliers; the last one rejects none. */
 #define SURPRISE(i, at) (size[at] * (IS_ROUGH(i) ? ROUGH_COUNTS : 1))
 void noise_of_eight(const int row, const int c, const int round, OF_BOTH, OF_NOISE) {
   const float8 none_near = NONE_NEAR, unknown = NAN, smallest = LEAST_VARIANCE;
@@ -316,8 +316,8 @@ __kernel void settle(__global const float *moved, OF_PILOT, OF_BOTH, OF_NOISE) {
   }
 }
 
-/* Every pair of filters: its estimate, and its loss, averaged along the row. The work-items of a row
- * and a filter along the columns share the filters along the row. */
+/* Every pair of filters: its estimate, and its loss, averaged along the row. The work-items of a
+ * row and a filter along the columns share the filters along the row. */
 __kernel void smooth(__global const float *data, __global const float *vote,
                      __global const float *chosen, __global const int *sides_down,
                      __global const int *sides_along, __global const float *filters_down,
@@ -386,8 +386,8 @@ float8 exp_below(const float8 x) {
   return y > -60.0f ? found : (float8)0;
 }
 
-/* The mean of all pairs with weights by their risk, and its variance. One work-item for eight nodes of
- * a row. */
+/* The mean of all pairs with weights by their risk, and its variance. One work-item for eight nodes
+ * of a row. */
 __kernel void blend(__global const float *estimate, __global const float *loss,
                     __global const float *near_votes, __global const float *variance,
                     __global const float *chosen, __global const float *own_down,

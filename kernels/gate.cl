@@ -68,13 +68,14 @@ __kernel void sector_contrast(__global const PIXEL *restrict image,
   mean_difference[i] = (CONTRAST)(white_mean - black_mean);
 }
 
-/* From the 90th percentile of the inner contrasts the bounds of the gate: contrast >= limit[P90] and
- * 2 N sm >= F A. One work-group per plane. */
+/* From the 90th percentile of the inner contrasts the bounds of the gate: contrast >= limit[P90]
+ * and 2 N sm >= F A. One work-group per plane. */
 __kernel void percentile(__global const CONTRAST *restrict inner_contrast,
                          __global const uint *restrict counts, const uint capacity,
                          __global const ulong *restrict noise_sums,
                          __global const int *restrict limit, const uint rows, const uint columns,
-                         const uint bands, const uint noise_factor, __global int2 *restrict bounds) {
+                         const uint bands, const uint noise_factor,
+                         __global int2 *restrict bounds) {
   const size_t p = get_group_id(2);
   __local uint bins[BINS], found;
   __local int rank;

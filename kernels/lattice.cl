@@ -1,5 +1,5 @@
-/* From the links between corners to the board. It is one program, because an empty one takes a tenth
- * of a second to compile. */
+/* From the links between corners to the board. It is one program, because an empty one takes a
+ * tenth of a second to compile. */
 #include "links.cl"
 #include "faces.cl"
 #include "parts.cl"

@@ -1,8 +1,9 @@
 #include "lattice.clh"
 
 /* Links between corners (13.1): of the neighbours along a boundary the cheapest, kept where both
- * ends choose each other, the middle of the side between them has the colours that both claim, and no
- * link as short crosses. A bar or an arm before the pattern leaves only the ends of such a side. */
+ * ends choose each other, the middle of the side between them has the colours that both claim, and
+ * no link as short crosses. A bar or an arm before the pattern leaves only the ends of such a
+ * side. */
 
 #define COSTS_PER_PX 64.0f
 
@@ -26,8 +27,10 @@ float px_outside(__global const int *layout, const Window window, const float2 a
   float near = 1e6f;
   if (window.left) near = SMALLER(near, at.x - (float)(window.left << shift));
   if (window.top) near = SMALLER(near, at.y - (float)(window.top << shift));
-  if (window.right < layout[BINS_ACROSS]) near = SMALLER(near, (float)(window.right << shift) - at.x);
-  if (window.bottom < layout[BINS_DOWN]) near = SMALLER(near, (float)(window.bottom << shift) - at.y);
+  if (window.right < layout[BINS_ACROSS])
+    near = SMALLER(near, (float)(window.right << shift) - at.x);
+  if (window.bottom < layout[BINS_DOWN])
+    near = SMALLER(near, (float)(window.bottom << shift) - at.y);
   return near;
 }
 
@@ -80,7 +83,8 @@ int least_of(const int8 v) {
 __kernel void choose_links(__global const float *restrict corners, const uint capacity,
                            __global const float4 *restrict lines,
                            __global const int *restrict layout, __global const int *restrict starts,
-                           __global const int *restrict binned, __global const float *restrict spots,
+                           __global const int *restrict binned,
+                           __global const float *restrict spots,
                            const uint rows, const uint columns, __global int *restrict choice,
                            __global uchar *restrict passes, __global int *restrict link,
                            __global int *restrict face) {
@@ -218,10 +222,10 @@ int chosen_again(__global const float2 *at, __global const float4 *lines,
   return best;
 }
 
-/* twin[h]: the half-edge at the other end of a link, but for one that passes over a nearer corner and
- * that another link as short crosses: a lattice lies in a plane. Its ends choose again, among nearer
- * corners: motion over half a cell turns edges so far that the second next row seems to lie along
- * them. One work-item per half-edge. */
+/* twin[h]: the half-edge at the other end of a link, but for one that passes over a nearer corner
+ * and that another link as short crosses: a lattice lies in a plane. Its ends choose again, among
+ * nearer corners: motion over half a cell turns edges so far that the second next row seems to lie
+ * along them. One work-item per half-edge. */
 __kernel void part_links(__global const float *restrict corners, const uint capacity,
                          __global const float4 *restrict lines, __global const int *restrict layout,
                          __global const int *restrict starts, __global const int *restrict binned,

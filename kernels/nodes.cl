@@ -54,7 +54,8 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   atomic_min(&top, least_y);
   atomic_max(&bottom, most_y);
   ALL_TOGETHER;
-  const long across = (long)right - left + 1 + 2 * MARGIN, down = (long)bottom - top + 1 + 2 * MARGIN;
+  const long across = (long)right - left + 1 + 2 * MARGIN;
+  const long down = (long)bottom - top + 1 + 2 * MARGIN;
   const bool fits = right >= left && layout[PARTS] < 2 && across * down <= places;
   const int width = fits ? across : 0, height = fits ? down : 0, all = width * height;
   const int origin_x = left - MARGIN, origin_y = top - MARGIN;
@@ -229,8 +230,10 @@ typedef struct {
 Cells cells_at(LEVELS_OF_IMAGE, const float2 at, const Steps steps, const int parity) {
   const float share = depth_within(CELL_DEPTH, inverse_root(LARGER(steps.cell * steps.cell, 1.0f)));
   const float2 s = share * (steps.u + steps.v), t = share * (steps.v - steps.u);
-  const int a = level_at(LEVELS, at.x + s.x, at.y + s.y), b = level_at(LEVELS, at.x - s.x, at.y - s.y);
-  const int c = level_at(LEVELS, at.x + t.x, at.y + t.y), d = level_at(LEVELS, at.x - t.x, at.y - t.y);
+  const int a = level_at(LEVELS, at.x + s.x, at.y + s.y);
+  const int b = level_at(LEVELS, at.x - s.x, at.y - s.y);
+  const int c = level_at(LEVELS, at.x + t.x, at.y + t.y);
+  const int d = level_at(LEVELS, at.x - t.x, at.y - t.y);
   const int least = SMALLER(c, d) - LARGER(a, b), other = SMALLER(a, b) - LARGER(c, d);
   Cells found = {parity > 0 ? least : other, ((c + d) - (a + b)) * parity};
   return found;
@@ -238,8 +241,8 @@ Cells cells_at(LEVELS_OF_IMAGE, const float2 at, const Steps steps, const int pa
 
 #define UNKNOWN INT_MIN /* the contrast where there is no node, or no step */
 
-/* The side from a node to the next: near it, and if that shows less than half of the node's contrast
- * deeper in the cells too, as beside a tab, or where the side bends. */
+/* The side from a node to the next: near it, and if that shows less than half of the node's
+ * contrast deeper in the cells too, as beside a tab, or where the side bends. */
 int side_between(LEVELS_OF_IMAGE, const float2 a, const float2 b, const int sign,
                  const int contrast) {
   const int near = sign * difference(LEVELS, a, b, WHOLE_SIDE);
@@ -425,10 +428,10 @@ void list_around(LISTS_OF_PLACES, const int from, const int reach, const int ste
 /* Drop nodes and find others until nothing changes, or the rounds are over; the positions are
  * blended, and cells measured, once more then. One work-group.
  *
- * What is known of a place depends on `seen` near it, then on `at`, then on cells within two places;
- * so only places near a change are measured, scored, judged and looked at again.
- * asked: the corner that decided at a place without a node, and whether it was used. claim: the
- * first of the places that may take a corner. */
+ * What is known of a place depends on `seen` near it, then on `at`, then on cells within two
+ * places; so only places near a change are measured, scored, judged and looked at again. asked: the
+ * corner that decided at a place without a node, and whether it was used. claim: the first of the
+ * places that may take a corner. */
 #define ASKED(corner) (2 * (corner) + used[corner])
 __kernel void settle_nodes(__global const float *restrict corners, const uint capacity,
                            LEVELS_OF_IMAGE, __global const int *restrict starts,

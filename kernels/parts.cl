@@ -6,7 +6,8 @@
   (int4)((state).x + TO_X((state).z), (state).y + TO_Y((state).z), ((state).z + (turn)) & 3, 0)
 #define WAITING (-1) /* in the fourth place: the face has no number yet */
 
-/* The root of a face. `part` points to lower faces of the same part until a root points to itself. */
+/* The root of a face. `part` points to lower faces of the same part until a root points to
+ * itself. */
 int root_of(__global volatile int *part, int f) {
   for (int up = READ(part + f); up != f; up = READ(part + f)) f = up;
   return f;
@@ -22,7 +23,8 @@ void unite(__global volatile int *part, int a, int b) {
   }
 }
 
-/* Whether the steps of two faces, each from the link that they share, differ little for their size. */
+/* Whether the steps of two faces, each from the link that they share, differ little for their
+ * size. */
 float size_of(const float4 steps) {
   return (steps.x * steps.x + steps.y * steps.y) + (steps.z * steps.z + steps.w * steps.w);
 }

@@ -25,8 +25,8 @@ typedef union {
 #define MOST_STEPS 30
 #define ROUND_TRIP ((REAL)1e-2) /* px, from a pixel through the lens and back */
 /* A camera: fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4, then rotation (9) and translation (3)
- * from the left camera, then the camera's centre there (3), the radius at which the lens model turns
- * back, then the window if MEDIA is not 0. */
+ * from the left camera, then the camera's centre there (3), the radius at which the lens model
+ * turns back, then the window if MEDIA is not 0. */
 #define CAMERA 32
 #define K1 camera[4]
 #define K2 camera[5]

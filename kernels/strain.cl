@@ -230,9 +230,9 @@ void add_square(const float times, const float3 v, float3 *covariance) {
 /* The surface through the positions around node i, at rest and now, and what its slopes err by. It
  * is a quadratic one of 3 x 3 nodes, or of the valid ones of 5 x 5 where one of these is missing,
  * and a cubic one in the middle of 5 x 5 valid ones. Return whether the valid nodes determine it.
- * slope: at rest and now, by column and by row. covariance: of the displacement, rest_covariance: of
- * the position at rest; by_step: of the slopes due to these, at rest and now; now it has also how
- * far the slopes of the displacement are between the quadratic surface and that of
+ * slope: at rest and now, by column and by row. covariance: of the displacement, rest_covariance:
+ * of the position at rest; by_step: of the slopes due to these, at rest and now; now it has also
+ * how far the slopes of the displacement are between the quadratic surface and that of
  * `weights_of_cubic`, and its fourth differences in the window of that. */
 int fit_surfaces(const int i, __global const float *rest_position,
                  __global const float *displacement, __global const uchar *valid,
@@ -277,8 +277,8 @@ int fit_surfaces(const int i, __global const float *rest_position,
 }
 
 /* Green-Lagrange strain E11 E22 E12 and its covariance, xx xy xz yy yz zz; NaN where there is none.
- * rest_position: from the middle of the lattice. quadratic, cubic: tables of `weights_of_whole`. One
- * work-item a node. */
+ * rest_position: from the middle of the lattice. quadratic, cubic: tables of `weights_of_whole`.
+ * One work-item a node. */
 __kernel void strain(__global const float *rest_position, __global const float *displacement,
                      __global const uchar *valid, __global const float *covariance,
                      __global const float *rest_covariance, __global const float *quadratic,

@@ -91,9 +91,9 @@ int has_colour(const float angle, const float2 along, const float2 down, const i
   return !(sign * (SIZE(off_down) - SIZE(off_along)) <= 0);
 }
 
-/* Predict the nodes: they move on as they moved last. From where a node is taken to be to its corner,
- * or back, is no motion: it keeps the one that it had. Empty what is counted and the bins. One
- * work-item a node or a bin. */
+/* Predict the nodes: they move on as they moved last. From where a node is taken to be to its
+ * corner, or back, is no motion: it keeps the one that it had. Empty what is counted and the bins.
+ * One work-item a node or a bin. */
 __kernel void predict(const int bin_rows, const int bin_columns,
                       __global const float2 *nodes, __global const uchar *seen_status,
                       __global uchar *last_status, __global float2 *last,
@@ -258,8 +258,8 @@ int predicted_by_lines(const int i, __global const float2 *at, float2 *place) {
  * kernels/result.clh lists corners; `look` is its place in that list, NONE for the others.
  *
  * Free corners where a line beyond a side would be are counted, and failed nodes that have a corner
- * near: where corners moved too far they have one, where they are torn they have none. One work-item
- * a node. */
+ * near: where corners moved too far they have one, where they are torn they have none. One
+ * work-item a node. */
 __kernel void check(CORNERS_IN_BINS, __global const int *claims, __global const int *nearest,
                     __global const int *kept, __global const float2 *nodes,
                     __global const float2 *rest,

@@ -417,10 +417,10 @@ ulong search_band(const uint n, __global const PIXEL *frame, __global PIXEL *ima
   return noise_of_band + take_noise(noise_of_column, width);
 }
 
-/* List the maxima of all octaves, and decide for the frame. The counters of a frame are those of its
- * lists, of the bands that have finished, of the rows taken in each segment of each octave, and of
- * halving. The fences and the counts order the lists of all bands before the decision, on every CPU:
- * OpenCL 1.2 alone does not promise it between groups. One work-item per band. */
+/* List the maxima of all octaves, and decide for the frame. The counters of a frame are those of
+ * its lists, of the bands that have finished, of the rows taken in each segment of each octave, and
+ * of halving. The fences and the counts order the lists of all bands before the decision, on every
+ * CPU: OpenCL 1.2 alone does not promise it between groups. One work-item per band. */
 __kernel void harmonic_band(__global PIXEL *image, __global PIXEL *halves, const uint octaves,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint capacity,
