@@ -57,15 +57,18 @@ def behind(gel: float, index: float = 1.41) -> StereoRig:
 
 
 def seen(rig: StereoRig, xyz: np.ndarray, noise: np.random.Generator | None = None) -> list[Grid]:
-    """Return the grids of both views of nodes (R, C, 3), with noise if there is a generator."""
+    """Return the grids of both views of nodes (R, C, 3), with noise if there is a generator; nodes
+    outside the image are missing."""
     cameras = (rig.K1, rig.D1, np.eye(3), np.zeros(3)), (rig.K2, rig.D2, rig.R, rig.T)
     found = []
     for camera in cameras:
         xy = PinholeCamera(*camera, rig.window).project(xyz)
         if noise is not None:
             xy = xy + noise.normal(0, NOISE, xy.shape)
-        status = np.full(xy.shape[:2], NodeStatus.DETECTED, np.uint8)
-        sigma = np.full(xy.shape[:2], NOISE, np.float32)
+        inside = ((xy >= 0) & (xy <= np.array(VIEW[::-1]) - 1)).all(axis=2)
+        xy[~inside] = np.nan
+        status = np.where(inside, NodeStatus.DETECTED, NodeStatus.MISSING).astype(np.uint8)
+        sigma = np.where(inside, NOISE, np.nan).astype(np.float32)
         none = np.zeros((0, 2), np.int32)
         found.append(Grid(xy=xy.astype(np.float32), status=status, image_sigma=sigma, index=none))
     return found
