@@ -60,15 +60,20 @@ def _is_image(image: Any) -> bool:
 def _not_an_image(image: Any) -> Exception:
     """Return an ImageError that says what was given and how to convert it."""
     expected, came = "expected a NumPy array (H, W) of uint8 or uint16", type(image).__name__
-    hint = "cv2.imread(file, 0) reads one, and gives None for a file that it cannot read"
+    hint = (
+        "cv2.imread(file, 0) reads a file, and gives None for one that it cannot read; "
+        "numpy.asarray(image) converts most other images"
+    )
     if isinstance(image, np.ndarray):
         came = f"shape {image.shape} of {image.dtype}"
-        hint = "numpy.ascontiguousarray(image) converts, if it has that shape and type"
+        hint = "it must have pixels, and numpy.ascontiguousarray(image) makes its rows contiguous"
         if np.ma.is_masked(image):
             came = "a masked array"
             hint = "image.filled(level) converts, and Detector(mask=...) leaves pixels out"
         elif image.ndim == 3 and image.shape[2] in (3, 4):
             hint = "cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) converts"
+        elif image.ndim != 2:
+            hint = "image.reshape(height, width) or one frame of it converts"
         elif image.dtype not in _PIXELS:
             hint = "(image * (255 / white)).clip(0, 255).astype(numpy.uint8) converts"
     return ImageError(f"{expected}, got {came}; {hint}")

@@ -317,7 +317,7 @@ def _until_two(found: Iterable[Found], shape: tuple[int, int] | None) -> Iterato
     for each in found:
         yield each
         if each.is_whole if shape is None else each.fills(shape):
-            if whole and each.is_comparable(whole[0]):
+            if any(each.is_comparable(other) and other.is_comparable(each) for other in whole):
                 return
             whole.append(each)
 

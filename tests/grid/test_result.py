@@ -1,6 +1,7 @@
 """A grid as a result: turned, cut, aligned with another, printed, and kept in a file."""
 
 import dataclasses
+import itertools
 import math
 import re
 
@@ -182,10 +183,21 @@ def test_only_a_lattice_that_ends_nowhere_is_the_ground_behind_a_smaller_board(e
 
 
 @pytest.mark.parametrize("asked", [Asked(), Asked(shape=(6, 9))])
-def test_two_boards_that_are_alike_leave_no_choice(asked):
+def test_no_more_boards_are_laid_out_once_two_leave_no_choice(asked):
+    def boards():
+        yield from (whole(10, 0), whole(10, 200))
+        raise AssertionError("a third one was laid out")
+
     said = "two patterns are seen, of 54 and 54 corners, within 0,0,80,50 and 200,0,80,50 (X,Y,W"
     with pytest.raises(GridError, match=re.escape(said)):
-        chosen_of([whole(10, 0), whole(10, 200)], asked, 1000)
+        chosen_of(boards(), asked, 1000)
+
+
+@pytest.mark.parametrize("asked", [Asked(), Asked(shape=(6, 9))])
+def test_a_small_board_before_a_large_one_leaves_a_choice(asked):
+    for boards in itertools.permutations([whole(9, 0), whole(30, 100), whole(30, 500)]):
+        with pytest.raises(GridError, match="two patterns are seen"):
+            chosen_of(boards, asked, 1000)
 
 
 def test_small_boards_in_the_background_of_a_large_one_are_told_though_they_are_alike():
