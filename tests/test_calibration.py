@@ -46,14 +46,16 @@ def calibrated(seen, size=SIZE, **settings):
     return calibrate(seen, spacing=20, sizes=dict.fromkeys(seen, size), **settings)
 
 
-def rig_views(count=12, noise=0.05, seed=3, tilt=0.5, shared=False, printed=0.0, bend=0.0):
+def rig_views(
+    count=12, noise=0.05, seed=3, tilt=0.5, shared=False, printed=0.0, bend=0.0, shape=(7, 10)
+):
     """Return views of a board of 3 mm squares in the two cameras of the toed-in rig.
 
     shared: neighbours have nearly the same noise. printed: by how much its corners are off, mm, but
         for the size of the squares. bend: of the board, 1/mm.
     """
     rng = np.random.default_rng(seed)
-    board = flat_board(7, 10) * 3 / 20
+    board = flat_board(*shape) * 3 / 20
     off = np.random.default_rng(seed).normal(0, printed, board.shape) * [1, 1, 0]
     board += off - board * (off * board).sum() / np.square(board).sum()
     board[..., 2] += bend * (np.square(board[..., 0]) - board[..., 0] * board[..., 1])
@@ -266,10 +268,15 @@ def test_a_bent_board_does_not_bend_the_rig():
     assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.5
 
 
-def test_few_views_or_rows_do_not_tell_whether_a_board_is_flat():
+def test_few_views_or_rows_or_square_boards_do_not_tell_whether_a_board_is_flat():
     assert math.isnan(rig_of(rig_views(count=9)).flatness)
     two_rows = calibrated(views({"a": THREE["a"]}, board=flat_board(2, 9)))
     assert math.isnan(two_rows.flatness)
+    turned = {
+        name: [grid.turned(moment % 4) for moment, grid in enumerate(grids)]
+        for name, grids in rig_views(bend=0.001, shape=(8, 8)).items()
+    }
+    assert math.isnan(rig_of(turned).flatness)
 
 
 def test_opencvs_pairs_measure_a_board_in_a_view_that_calibration_did_not_see():

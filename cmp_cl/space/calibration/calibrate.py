@@ -91,7 +91,8 @@ class Calibration:
     focal_sigma: by camera, the larger standard deviation of the two focal lengths, px.
     covariance: see `StereoRig`; None but for two pinholes.
     flatness: how much higher than the lowest node the highest one of the board is, from the plane
-        that fits best, mm; NaN if the views are too few to tell.
+        that fits best, mm; NaN if the views are too few to tell, or for a square board, whose
+        numbers may begin at another corner once it is turned.
     """
 
     cameras: Mapping[str, Camera]
@@ -248,10 +249,11 @@ def _may_bend(looks: Sequence[Look], moments: int) -> bool:
 
 def _flatness(looks: Sequence[Look], state: State) -> float:
     """Return how much higher than the lowest node the highest one of the bent board is, from the
-    plane that fits best, squares; NaN of a flat board."""
-    if not len(state.bend):
-        return math.nan
+    plane that fits best, squares; NaN of a flat board, or of a square one."""
     nodes = np.unique(np.concatenate([look.nodes for look in looks]), axis=0)
+    columns, rows, _ = np.ptp(nodes, axis=0)
+    if not len(state.bend) or rows == columns:
+        return math.nan
     height = heights(nodes) @ state.bend
     plane = np.column_stack([nodes[:, :2], np.ones(len(nodes))])
     return float(np.ptp(height - plane @ np.linalg.lstsq(plane, height, rcond=None)[0]))
