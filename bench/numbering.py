@@ -71,7 +71,7 @@ ABLATION: dict[str, dict[str, Any]] = {
     "faces of torn corners agree as others": {"torn_corners": 4},
     "no joins across tears": {"join_votes": 1e9},
     "joins whatever the colours": {"join_votes": 0.0},
-    "joins whatever the surface": {"factor": lambda _: 2.0},
+    "joins whatever the surface": {"factor": lambda energy: np.full(len(energy), 2.0)},
     "torn corners count as whole ones": {"rough_weight_per_px2": 1e9},
     "worn corners are where their neighbours say": {"worn_sigmas": 1e9},
     "torn corners are as likely": {"torn_nats": 0.0, "prior_nats": K.prior_nats - K.torn_nats},
