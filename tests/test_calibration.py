@@ -202,9 +202,11 @@ def test_views_all_from_the_front_are_refused(tilt):
         assert "\n" not in str(refusal.value)
 
 
-def test_a_size_in_which_corners_do_not_fit_is_refused():
-    with pytest.raises(CalibrationError, match=r"a: corners .* beyond images of 480 x 640 px; a"):
-        calibrated(views({"a": THREE["a"]}), size=SIZE[::-1])
+@pytest.mark.parametrize("size", [(480, 640), (640, 240)])
+def test_a_size_in_which_corners_do_not_fit_is_refused(size):
+    said = "a: corners .* beyond images of {} x {} px; a size is".format(*size)
+    with pytest.raises(CalibrationError, match=said):
+        calibrated(views({"a": THREE["a"]}), size=size)
 
 
 def test_views_that_determine_nothing_are_refused():
