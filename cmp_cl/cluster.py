@@ -43,9 +43,9 @@ def detect(
     config: None means DetectorConfig().
     part: how many frames a worker is given at a time.
 
-    A few parts are on their way while one is used, so memory is bounded. Raises ConfigError if
-    part is under 1, the errors of `read` and of the detector on a
-    worker, and distributed.KilledWorker if a part has ended several workers.
+    A few parts are on their way while one is used, so memory is bounded. Raises ConfigError if part
+    is under 1, the errors of `read` and of the detector on a worker, and distributed.KilledWorker
+    if a part has ended several workers.
     """
     if part < 1:
         raise ConfigError(f"part must be 1 or more, not {part}")

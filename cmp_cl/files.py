@@ -71,8 +71,8 @@ def whole_path(path: str | PathLike[str], suffix: str = ".tmp") -> Iterator[Path
 def check_target(path: str | PathLike[str]) -> Path:
     """Return the file that an output path names, with links resolved.
 
-    Raises OSError if the path is a folder, a device or a read-only file, or
-    lies in a folder that does not exist.
+    Raises OSError if the path is a folder, a device or a read-only file, or lies in a folder that
+    does not exist.
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():

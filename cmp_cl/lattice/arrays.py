@@ -74,8 +74,7 @@ class Border(NamedTuple):
 
     reach: cells, of its last squares beyond its last nodes, 1 if they are whole; NaN where the
     pattern is not seen to end. follows: the pattern goes on. room: most places of a further line
-    lie in the image. beyond: lines, as far as corners lie on
-    the lattice there that are no nodes.
+    lie in the image. beyond: lines, as far as corners lie on the lattice there that are no nodes.
     """
 
     reach: Float

@@ -57,9 +57,8 @@ def track(
     rest: Floats, nodes: Floats, motion: Floats, seen: Bools, corners: Floats, colour: int
 ) -> Found:
     """Follow the nodes (R, C, 2) of a frame, `rest` those at rest, to the corners (N, 4): x, y,
-    angle, sigma. motion: (R, C, 2), how they move on. seen: (R, C), those
-    that have corners. colour: 1 if corners of even row + column have their first boundary along the
-    row, else -1."""
+    angle, sigma. motion: (R, C, 2), how they move on. seen: (R, C), those that have corners.
+    colour: 1 if corners of even row + column have their first boundary along the row, else -1."""
     shape = nodes.shape[0], nodes.shape[1]
     expected = nodes + motion
     along, down = _steps(nodes)

@@ -318,9 +318,8 @@ def settled(
     A missing place beside a node takes the free corner near its prediction, else the prediction.
 
     xy: (N, 2), all corners. torn: (N,), those whose refinement was rejected. sigma: (N,), px, of
-    the others, NaN where unknown. taken: (N,), those of
-    other boards. `board` has positions as seen, and says which are torn; the result has the blended
-    positions, and which are rough.
+    the others, NaN where unknown. taken: (N,), those of other boards. `board` has positions as
+    seen, and says which are torn; the result has the blended positions, and which are rough.
     """
     corners, edge = at_of(*xy.T), F(k.contrast_radius_px)
     bottom, right = (F(size - 1) - edge for size in plane.shape)
