@@ -15,6 +15,7 @@ from stereo_data import photographs
 from cmp_cl import Method, StereoRig, Window, select_device
 from cmp_cl.cli import demo
 from cmp_cl.synthetic import Scene, binocular_frame, default_rig, render_stereo
+from cmp_cl.synthetic.boards import drawn, homography
 from cmp_cl.viz import METHOD_COLOURS
 
 PROJECT = Path(__file__).parents[2]
@@ -91,6 +92,19 @@ def test_calibrate_finds_the_cameras_again(run, boards):
     assert np.linalg.norm(rig.T) == pytest.approx(np.linalg.norm(RIG.T), rel=0.02)
     assert np.degrees(np.arccos((np.trace(rig.R @ RIG.R.T) - 1) / 2)) < 0.5
     assert float(out.split("all views: ")[1].split()[0]) < 0.1
+
+
+def test_calibrate_says_how_flat_the_board_is(run):
+    rng, lens = np.random.default_rng(5), np.array([[500, 0, 160], [0, 500, 120], [0, 0, 1.0]])
+    for number in range(10):
+        turn = cv2.Rodrigues(rng.uniform(-0.5, 0.5, 3))[0]
+        place = [0, 0, 24] - turn @ [3.5, 2, 0]
+        camera = homography(lens @ np.column_stack([turn[:, :2], place]))
+        cv2.imwrite(f"{number}.png", drawn(camera, (240, 320), (5, 8), seed=number).image)
+    settings = "--board", "5x8", "--square", "2", "--out", "camera.yaml"
+    status, out, err = run("calibrate", *(f"{number}.png" for number in range(10)), *settings)
+    assert (status, err) == (0, "")
+    assert float(out.split("the board is flat to ")[1].split(" mm")[0]) < 0.05
 
 
 @pytest.mark.parametrize(
