@@ -162,9 +162,11 @@ def error_against_time(whole: pd.DataFrame, path: Path) -> None:
     for _, row in whole.sort_values("ms").iterrows():
         at = row["ms"], max(row["wrong"], 0.01)
         axes.plot(*at, "o", color="#c1272d" if row["method"] in OURS else "#4d4d4d")
-        crowd = sum((np.abs(np.log10(at) - other) < (0.6, 0.25)).all() for other in placed)
+        beside = [np.log10(at) - other for other in placed]
+        near = [y for x, y in beside if abs(x) < 0.6 and abs(y) < 0.25]  # decades
         placed.append(np.log10(at))
-        place = 4, (3, -10, 14, -21)[crowd % 4]  # labels of neighbours lie one below the other
+        shift = 11 * sum(abs(y) < 0.1 for y in near)  # labels of neighbours lie one above the other
+        place = 4, 3 + shift if min(near, default=0) >= 0 else -10 - shift
         axes.annotate(row["method"], at, fontsize=7, xytext=place, textcoords="offset points")
     said = {"xlabel": "ms a frame, 640 x 480", "ylabel": "missed and false per 1000 corners"}
     axes.set(xscale="log", yscale="log", **said)
