@@ -1,6 +1,8 @@
 """Links, faces, parts, the nodes of a board and its sides: the kernels equal the oracle to the
 bit."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from lattice_plans import K, gel, plan_for, started
@@ -253,6 +255,20 @@ def test_a_board_that_grows_to_the_last_round_ignores_the_frame_before(device):
     assert wanted.there.shape == (4 + ROUNDS, 4 + ROUNDS)
     found = settled(used, dim, 4)
     np.testing.assert_array_equal(found.owner, wanted.owner)
+
+
+def test_only_corners_that_fit_the_corner_model_are_weighed_against_their_neighbours(device):
+    """Whatever sigma the others have."""
+    image = gel(1.5)
+    corners = detect(image)
+    refused = np.random.default_rng(1).random(len(corners)) < 0.3
+    corners = dataclasses.replace(corners, refusal=np.where(refused, 1, corners.refusal))
+    _, board = assert_equal_to_the_oracle(device, image, corners)
+    mine, owner = board.owner >= 0, board.owner[board.owner >= 0]
+    known = np.isfinite(corners.sigma[owner])
+    assert np.count_nonzero(refused[owner] & known) > 50
+    assert not board.spread[mine][refused[owner]].any()
+    assert (board.spread[mine][known & ~refused[owner] & board.torn[mine]] > 0).any()
 
 
 def test_places_without_a_corner(device):

@@ -35,8 +35,8 @@ from cmp_cl.space.rig import StereoRig, spread
 
 MIN_VIEWS = 3
 MIN_NODES = 8  # fewest nodes of a board in a view
-# Views that tell a bent board from other errors. With four of OpenCV's pairs, the bend makes the
-# squares of the fifth worse, by 0.053 mm of 25 in place of 0.033.
+# Views that tell a bent board from other errors: with four of OpenCV's pairs, the bend makes the
+# squares of the fifth worse.
 ENOUGH_VIEWS = 10
 # The nodes of two views that are alike lie apart by less than this, px and share of the board.
 _ALIKE_PX, _ALIKE_SHARE = 1.0, 0.01
