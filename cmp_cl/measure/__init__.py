@@ -6,14 +6,10 @@ a loop in a thread, with the calls that PyTac3D's users know.
 `find_board` returns the grids from which `cmp_cl.calibrate` makes the rig.
 """
 
-from cmp_cl.measure.measured import Measured, Tally
+from cmp_cl.measure.measured import Measured
 from cmp_cl.measure.measurement import Measurement, Settings
 from cmp_cl.measure.one_view import OneView
-from cmp_cl.measure.patterns import (
-    align_views,
-    find_board,
-    find_pattern,
-)
+from cmp_cl.measure.patterns import align_views, find_board, find_pattern
 from cmp_cl.measure.sensor import Sensor, pytac3d
 from cmp_cl.measure.two_views import TwoViews
 
@@ -23,7 +19,6 @@ __all__ = [
     "OneView",
     "Sensor",
     "Settings",
-    "Tally",
     "TwoViews",
     "align_views",
     "find_board",

@@ -116,19 +116,3 @@ class Measured:
         names = ("xy",) if len(self.views) == 1 else ("left", "right")
         seen = {name: positions_of(self._arrays, view) for view, name in enumerate(names)}
         return arrays | seen
-
-
-@dataclasses.dataclass
-class Tally:
-    """How the frames of a recording got their numbers.
-
-    tracked: frames that have them from the frame before. numbered: frames whose numbers were found
-    anew, those that could not be tracked and those audited. audited: frames that were tracked, and
-    of which a view was numbered anew all the same. differing: nodes for which the two had another
-    corner.
-    """
-
-    tracked: int = 0
-    numbered: int = 0
-    audited: int = 0
-    differing: int = 0

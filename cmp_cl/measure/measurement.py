@@ -19,7 +19,7 @@ from cmp_cl.errors import ConfigError, FieldError, ImageError, check_kind, error
 from cmp_cl.grid import Grid
 from cmp_cl.image import AnyImage, GreyImage, check_image
 from cmp_cl.measure.fit import Fit
-from cmp_cl.measure.measured import Measured, Tally
+from cmp_cl.measure.measured import Measured
 from cmp_cl.measure.patterns import find_pattern
 from cmp_cl.measure.views import View, named
 from cmp_cl.motion.geometry import InPlane, InSpace
@@ -83,7 +83,6 @@ class Measurement(Closing):
     left_rest and right_rest.
     unit: unit of the displacements.
     nodes: number of nodes of the pattern.
-    tally: how the frames so far got their numbers.
 
     A frame gets its numbers from the frame before, if its nodes are found where they were expected;
     else they are found anew. Of one frame in AUDITED that were tracked a view is numbered anew all
@@ -106,11 +105,11 @@ class Measurement(Closing):
         strain: bool = False,
         profile: bool = False,
     ) -> None:
-        self.tally = Tally()
         self._profile = profile
         self._lock = threading.RLock()  # one frame at a time
         self._streams = False
         self._events: list[tuple[str, cl.Event]] = []  # of the last frame, but of the detector
+        self._tracked = 0  # frames so far
         self._follows = False  # whether the tracker has the nodes of the frame before
         self._kind, self._views_of = _kind_of(at_rest), views_of
         chosen, images = select_device(device), views_of(at_rest)
@@ -223,11 +222,9 @@ class Measurement(Closing):
         stream that has not ended.
         """
         with self._lock:
-            self._check_free()
-            begun = self._begin(self._checked(frame))
-            with self._missing_if_failed(begun):
-                self._follow(begun)
-                return _with_field(self._settle(begun))
+            (measured,) = self.stream([frame])
+        assert measured is not None
+        return measured
 
     def stream(self, frames: Iterable[AnyImage | None]) -> Iterator[Measured | None]:
         """Measure each frame, in order; a frame that is missing is None, and so is its result.
@@ -237,7 +234,10 @@ class Measurement(Closing):
         what making a frame raises, after the results before it.
         """
         with self._lock:
-            self._check_free()
+            if self._streams:
+                raise FieldError(
+                    "a stream of this measurement has not ended: take its frames, or close it"
+                )
             self._streams = True
         waiting: _Begun | None = None
         try:
@@ -271,39 +271,21 @@ class Measurement(Closing):
         with self._lock:
             return None if frame is None else self._begin(self._checked(frame))
 
-    def _check_free(self) -> None:
-        """Raise FieldError within a stream: each frame is measured after the one before it."""
-        if self._streams:
-            raise FieldError(
-                "a stream of this measurement has not ended: take its frames, or close it"
-            )
-
     def skip(self) -> None:
         """Note that a frame is missing here; `track` continues numbers over few missing frames
         only."""
         with self._lock:
-            self._check_free()
-            self._skip()
+            list(self.stream([None]))
 
     def _skip(self) -> None:
         for view in self._views:
             view.lost()
-            self._follows &= view.continues
+        self._follows = False
 
     def _give_up(self, begun: _Begun) -> None:
         """Note that a frame is missing that has been begun."""
         self._detector.take_back(begun.plan)
         self._skip()
-        self._follows = False  # nobody has checked the nodes that it tracks
-
-    @contextlib.contextmanager
-    def _missing_if_failed(self, begun: _Begun) -> Iterator[None]:
-        """Give a frame up if this block raises, also KeyboardInterrupt."""
-        try:
-            yield
-        except BaseException:
-            self._give_up(begun)
-            raise
 
     def _at_rest(self) -> tuple[Moment, InSpace | InPlane]:
         """Return the nodes at rest, and how the views show them."""
@@ -340,8 +322,11 @@ class Measurement(Closing):
 
     def _settled(self, begun: _Begun) -> Measured:
         """Return what becomes of a frame, once its kernels are done."""
-        with self._missing_if_failed(begun):
+        try:
             return self._settle(begun)
+        except BaseException:  # also KeyboardInterrupt
+            self._give_up(begun)
+            raise
 
     def _settle(self, begun: _Begun) -> Measured:
         """Wait for a frame. Number it anew where tracking does not hold, or is audited."""
@@ -359,12 +344,11 @@ class Measurement(Closing):
             _numbered=functools.partial(_grids, arrays, numbers, found),
         )
         if settled.tracked:
-            self.tally.tracked += 1
+            self._tracked += 1
             for number, view in enumerate(self._views):
                 view.go_on(functools.partial(_grid, settled, number))
-            if self.tally.tracked % AUDITED:
+            if self._tracked % AUDITED:
                 return settled
-            self.tally.audited += 1
         return self._numbered_anew(settled, begun.plan)
 
     def _numbered_anew(self, settled: Measured, plan: Plan) -> Measured:
@@ -374,10 +358,9 @@ class Measurement(Closing):
         Its nodes are those that tracking finds from these numbers in the same frame, if it holds:
         torn nodes get their second look however a frame got its numbers.
         """
-        self.tally.numbered += 1
         count, known = len(self._views), {}
         if settled.tracked:
-            audited = self.tally.audited % count
+            audited = self._tracked // AUDITED % count
             found = known[audited] = self._number(settled, audited)
             before = settled.grids[audited]
             if not differing(before, found) and not lost(before, found):
@@ -385,7 +368,6 @@ class Measurement(Closing):
         anew = [known.get(view) or self._number(settled, view) for view in range(count)]
         if settled.tracked:
             others = sum(map(differing, settled.grids, anew))
-            self.tally.differing += others
             settled = dataclasses.replace(settled, differing=others)
         arrays = self._within(settled, anew, plan)
         if arrays is None:

@@ -104,12 +104,6 @@ class View:
             doubtful = _doubtful(self._before())
             self._previous = lambda: doubtful
 
-    @property
-    def continues(self) -> bool:
-        """Return whether a tracker may go on: few frames are missing since the last one with a
-        grid, and none of a pattern that may slip by whole cells."""
-        return self._lost <= (0 if self.track else BRIDGED)
-
     def _before(self) -> Grid:
         return self.rest if self._previous is None else self._previous()
 
