@@ -41,16 +41,33 @@ def test_several_videos_have_no_clock_in_common(tmp_path):
     assert [frame.time_ms for frame in alone.frames()] == [0, alone.period_ms]
 
 
-def test_frames_of_a_pair_are_at_most_half_an_interval_apart(tmp_path, monkeypatch):
-    image, times = np.zeros((48, 64), np.uint8), {"a": [0, 40, 80], "b": [5, 61, 85]}
-    for name in times:
-        write_video(tmp_path / f"{name}.avi", [image] * 3)
-    pairs = Pairs(*(Source(str(tmp_path / f"{name}.avi")) for name in times))
+@pytest.fixture
+def pairs_of(tmp_path, monkeypatch):
+    """Return pairs_of(left, right, rates): the pairs of two recordings that deliver such frames.
 
-    def timed(source):
-        yield from (Frame(0, image, time) for time in times[source.paths[0].stem])
+    A frame is (index, ms), with an image of 64 x 48 px, or (index, ms, its rows).
+    """
 
-    monkeypatch.setattr(Source, "timed", timed)
+    def of(left, right, rates=(25, 25)):
+        told = {"a": left, "b": right}
+
+        def timed(source):
+            for index, time_ms, *rows in told[source.paths[0].stem]:
+                yield Frame(index, np.zeros((*(rows or [48]), 64), np.uint8), time_ms)
+
+        for name in told:
+            write_video(tmp_path / f"{name}.avi", [np.zeros((48, 64), np.uint8)])
+        sources = [Source(str(tmp_path / f"{name}.avi")) for name in told]
+        for source, rate in zip(sources, rates, strict=True):
+            source.period_ms = 1e3 / rate
+        monkeypatch.setattr(Source, "timed", timed)
+        return Pairs(*sources)
+
+    return of
+
+
+def test_frames_of_a_pair_are_at_most_half_an_interval_apart(pairs_of):
+    pairs = pairs_of(*([(0, time) for time in times] for times in ([0, 40, 80], [5, 61, 85])))
     assert [frame.time_ms for frame in pairs.frames()] == [0, 80]
     assert pairs.alone == [1, 1]
 
@@ -64,24 +81,22 @@ def test_frames_of_a_pair_are_at_most_half_an_interval_apart(tmp_path, monkeypat
         ([0, 1, 2, 3, 4, 5, 6], [0, 1, 3], (50, 25), [2]),
     ],
 )
-def test_pairs_that_are_missing_are_frames_without_an_image(
-    tmp_path, monkeypatch, left, right, rates, missing
-):
-    image, numbers = np.zeros((48, 64), np.uint8), {"a": left, "b": right}
-    for name in numbers:
-        write_video(tmp_path / f"{name}.avi", [image])
-    sources = [Source(str(tmp_path / f"{name}.avi")) for name in numbers]
-    for source, rate in zip(sources, rates, strict=True):
-        source.period_ms = 1e3 / rate
-    pairs = Pairs(*sources)
-
-    def timed(source):
-        yield from (Frame(i, image, i * source.period_ms) for i in numbers[source.paths[0].stem])
-
-    monkeypatch.setattr(Source, "timed", timed)
+def test_pairs_that_are_missing_are_frames_without_an_image(pairs_of, left, right, rates, missing):
+    recorded = zip((left, right), rates, strict=True)
+    pairs = pairs_of(*([(i, i * 1e3 / rate) for i in numbers] for numbers, rate in recorded), rates)
     frames = list(pairs.frames())
     assert [frame.index for frame in frames] == list(range(len(frames)))
     assert [frame.index for frame in frames if frame.image is None] == missing
+
+
+def test_views_of_two_sizes_are_told_and_the_others_come(pairs_of):
+    first, other, last = pairs_of(
+        [(0, 0), (1, 40), (2, 80)], [(0, 0), (1, 40, 24), (2, 80)]
+    ).frames()
+    assert first.image is not None
+    assert last.image is not None
+    assert other.image is None
+    assert "left view is 64 x 48 px of uint8, the right one 64 x 24" in other.why
 
 
 def test_images_of_one_number_that_are_not_paired_are_refused(tmp_path):
@@ -96,24 +111,6 @@ def test_images_of_one_number_that_are_not_paired_are_refused(tmp_path):
         Pairs(left, source("right", [0, 1, 2, 3, 5]))
     for other in (source("same", [0, 1, 3, 4, 5]), source("later", range(10, 15))):
         assert len(list(Pairs(left, other).frames())) == 5
-
-
-def test_views_of_two_sizes_are_told_and_the_others_come(tmp_path, monkeypatch):
-    sizes = {"a": [48, 48, 48], "b": [48, 24, 48]}
-    for name in sizes:
-        write_video(tmp_path / f"{name}.avi", [np.zeros((48, 64), np.uint8)])
-    pairs = Pairs(*(Source(str(tmp_path / f"{name}.avi")) for name in sizes))
-
-    def timed(source):
-        for number, rows in enumerate(sizes[source.paths[0].stem]):
-            yield Frame(number, np.zeros((rows, 64), np.uint8), number * source.period_ms)
-
-    monkeypatch.setattr(Source, "timed", timed)
-    first, other, last = pairs.frames()
-    assert first.image is not None
-    assert last.image is not None
-    assert other.image is None
-    assert "left view is 64 x 48 px of uint8, the right one 64 x 24" in other.why
 
 
 SHADES = [np.full((4, 6, 3), level, np.uint8) for level in range(1, 11)]

@@ -80,13 +80,6 @@ def test_a_result_is_yours_to_keep(detector):
     assert_same_bytes(first, copy)
 
 
-def test_detect_takes_a_configuration_and_a_device_or_chooses_them(device):
-    config = DetectorConfig()
-    corners = cmp_cl.detect(BOARD, config, device)
-    assert_same_bytes(corners, cmp_cl.detect(BOARD, config=config, device=device.index))
-    assert_same_bytes(cmp_cl.detect(BOARD, device=device), corners)
-
-
 # --- stream and batch ----------------------------------------------------------------------
 
 

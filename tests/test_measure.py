@@ -328,25 +328,19 @@ def test_a_frame_with_more_corners_than_there_is_room_for_is_measured_and_so_is_
         np.testing.assert_array_equal(after.field.displacement, alone(images[3]).field.displacement)
 
 
-def test_a_frame_after_one_that_failed_is_numbered_anew(film, monkeypatch):
-    def fails(*_):
-        raise cmp_cl.DeviceError("the device is lost")
-
-    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
-        assert [following(frame).tracked for frame in film[:2]] == [False, True]
-        with monkeypatch.context() as patch:
-            patch.setattr(cmp_cl.Detector, "finish", fails)
-            with pytest.raises(cmp_cl.DeviceError):
-                following(film[2])
-        assert [following(frame).tracked for frame in film[3:5]] == [False, True]
-
-
-@pytest.mark.parametrize("step", ["start", "read"])
-def test_a_frame_that_is_interrupted_costs_no_memory_and_the_next_is_numbered_anew(
-    film, monkeypatch, step
+@pytest.mark.parametrize(
+    ("part", "step", "error"),
+    [
+        (cmp_cl.Detector, "finish", cmp_cl.DeviceError("the device is lost")),
+        (FieldPlan, "start", KeyboardInterrupt()),
+        (FieldPlan, "read", KeyboardInterrupt()),
+    ],
+)
+def test_a_frame_that_fails_or_is_interrupted_costs_no_memory_and_the_next_is_numbered_anew(
+    film, monkeypatch, part, step, error
 ):
-    def interrupted(*_):
-        raise KeyboardInterrupt
+    def fails(*_):
+        raise error
 
     begin, used = cmp_cl.Detector.begin, []
 
@@ -360,8 +354,8 @@ def test_a_frame_that_is_interrupted_costs_no_memory_and_the_next_is_numbered_an
         for frame in film[1:5]:
             assert following(frame).tracked
             with monkeypatch.context() as patch:
-                patch.setattr(FieldPlan, step, interrupted)
-                with pytest.raises(KeyboardInterrupt):
+                patch.setattr(part, step, fails)
+                with pytest.raises(type(error)):
                     following(film[6])
             assert not following(frame).tracked
     assert used[-1] == used[2]  # before that, other stages make their plans

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import threading
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -21,7 +20,6 @@ from messages import fails_in_one_line
 from videos import camera_of, write_deep_video, write_video
 
 from cmp_cl import Detector, DetectorConfig, DeviceError, EdgeLines, StereoRig, select_device
-from cmp_cl.cli.running.recording import missing_numbers
 from cmp_cl.measure.views import View
 from cmp_cl.media import Frame
 from cmp_cl.series import SeriesWriter, read_series
@@ -344,20 +342,6 @@ def test_the_numbers_of_the_frame_at_rest_alone_are_not_ambiguous(run, tmp_path)
     assert np.load("press.npz")["ambiguous"].tolist() == [False, True]
 
 
-@pytest.mark.parametrize(
-    ("names", "missing"),
-    [
-        (["a-8", "a-9", "a-10", "a-11", "a-14", "a-16"], 3),
-        (["1700000123", "1700000124", "1700000190"], 0),
-        (["1", "2", "2b", "5"], 0),
-        (["rest", "pressed"], 0),
-        ([], 0),
-    ],
-)
-def test_numbers_that_are_missing_between_files_are_counted(names, missing):
-    assert missing_numbers([Path("frames 1") / f"{name}.png" for name in names]) == missing
-
-
 def test_files_that_are_missing_from_a_recording_are_told(run, recording):
     os.rename("frames/2.png", "frames/4.png")
     shutil.copy("frames/1.png", "frames/2.png")
@@ -366,6 +350,9 @@ def test_files_that_are_missing_from_a_recording_are_told(run, recording):
     assert err.splitlines()[0] == (
         "cmp-cl: 1 number missing between 0.png and 4.png: frames and their `index` count the files"
     )
+    for number, name in (0, 1_700_000_123), (1, 1_700_000_124), (2, 1_700_000_190), (4, "b"):
+        os.rename(f"frames/{number}.png", f"frames/{name}.png")
+    assert not run("run", recording, *STEREO)[2]  # seconds are no count
 
 
 def test_tracking_that_was_asked_for_is_not_advised(run, tmp_path):
