@@ -15,7 +15,7 @@ from typing import Any
 
 import methods
 import numpy as np
-from environment import run
+from environment import main_of
 from peers import PEERS, Pattern, available
 from scenes import DENSITIES, INDENTERS, SEVERITIES, TEST_SEED, rendered
 
@@ -83,9 +83,7 @@ def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
                 }
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    return run(__doc__, {"detection": rows}, argv, quick="30 scenes, no slow peers")
-
+main = main_of(__doc__, {"detection": rows}, quick="30 scenes, no slow peers")
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -48,15 +48,15 @@ def environment() -> dict[str, Any]:
     }
 
 
-def run(
+def main_of(
     doc: str,
     tables: Mapping[str, Callable[[argparse.Namespace], Iterable[Row]]],
-    argv: Sequence[str] | None = None,
     *,
     quick: str | None = None,
     options: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
-) -> int:
-    """Print the rows of a part as they come, and write each table that has rows as NAME.csv.
+) -> Callable[..., int]:
+    """Return the `main` of a part: it prints the rows as they come, and writes each table that has
+    rows as NAME.csv.
 
     doc: of the part. tables: what yields the rows of each, from the arguments. quick: the help of
     --quick, by which tables go into the folder for temporary files; None if a part has no short
@@ -68,16 +68,20 @@ def run(
     parser.add_argument("--out", type=Path, help="folder of the tables")
     for name, settings in options.items():
         parser.add_argument(f"--{name}", **settings)
-    arguments = parser.parse_args(argv)
-    usual = QUICK if quick is not None and arguments.quick else RESULTS
-    for name, rows in tables.items():
-        table = []
-        for row in rows(arguments):
-            table.append(row)
-            print(", ".join(f"{key} {_short(value)}" for key, value in row.items()), flush=True)
-        if table:
-            _write(arguments.out or usual, name, table)
-    return 0
+
+    def main(argv: Sequence[str] | None = None) -> int:
+        arguments = parser.parse_args(argv)
+        usual = QUICK if quick is not None and arguments.quick else RESULTS
+        for name, rows in tables.items():
+            table = []
+            for row in rows(arguments):
+                table.append(row)
+                print(", ".join(f"{key} {_short(value)}" for key, value in row.items()), flush=True)
+            if table:
+                _write(arguments.out or usual, name, table)
+        return 0
+
+    return main
 
 
 def _write(folder: Path, name: str, rows: Sequence[Row]) -> None:

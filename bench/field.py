@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from environment import run
+from environment import main_of
 from scenes import TEST_SEED
 
 from cmp_cl import BinocularSplit, Detector, DetectorConfig
@@ -329,11 +329,9 @@ def endured(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
             yield dict(zip(COLUMNS, row, strict=True))
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    tables = {"field": measured, "field_endured": endured}
-    frames = {"metavar": "FRAMES", "type": int, "help": "measure so many, alone"}
-    return run(__doc__, tables, argv, quick="two minutes", options={"endure": frames})
-
+TABLES = {"field": measured, "field_endured": endured}
+FRAMES = {"metavar": "FRAMES", "type": int, "help": "measure so many, alone"}
+main = main_of(__doc__, TABLES, quick="two minutes", options={"endure": FRAMES})
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -18,7 +18,7 @@ from typing import Any
 import cv2
 import methods
 import numpy as np
-from environment import run
+from environment import main_of
 from peers import Pattern, available
 from scenes import MILD, TEST_SEED, rendered
 
@@ -160,10 +160,8 @@ def single(arguments: argparse.Namespace) -> Iterator[Row]:
     yield from (*blank(), *against_oracle(mixed), *numbering())
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    tables = {"stiff": single, "limits": breaking}
-    return run(__doc__, tables, argv, quick="few levels, two minutes")
-
+TABLES = {"stiff": single, "limits": breaking}
+main = main_of(__doc__, TABLES, quick="few levels, two minutes")
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -16,14 +16,14 @@ import contextlib
 import dataclasses
 import functools
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 from unittest import mock
 
 import cv2
 import numpy as np
 from changed import CHANGED
-from environment import DATA, run
+from environment import DATA, main_of
 from patterns import (
     SIDE,
     Open,
@@ -409,15 +409,13 @@ def ablation(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
             yield row | {"family": family, "method": idea}
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    options = {
-        "seed": {"type": int, "default": SEED, "help": "of the first frames"},
-        "ablation": {"action": "store_true", "help": "only each idea left out"},
-        "families": {"nargs": "+", "choices": FAMILIES, "help": "only these"},
-    }
-    tables = {"numbering": numbered, "ablation": ablation}
-    return run(__doc__, tables, argv, quick="a tenth of the frames", options=options)
-
+OPTIONS: dict[str, dict[str, Any]] = {
+    "seed": {"type": int, "default": SEED, "help": "of the first frames"},
+    "ablation": {"action": "store_true", "help": "only each idea left out"},
+    "families": {"nargs": "+", "choices": FAMILIES, "help": "only these"},
+}
+TABLES = {"numbering": numbered, "ablation": ablation}
+main = main_of(__doc__, TABLES, quick="a tenth of the frames", options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(main())

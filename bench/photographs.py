@@ -16,7 +16,7 @@ from typing import Any
 import cv2
 import methods
 import numpy as np
-from environment import DATA, run
+from environment import DATA, main_of
 from peers import Pattern, available
 from scenes import View, photograph
 
@@ -122,18 +122,15 @@ def rows_of(name: str, views: Sequence[View], names: Sequence[str]) -> Iterator[
 
 
 def rows(_: argparse.Namespace) -> Iterator[Row]:
+    if not DATA.is_dir():
+        raise SystemExit(f"there are no photographs: {DATA} is missing")
     names = [name for name in available() if name not in AT_ONCE]
     groups = {name: listed(name) for name in PICTURES} | {name: folder(name) for name in BOARDS}
     for name, views in (groups | {SMALL: small_boards()}).items():
         yield from rows_of(name, views, names)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    if not DATA.is_dir():
-        print(f"there are no photographs: {DATA} is missing")
-        return 2
-    return run(__doc__, {"photographs": rows}, argv)
-
+main = main_of(__doc__, {"photographs": rows})
 
 if __name__ == "__main__":
     raise SystemExit(main())

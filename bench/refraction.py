@@ -16,12 +16,12 @@ drawn and said to be uncertain by as much.
 import argparse
 import dataclasses
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import cv2
 import numpy as np
-from environment import run
+from environment import main_of
 
 from cmp_cl import (
     Grid,
@@ -182,9 +182,7 @@ def rows(arguments: argparse.Namespace) -> Iterator[Row]:
         yield from part(quick=arguments.quick)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    return run(__doc__, {"refraction": rows}, argv, quick="few gels, ten drawn rigs")
-
+main = main_of(__doc__, {"refraction": rows}, quick="few gels, ten drawn rigs")
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from environment import run
+from environment import main_of
 from scenes import DENSITIES, INDENTERS, SEVERITIES, TEST_SEED, rendered
 
 from cmp_cl import Detector, GridError
@@ -105,9 +105,7 @@ def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     print(f"{lost} scenes were not numbered")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    return run(__doc__, {"sigma": rows}, argv, quick="20 frames, a minute")
-
+main = main_of(__doc__, {"sigma": rows}, quick="20 frames, a minute")
 
 if __name__ == "__main__":
     raise SystemExit(main())

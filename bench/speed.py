@@ -16,7 +16,7 @@ from typing import Any
 
 import methods
 import numpy as np
-from environment import run
+from environment import main_of
 from peers import Pattern, available
 from scenes import TEST_SEED, View, vga, wide
 
@@ -99,9 +99,7 @@ def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
             yield {"scene": scene, **row}
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    return run(__doc__, {"speed": rows}, argv, quick="a minute")
-
+main = main_of(__doc__, {"speed": rows}, quick="a minute")
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -17,12 +17,12 @@ of tracking:
 
 import argparse
 import collections
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from environment import run
+from environment import main_of
 
 from cmp_cl import DetectorConfig, GridError, NodeStatus
 from cmp_cl.measure import OneView
@@ -180,9 +180,7 @@ def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
         yield {"jump": kind, **{name: counts[name] for name in names}}
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    return run(__doc__, {"tracking": rows}, argv, quick="25 jumps of each kind")
-
+main = main_of(__doc__, {"tracking": rows}, quick="25 jumps of each kind")
 
 if __name__ == "__main__":
     raise SystemExit(main())
