@@ -250,7 +250,8 @@ def test_the_index_from_a_step_is_as_certain_as_it_is_said_to_be():
     """Though noise parts nodes under the punch by more than 2 % of the step."""
     rng, scores = np.random.default_rng(9), []
     for _ in range(8):
-        found = fitted(RIG, *stepped_by_1_mm(rng, noise=0.2), step=1.0)
+        rest, stepped = stepped_by_1_mm(rng, noise=0.2)
+        found = fitted(RIG, rest, (1.0, *stepped))
         scores.append(errors(found.window)[3] / np.sqrt(found.covariance[25, 25]))
     assert 0.4 < np.sqrt(np.mean(np.square(scores))) < 1.7
 
@@ -266,17 +267,14 @@ def stepped_by_1_mm(rng, noise=0.05):
 def test_a_known_step_of_a_flat_punch_gives_the_index_too(given):
     rng = np.random.default_rng(4)
     rest, stepped = stepped_by_1_mm(rng)
-    found = fitted(RIG, rest, media=(MEDIA[0], (GEL, given)), stepped=stepped, step=1.0)
+    found = fitted(RIG, rest, (1.0, *stepped), media=(MEDIA[0], (GEL, given)))
     assert abs(errors(found.window)[3]) < 0.004
     sigma = np.sqrt(np.diag(found.covariance)[22:])
     assert (np.abs(errors(found.window)) < 4 * sigma).all()
-    for changes, words in (
-        ({}, "stepped and step need each other"),
-        ({"stepped": rest}, "0 nodes moved as one"),
-        ({"stepped": views(pattern() + np.array([0.3, 0, 0]), rng)}, r"last index \(free\)"),
-    ):
+    aside = views(pattern() + np.array([0.3, 0, 0]), rng)
+    for then, words in ((rest, "0 nodes moved as one"), (aside, r"last index \(free\)")):
         with pytest.raises(CalibrationError, match=words):
-            fitted(RIG, rest, step=1.0, **changes)
+            fitted(RIG, rest, (1.0, *then))
 
 
 def test_a_window_that_the_views_do_not_fix_is_refused_by_name():

@@ -112,19 +112,13 @@ def through_window(rig: StereoRig, arguments: argparse.Namespace, device: Device
 
     left, right = seen(arguments.rest)
     rest = left, align_views(left, right, rig.R)
-    stepped, step = None, None
+    stepped = None
     if arguments.step:
         length, *paths = arguments.step
-        step = float(length)
         left, right = (align([still, now])[1] for still, now in zip(rest, seen(paths), strict=True))
-        stepped = left, right
+        stepped = float(length), left, right
     found = calibrate_window(
-        rig,
-        rest,
-        pitch=arguments.pitch,
-        media=arguments.window,
-        stepped=stepped,
-        step=step,
+        rig, rest, pitch=arguments.pitch, media=arguments.window, stepped=stepped
     )
     _report(found, rest, arguments)
     return found

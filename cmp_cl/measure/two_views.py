@@ -17,7 +17,7 @@ from cmp_cl.measure.patterns import align_views
 from cmp_cl.measure.views import SHIFTS
 from cmp_cl.motion.geometry import InSpace
 from cmp_cl.motion.moments import Moment
-from cmp_cl.space import Bias, BinocularSplit, Points3D, PointStatus, StereoRig
+from cmp_cl.space import Bias, BinocularSplit, Points3D, StereoRig
 
 Ends = tuple[bool, bool]  # whether the first and the last line are seen to be the pattern's
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
@@ -72,21 +72,16 @@ class TwoViews(Measurement):
         points = self._rig.triangulate(left, right)
         both = np.count_nonzero(left.valid & right.valid)
         fitting = _fit(points)
-        in_front = np.count_nonzero(points.status == PointStatus.BEHIND)
-        if self._rig.window is not None and in_front > both / 2:
-            raise GridError(
-                f"the rig's window lies beyond the pattern: {in_front} of the {both} nodes would "
-                "lie in front of its last face; check its distance, its layers, and which view is "
-                "the left one"
-            )
         if not both:
             raise GridError("the two views show no node in common; check the split")
         if not fitting >= LEAST_FITTING * both:
-            glass = ", a window or gel that the calibration does not know (calibrate --window)"
+            glass = "its window, beyond which the pattern must lie"
+            if self._rig.window is None:
+                glass = "a window or gel that the calibration does not know (calibrate --window)"
             raise GridError(
                 f"the rig fits {fitting} of the {both} nodes that both views show to "
                 f"{_FITS:g} px; check the calibration, the number of corners, the split, mirrored "
-                f"views{glass if self._rig.window is None else ''}, and which view is the left one"
+                f"views, {glass}, and which view is the left one"
             )
         self._check_order(left, right, _middle(points.error))
         self._check_pairs(left, right)

@@ -42,11 +42,11 @@ class PlaneScale:
         return cls(np.eye(3), "px")
 
     @classmethod
-    def of_cells(cls, rest: Grid, side: float, unit: str = "mm") -> Self:
+    def of_cells(cls, rest: Grid, side: float) -> Self:
         """Return the homography that maps the cells of a flat pattern to squares of that side.
 
-        rest: the grid at rest. side: side of a cell. unit: name of its unit. The homography fits
-            all nodes by least squares. x runs along the rows of the pattern, y along its columns.
+        rest: the grid at rest. side: side of a cell, mm. The homography fits all nodes by least
+            squares. x runs along the rows of the pattern, y along its columns.
             Raises FieldError if side is not positive, if fewer than 4 nodes are valid, or if all
             lie on a line.
         """
@@ -62,7 +62,7 @@ class PlaneScale:
                 f"{len(row)} nodes at rest do not fix the plane: at least 4 are needed, in two "
                 "rows and two columns"
             )
-        return cls(np.asarray(matrix, np.float64), unit)
+        return cls(np.asarray(matrix, np.float64), "mm")
 
     def uneven(self, rest: Grid, side: float) -> float:
         """Return by which share of side the sides of cells at rest are off in the plane, RMS.

@@ -70,8 +70,7 @@ def calibrate_window(
     pitch: float,
     media: Sequence[tuple[float, float]],
     index_sigma: float = 0.01,
-    stepped: tuple[Grid, Grid] | None = None,
-    step: float | None = None,
+    stepped: tuple[float, Grid, Grid] | None = None,
 ) -> StereoRig:
     """Return a rig with the window through which it sees a pattern.
 
@@ -82,10 +81,10 @@ def calibrate_window(
         last one is the medium that holds the pattern, such as the gel. The thickness of that one is
         only where the search begins; the other layers are taken as exact.
     index_sigma: standard deviation of the index of the last medium, unless a step measures it.
-    stepped, step: the grids of a second moment, at which a stage has pressed a flat punch into the
-        pattern by a known length, which is taken as exact. Then the index of the last medium is
-        found too. Nodes that moved as far as most of those that moved farthest, to 2 % or three
-        sigma, are under the punch.
+    stepped: the length by which a stage has pressed a flat punch into the pattern, which is taken
+        as exact, and the grids of both views then. The index of the last medium is found too. Nodes
+        that moved as far as most of those that moved farthest, to 2 % or three sigma, are under the
+        punch.
 
     The surface of the pattern may be of any form. The rig's covariance has 26 parameters, see
     `StereoRig`; it includes what the errors of the cameras and of the index do to the window.
@@ -94,7 +93,7 @@ def calibrate_window(
     Raises CalibrationError if an argument is malformed, the pattern does not lie behind the window,
     or the views do not fix a parameter.
     """
-    _check(rig, rest, stepped, step)
+    _check(rig, rest, stepped)
     check_positive("pitch", pitch, CalibrationError)
     if not (isinstance(index_sigma, Real) and 0 <= cast(float, index_sigma) < math.inf):
         raise CalibrationError(f"index_sigma must be a number from 0, not {index_sigma!r}")
@@ -112,9 +111,9 @@ def calibrate_window(
     for _ in range(_STEPS):
         before = _surface(rig, rest)
         kinds = [_sides(before, pitch), _misses(before)]
-        if stepped is not None and step is not None:
-            after = _surface(rig, stepped)
-            kinds += [_misses(after), _steps(before, after, step)]
+        if stepped is not None:
+            after = _surface(rig, stepped[1:])
+            kinds += [_misses(after), _steps(before, after, stepped[0])]
         off, slopes, block = map(np.concatenate, zip(*map(_weighted, kinds), strict=True))
         normal = slopes.T @ slopes
         inverse = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
@@ -143,7 +142,7 @@ def calibrate_window(
         np.sqrt(np.diag(whole)[free]),
         rig,
         what=f"an index of the last layer that is known to {index_sigma:g} does",
-        cure="measure it (step), or give a smaller index_sigma",
+        cure="measure it (stepped), or give a smaller index_sigma",
     )
     mean = float(np.nanmean(np.concatenate([_side(before, axis)[0].ravel() for axis in (0, 1)])))
     if abs(mean / pitch - 1) > _LARGEST_SCALE:
@@ -155,25 +154,19 @@ def calibrate_window(
 
 
 def _check(
-    rig: StereoRig,
-    rest: tuple[Grid, Grid],
-    stepped: tuple[Grid, Grid] | None,
-    step: float | None,
+    rig: StereoRig, rest: tuple[Grid, Grid], stepped: tuple[float, Grid, Grid] | None
 ) -> None:
     check_kind("rig", rig, StereoRig, CalibrationError)
     if rig.window is not None:
         raise CalibrationError("rig has a window; give the rig that was calibrated in air")
-    for name, views in (("rest", rest), ("stepped", stepped)):
-        if views is not None and len(listed(name, views, Grid, CalibrationError)) != 2:
-            raise CalibrationError(f"{name} must be the grids of the left and the right view")
-    if (stepped is None) != (step is None):
-        raise CalibrationError("stepped and step need each other: the views, and how far it moved")
-    if step is not None:
-        check_positive("step", step, CalibrationError)
-    if stepped is not None and (stepped[0].origin, stepped[0].shape) != (
-        rest[0].origin, rest[0].shape
-    ):  # fmt: skip
-        raise CalibrationError(f"rest has {rest[0].extent}, stepped {stepped[0].extent}")
+    if len(listed("rest", rest, Grid, CalibrationError)) != 2:
+        raise CalibrationError("rest must be the grids of the left and the right view")
+    if stepped is None:
+        return
+    step, left, _ = stepped
+    check_positive("the length of stepped", step, CalibrationError)
+    if (left.origin, left.shape) != (rest[0].origin, rest[0].shape):
+        raise CalibrationError(f"rest has {rest[0].extent}, stepped {left.extent}")
 
 
 def _start(rig: StereoRig, rest: tuple[Grid, Grid], media: Sequence[tuple[float, float]]) -> Window:

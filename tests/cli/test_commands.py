@@ -234,7 +234,7 @@ def test_a_press_behind_a_window_is_measured_with_the_rig_that_calibrate_writes(
     beyond = dataclasses.replace(rig, window=dataclasses.replace(rig.window, distance=60.0))
     beyond.save("beyond.yaml")
     lost = run("run", "both", "--stereo", "beyond.yaml", "--grid", "20x20", "--out", "no.npz")
-    fails_in_one_line(lost, "the rig's window lies beyond the pattern")
+    fails_in_one_line(lost, "its window, beyond which the pattern must lie, and which view")
     Path("both/0.png").rename("rest.png")
     wrong = run("calibrate", *views, *OF_PAIR, *THROUGH, "--window", "5:1.49,20:1.30")
     assert "advice: the last layer of --window is 20 thick" in wrong[1]

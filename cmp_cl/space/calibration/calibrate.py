@@ -24,10 +24,8 @@ from cmp_cl.space.calibration.placing import Seen, place, pose_of, vector_of
 from cmp_cl.space.lens import (
     POSE,
     Lens,
-    camera_of,
     distortion_of,
     matrix_of,
-    projected,
     rotation_of,
     unknowns,
 )
@@ -68,12 +66,6 @@ class Camera:
                 f"a {self.lens.value} lens has {self.lens.coefficients} coefficients of "
                 f"distortion, not {np.size(self.distortion)}; give 0 for those it does not use"
             )
-
-    def project(self, points: Array) -> Array:
-        """Project points (..., 3) in the frame of the first camera to the image, (..., 2) px."""
-        camera = camera_of(self.matrix, self.distortion, self.R, self.T)
-        flat = np.ascontiguousarray(points, np.float64).reshape(-1, 3)
-        return projected(flat, camera)[0].reshape(*points.shape[:-1], 2)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
