@@ -177,16 +177,10 @@ def _corners_beyond(board: Board, corners: Corners) -> tuple[int, Whole]:
     corners are few, or if others are near it that lie anywhere.
     """
     none, mine = (0, np.zeros(4, np.int64)), board.owner >= 0
-    nodes = board.owner[mine]
-    if len(corners) - len(nodes) < K.beside or len(nodes) < K.least_board:
-        return none
-    beside = (K.span + 0.5) * max(map(abs, board.steps))
-    near = np.ones(len(corners), np.bool_)
-    near[nodes] = False
-    for line, of_board in zip(corners.xy.T, (board.x[mine], board.y[mine]), strict=True):
-        near &= (line > of_board.min() - beside) & (line < of_board.max() + beside)
-    free = corners.xy[near].astype(np.float64)
-    if len(free) < max(K.beside, K.gap * len(nodes)):
+    nodes, free = board.owner[mine], np.ones(len(corners), np.bool_)
+    free[nodes] = False
+    least = max(K.beside, K.gap * len(nodes))
+    if np.count_nonzero(free) < least or len(nodes) < K.least_board:
         return none
     number = np.argwhere(mine)[:, ::-1].astype(np.float64)
     some = np.random.default_rng(0).permutation(len(nodes))[: K.tear_most]  # not all of one line
@@ -194,19 +188,18 @@ def _corners_beyond(board: Board, corners: Corners) -> tuple[int, Whole]:
     if plane is None:
         return none
     wide = np.pad(~mine, K.span, constant_values=True)  # places without a node
-    at = cv2.perspectiveTransform(free[None], plane)[0] + K.span
+    others = corners.xy[free].astype(np.float64)
+    at = cv2.perspectiveTransform(others[None], plane)[0] + K.span
     place = np.rint(np.clip(at, 0, np.array(wide.shape[::-1]) - 1)).astype(np.int64)
     apart = np.abs(at - place).max(axis=1)
     empty = wide[place[:, 1], place[:, 0]] & (apart <= 0.5)
     near = empty & (apart < K.reach_cells)
-    least = max(K.beside, K.gap * len(nodes), K.least_line * np.count_nonzero(empty))
-    if np.count_nonzero(near) < least:
+    if np.count_nonzero(near) < max(least, K.least_line * np.count_nonzero(empty)):
         return none
     (column, row), (top, bottom, left, right) = place[near].T - K.span, board.outer_lines
     away = np.stack([top - row, row - bottom, left - column, column - right])
-    held = np.stack([(away == line).sum(axis=1) for line in range(1, K.span + 1)]) > 1
-    lines = np.max(held * np.arange(1, K.span + 1)[:, None], axis=0)
-    return len(row), np.where((away > 0).sum(axis=1) < K.beside, 0, lines)
+    few = np.count_nonzero(away > 0, axis=1) < K.beside
+    return len(row), np.where(few, 0, away.max(axis=1))
 
 
 def _decided(board: Board, asked: Asked, corners: Corners) -> Decision:
