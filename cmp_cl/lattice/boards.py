@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.lattice.arrays import Board, Mask, Numbers, Units, Whole
 from cmp_cl.lattice.joins import joined
-from cmp_cl.lattice.kernels import TAKEN
+from cmp_cl.lattice.kernels import ROUNDS, TAKEN
 from cmp_cl.lattice.plan import LatticePlan
 
 
@@ -25,6 +25,8 @@ def boards(
     """
     taken = np.zeros(len(xy), np.bool_)
     alone = plan.alone()
+    if alone is not None:
+        alone = _grown(plan, alone, taken)
     for joint, smaller in _joined(plan, xy, taken, shape) if alone is None else ((alone, []),):
         for board in _apart(plan, joint, smaller, taken):
             if np.count_nonzero(board.there) >= plan.constants.least_board:
@@ -45,10 +47,25 @@ def _joined(
     for rank, part in enumerate(parts):
         if np.count_nonzero(~taken[part.corner]) < k.least_board:
             continue
-        joint = plan.settle(_numbers(part.corner, part.number, part.rotation, taken))
+        numbers = _numbers(part.corner, part.number, part.rotation, taken)
+        joint = _grown(plan, plan.settle(numbers), taken)
         mine = np.zeros(len(xy), np.bool_)
         mine[joint.owner[joint.owner >= 0]] = True
         yield joint, [each for each in parts[rank + 1 :] if mine[each.corner].any()]
+
+
+def _grown(plan: LatticePlan, board: Board, taken: Mask) -> Board:
+    """Return the board that was laid out last, and again until it stops growing.
+
+    The rounds in which nodes are looked for add a line on a side each, and can end before the board
+    does: one that began as a single face, as of a pattern that closes on itself.
+    """
+    while plan.gained >= ROUNDS:
+        larger = plan.settle(_numbers(*board.layout(board.owner >= 0), taken))
+        if np.count_nonzero(larger.owner >= 0) <= np.count_nonzero(board.owner >= 0):
+            break
+        board = larger
+    return board
 
 
 def _apart(plan: LatticePlan, joint: Board, smaller: list[Units], taken: Mask) -> list[Board]:

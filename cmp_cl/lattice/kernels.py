@@ -15,7 +15,8 @@ from cmp_cl.stages.refine import RESULT_FIELDS, RESULT_HEAD
 
 FILES = ("bins", "lattice")  # the type of pixels matters for the first alone
 DIRECTIONS = 1024  # unit vectors in a full turn
-PARTS, VOTES, LAYOUT = 6, 8, 9  # in the layout, see kernels/lattice.clh; numbers in all
+# In the layout, see kernels/lattice.clh; numbers in all.
+BOARD_ROWS, BOARD_COLUMNS, PARTS, VOTES, LAYOUT = 3, 4, 6, 8, 9
 ROUNDS = 12  # times that nodes are looked for
 LISTS = 8  # of places, see `settle_nodes`
 ROUGH, FIRM = 1, 2  # kinds of a node

@@ -82,6 +82,7 @@ class LatticePlan:
         self.launches = self._bound(kernels.PARTS_OF_CORNERS)
         self.lay = self._bound(kernels.BOARD_OF_NUMBERS)
         self._likely = 0  # places of a board, as of the frame before
+        self.gained = 0  # lines that the last board has more than were laid out
 
     @classmethod
     def of(cls, detection: PlanBase, programs: Programs) -> "LatticePlan":
@@ -270,6 +271,8 @@ class LatticePlan:
             rows, columns, sign = found[: kernels.SIDES].tolist()
             count = rows * columns
         self._likely = count or self._likely
+        laid = layout[[kernels.BOARD_ROWS, kernels.BOARD_COLUMNS]] - 2 * (kernels.ROUNDS + 2)
+        self.gained = int(np.max(np.sort([rows, columns]) - np.sort(laid))) if count else 0
         x, y = at[: 2 * count].reshape(rows, columns, 2).transpose(2, 0, 1)
         board = Board(
             x=x,

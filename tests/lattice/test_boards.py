@@ -74,6 +74,35 @@ def test_a_fine_board_in_noise_is_one_board(device):
     assert agreeing(np.stack([row, column], 1), number).sum() > 0.95 * len(corners)
 
 
+def around(columns, inner, outer):
+    """Return the camera of rows that close on themselves, between two radii, px; as in a mirror on
+    a cone, each cell is as large as the one before times the same factor."""
+
+    def to_cells(x, y):
+        x, y = x - 320, y - 240
+        across = np.log(np.hypot(x, y).clip(1) / inner) / np.log(outer / inner)
+        return columns * (1.5 + np.arctan2(y, x) / (2 * np.pi)), 6 * across - 1
+
+    return to_cells
+
+
+@pytest.mark.parametrize(("columns", "radii"), [(38, (80, 205)), (50, (95, 205))])
+def test_rows_that_close_on_themselves_are_numbered_all_around(device, columns, radii):
+    """No part of them is without a contradiction: the board grows from a single face."""
+    camera = around(columns, *radii)
+    image = drawn(camera, (480, 640), (5, 3 * columns)).image
+    corners, boards_of_ring = found(device, image)
+    largest = max(boards_of_ring, key=lambda each: np.count_nonzero(each.there))
+    assert np.count_nonzero(largest.owner >= 0) == len(corners) == 5 * columns
+    at = np.rint(np.stack(camera(*corners.xy.T), axis=1)).astype(int)  # columns and rows
+    owner = largest.owner
+    for first, second in ((owner[:, :-1], owner[:, 1:]), (owner[:-1], owner[1:])):
+        both = (first >= 0) & (second >= 0)
+        step = at[second[both]] - at[first[both]]
+        step[:, 0] = (step[:, 0] + 1) % columns - 1  # the last column is beside the first
+        assert (np.abs(step).sum(axis=1) == 1).all()
+
+
 def test_a_patch_of_fewer_than_nine_cells_is_no_board(device):
     ground = drawn(plane(cell=20, middle=(60, 60)), (300, 400), (6, 9)).image.astype(np.float32)
     camera = plane(cell=20, middle=(300, 200))
