@@ -7,11 +7,10 @@ Exit status: 0 done, 1 `devices` has found no device, 2 the command failed
 import argparse
 import contextlib
 import os
-import re
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, NoReturn, TextIO
+from typing import NoReturn, TextIO
 
 import cv2
 
@@ -71,15 +70,7 @@ def _silence(stream: TextIO) -> None:
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        message = re.sub("invalid int value: (.*)", r"\1 is not a whole number", message)
-        message = re.sub("invalid float value: (.*)", r"\1 is not a number", message)
         self.exit(2, f"{self.prog}: {shortened(message)}; {self.prog} --help says more\n")
-
-    def parse_known_args(self, *given: Any, **how: Any) -> Any:  # what only a command knows
-        found, unknown = super().parse_known_args(*given, **how)
-        if unknown:
-            self.error(f"unrecognized arguments: {' '.join(unknown)}")
-        return found, unknown
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError, check_kind, check_positive, listed
+from cmp_cl.errors import CalibrationError, check_kind, check_positive
 from cmp_cl.grid.grid import Grid
 from cmp_cl.space.lens import ESTIMATED, POSE
 from cmp_cl.space.rig import StereoRig, points_by_image
@@ -97,7 +97,7 @@ def calibrate_window(
     check_positive("pitch", pitch, CalibrationError)
     if not (isinstance(index_sigma, Real) and 0 <= cast(float, index_sigma) < math.inf):
         raise CalibrationError(f"index_sigma must be a number from 0, not {index_sigma!r}")
-    window = _start(rig, rest, listed("media", media, object, CalibrationError))
+    window = _start(rig, rest, media)
     rig = dataclasses.replace(rig, window=window)
     size = 2 * ESTIMATED + POSE  # parameters of the cameras
     free = np.arange(size, size + WINDOW - (stepped is None))
@@ -159,14 +159,11 @@ def _check(
     check_kind("rig", rig, StereoRig, CalibrationError)
     if rig.window is not None:
         raise CalibrationError("rig has a window; give the rig that was calibrated in air")
-    if len(listed("rest", rest, Grid, CalibrationError)) != 2:
-        raise CalibrationError("rest must be the grids of the left and the right view")
-    if stepped is None:
-        return
-    step, left, _ = stepped
-    check_positive("the length of stepped", step, CalibrationError)
-    if (left.origin, left.shape) != (rest[0].origin, rest[0].shape):
-        raise CalibrationError(f"rest has {rest[0].extent}, stepped {left.extent}")
+    if stepped is not None:
+        step, left, _ = stepped
+        check_positive("the length of stepped", step, CalibrationError)
+        if (left.origin, left.shape) != (rest[0].origin, rest[0].shape):
+            raise CalibrationError(f"rest has {rest[0].extent}, stepped {left.extent}")
 
 
 def _start(rig: StereoRig, rest: tuple[Grid, Grid], media: Sequence[tuple[float, float]]) -> Window:
