@@ -53,6 +53,7 @@ def rig_of(matrix):
         (lambda: toed_in_rig().triangulate(GRID, IMAGE), "right must be of type Grid"),
         (lambda: align([GRID, 3]), "each of grids must be of type Grid"),
         (lambda: contact_of(FIELD, deeper_than=None), "deeper_than must be of type Real"),
+        (lambda: contact_of(FIELD, deeper_than=np.nan), "a depth must be a finite number"),
         (lambda: Moment.of(FIELD).maps("height"), "quantity must be of type Quantity"),
         (lambda: detect(IMAGE).advice(None), "expected a NumPy array"),
         (lambda: build_grid(GRID, IMAGE), "corners must be of type Corners"),

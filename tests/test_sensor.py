@@ -137,13 +137,6 @@ def test_frames_tell_whether_they_may_be_wrong(tmp_path, monkeypatch):
         assert [frame["misfit"] for frame in frames] == [False, True]
 
 
-def test_the_number_of_a_camera_may_be_an_int(monkeypatch):
-    monkeypatch.setattr(cv2, "VideoCapture", camera_of([pressed(0.0).frame] * 2))
-    with Sensor(0, RIG, shape=NODES) as sensor:
-        sensor.waitForFrame(timeout=60)
-        assert sensor.getFrame()["index"] == 0
-
-
 def test_a_camera_that_is_unplugged_is_told_to_those_who_wait_and_those_who_ask(monkeypatch):
     monkeypatch.setattr(cv2, "VideoCapture", camera_of([pressed(0.0).frame]))
     with Sensor(0, RIG, shape=NODES) as sensor:

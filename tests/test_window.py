@@ -229,19 +229,19 @@ def test_an_index_that_is_given_errs_by_what_it_is_said_to():
         fitted(RIG, views(rest, rng), index_sigma=0.5)
 
 
-def test_errors_that_neighbours_share_make_a_window_less_certain():
+@pytest.mark.parametrize(
+    ("surface", "noise"),
+    [
+        ({"nodes": FEW}, {"shared": True}),
+        # noise of the depth makes the sides of a square longer, and turns them as it does so
+        ({"tilt": (0.0, 0.4)}, {"noise": 0.4}),
+    ],
+    ids=["neighbours share errors", "noise of the depth"],
+)
+def test_sigma_of_a_window_is_that_of_its_errors(surface, noise):
     rng, scores = np.random.default_rng(3), []
     for _ in range(8):
-        found = fitted(RIG, views(pattern(nodes=FEW), rng, shared=True))
-        scores.append(errors(found.window)[:3] / np.sqrt(np.diag(found.covariance)[22:25]))
-    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.5
-
-
-def test_noise_of_the_depth_does_not_move_a_window():
-    """It makes the sides of a square longer, and turns them as it does so."""
-    rng, scores = np.random.default_rng(8), []
-    for _ in range(8):
-        found = fitted(RIG, views(pattern(tilt=(0.0, 0.4)), rng, noise=0.4))
+        found = fitted(RIG, views(pattern(**surface), rng, **noise))
         scores.append(errors(found.window)[:3] / np.sqrt(np.diag(found.covariance)[22:25]))
     assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.5
 
