@@ -25,7 +25,6 @@ from scenes import (
     drawn,
     endless,
     fisheye,
-    gravel,
     mirrored,
     plane,
     rendered,
@@ -64,20 +63,13 @@ def assert_right_or_told(grid: Grid, view: View, known: str = "") -> None:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_every_number_is_right_or_the_grid_says_so(name):
-    view, corners = seen(name)
-    grid = build_grid(corners, view.image)
-    score = scored(grid, view)
-    assert score.share >= SCENES[name].share, score
+    (view, corners), case = seen(name), SCENES[name]
+    grid = build_grid(corners, view.image, shape=case.asked)
+    score = scored(grid, view, known="board" if case.asked else "")
+    assert score.share >= case.share, score
     assert score.wrong == 0, score
-    assert score.false <= SCENES[name].false, score
-
-
-@pytest.mark.parametrize("name", ["board with dots", "board with codes of 0.75"])
-def test_marks_in_cells_take_no_corner_away(name):
-    """Most of their own maxima are lone, as those of noise are."""
-    view, corners = seen(name)
-    apart = np.linalg.norm(corners.xy[:, None] - view.corners[:, :2], axis=2)
-    assert (apart.min(axis=0) < 1).all()
+    assert score.false <= case.false, score
+    assert not (case.asked and grid.doubts)
 
 
 @pytest.mark.parametrize("name", ["gel, severity 1.5", "board", "gel, cut at left", "16 bits"])
@@ -204,25 +196,6 @@ def test_a_floor_of_squares_is_not_taken_for_the_board_in_silence(seed):
     assert not sized.doubts
 
 
-@pytest.mark.parametrize(("turn", "glare"), [(20, 70), (25, 90)])
-def test_a_reflection_in_the_shadow_on_a_board_hides_no_corner(turn, glare):
-    view = drawn(plane(cell=42, middle=(320, 240), about=(4, 2.5), turn=turn), (480, 640), BOARD)
-    y, x = np.indices(view.image.shape)
-    light = 0.2 + 0.8 / (1 + np.exp((x - 240) / 10))
-    lamp = glare * np.exp(-((x - 430) ** 2 + (y - 280) ** 2) / (2 * 60**2))
-    image = np.clip(view.image * light + lamp, 0, 255).astype(np.uint8)
-    assert scored(grid_of(view._replace(image=image)), view).right == 54
-
-
-@pytest.mark.parametrize("shape", [(3, 3), (3, 4)])
-def test_a_board_of_few_cells_before_a_floor_of_squares_is_found_by_its_size(shape):
-    camera = plane(cell=40, middle=(200, 150), about=(1, 1), turn=8)
-    view = drawn(camera, SIZE, shape, ground=squares(SIZE, 3))
-    grid = grid_of(view, shape=shape)
-    assert scored(grid, view, known="board").right == np.prod(shape)
-    assert not grid.doubts
-
-
 @pytest.mark.parametrize("size", [SIZE, (600, 800)])
 @pytest.mark.parametrize("seed", some(range(6), range(2)))
 def test_a_board_at_the_edge_of_the_image_is_meant_and_not_the_floor_that_ends_nowhere(seed, size):
@@ -286,16 +259,6 @@ def test_a_pattern_that_goes_on_as_another_by_chance_is_told(lines, told):
     grid = grid_of(view._replace(image=np.rint(image).astype(np.uint8)))
     assert grid.valid.mean() > 0.9
     assert bool(grid.doubts) == told
-
-
-@pytest.mark.parametrize("cell", [18.0, 36.0])
-def test_a_board_of_known_size_before_gravel_is_found(cell):
-    size = (432, 576)
-    camera = plane(cell=cell, middle=(288, 216), about=(4, 2.5), turn=3)
-    view = drawn(camera, size, BOARD, ground=gravel(size, 0), margin=0.4)
-    grid = grid_of(view, shape=BOARD)
-    assert scored(grid, view, known="board").right == 54
-    assert not grid.doubts
 
 
 @pytest.mark.parametrize("seed", some(range(60, 100), [72]))
@@ -792,14 +755,6 @@ def test_photographs_get_one_consistent_lattice(name, share):
     score = scored(grid_of(view), view)
     assert score.wrong == 0
     assert score.share >= share
-
-
-def test_tabs_on_the_sides_of_a_puzzle_part_no_lattice():
-    """Enlarged, the tabs are wider than the smoothing of levels."""
-    view = photograph("puzzleboard/example1")
-    large = cv2.resize(view.image, None, fx=1.5, fy=1.5, interpolation=cv2.INTER_CUBIC)
-    grid = build_grid(detect(large), large)
-    assert np.count_nonzero(grid.index[:, 0] >= 0) >= 266
 
 
 @pytest.mark.parametrize("name", ["left01", "left02", "left03", "right02", "right04"])

@@ -110,11 +110,6 @@ def test_a_patch_of_fewer_than_nine_cells_is_no_board(device):
         assert len(found(device, drawn(camera, (300, 400), shape, ground=ground).image)[1]) == count
 
 
-def test_an_image_without_a_lattice_has_no_board(device):
-    noise = np.random.default_rng(1).integers(0, 255, (120, 160)).astype(np.uint8)
-    assert found(device, noise)[1] == []
-
-
 def test_a_frame_with_more_corners_than_expected_is_numbered(device):
     """Cells of 6 px: the list of corners grows after the numbers were started."""
     y, x = np.mgrid[:240, :320]

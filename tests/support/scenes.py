@@ -214,15 +214,38 @@ def barred(shape: tuple[int, int], cell: float, turn: float, **hidden: tuple[flo
     return drawn(camera, SIZE, shape, front=front)
 
 
+def reflecting(turn: float, glare: float) -> View:
+    """Return a board at the edge of a shadow, and a lamp in it. glare: grey levels."""
+    view = drawn(plane(cell=42, middle=(320, 240), about=(4, 2.5), turn=turn), (480, 640), BOARD)
+    y, x = np.indices(view.image.shape)
+    light = 0.2 + 0.8 / (1 + np.exp((x - 240) / 10))
+    lamp = glare * np.exp(-((x - 430) ** 2 + (y - 280) ** 2) / (2 * 60**2))
+    return view._replace(image=np.clip(view.image * light + lamp, 0, 255).astype(np.uint8))
+
+
+def before_floor(shape: tuple[int, int]) -> View:
+    """Return a board of few cells before a floor of squares."""
+    camera = plane(cell=40, middle=(200, 150), about=(1, 1), turn=8)
+    return drawn(camera, SIZE, shape, ground=squares(SIZE, 3))
+
+
+def before_gravel(cell: float) -> View:
+    """Return a board with a narrow margin before gravel."""
+    size = (432, 576)
+    camera = plane(cell=cell, middle=(288, 216), about=(4, 2.5), turn=3)
+    return drawn(camera, size, BOARD, ground=gravel(size, 0), margin=0.4)
+
+
 class Case(NamedTuple):
     """A view, and what is promised of it: the least share of right corners, and most false nodes.
 
-    No number is wrong.
+    No number is wrong. asked: the size that is asked for, with which there is no doubt.
     """
 
     view: Callable[[], View]
     share: float = 1.0
     false: int = 0
+    asked: tuple[int, int] | None = None
 
 
 SCENES: dict[str, Case] = {
@@ -284,6 +307,24 @@ SCENES: dict[str, Case] = {
             0.9,
         )
         for share in (0.6, 0.75, 0.85)
+    },
+    **{
+        f"board in a shadow with a reflection, turned by {turn}": Case(
+            functools.partial(reflecting, turn, glare)
+        )
+        for turn, glare in ((20, 70), (25, 90))
+    },
+    **{
+        f"board of 3 x {columns} before a floor": Case(
+            functools.partial(before_floor, (3, columns)), asked=(3, columns)
+        )
+        for columns in (3, 4)
+    },
+    **{
+        f"board before gravel, cells of {cell} px": Case(
+            functools.partial(before_gravel, cell), asked=BOARD
+        )
+        for cell in (18, 36)
     },
     "endless": Case(endless, 0.99),
     "endless, turned": Case(functools.partial(endless, turn=31.0), 0.99),
