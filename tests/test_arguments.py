@@ -45,6 +45,7 @@ def rig_of(matrix):
     [
         (lambda: filter_positions(None), "grid must be of type Grid"),
         (lambda: displacement(None, GRID), "rest must be of type Points3D"),
+        (lambda: displacement(GRID, IMAGE), "now must be of type Grid"),
         (lambda: displacement(GRID, GRID, scale=0.1), "scale must be of type PlaneScale"),
         (lambda: find_board(None, (9, 6)), "expected a NumPy array"),
         (lambda: find_board(np.zeros((9, 9, 3), np.uint8), (9, 6)), ".*COLOR_BGR2GRAY"),

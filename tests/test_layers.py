@@ -42,8 +42,8 @@ import signal, sys
 before = [signal.getsignal(number) for number in signal.valid_signals()]
 import cmp_cl
 assert [signal.getsignal(number) for number in signal.valid_signals()] == before
-for name in cmp_cl.__all__:
-    getattr(cmp_cl, name)
+for name in dir(cmp_cl):
+    assert getattr(cmp_cl, name), name
 assert [signal.getsignal(number) for number in signal.valid_signals()] == before
 unwanted = [name for name in sys.modules if name.startswith(("cmp_cl.cli", "cmp_cl.reference"))]
 assert not unwanted, unwanted
