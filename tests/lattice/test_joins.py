@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from cmp_cl.lattice import bending as module
-from cmp_cl.lattice import joins
 from cmp_cl.lattice.arrays import Units, Votes
 from cmp_cl.lattice.bending import TURNS, Surface
 from cmp_cl.lattice.constants import LatticeConstants
@@ -109,18 +107,6 @@ def test_a_part_that_is_not_sure_is_asked_again_once_more_votes_are_for_it():
     np.testing.assert_array_equal(np.unique(joined(units, alone, K).part), [0, 2])
 
 
-def test_a_part_that_begins_no_board_is_only_asked_about_beside_one_that_does(monkeypatch):
-    """The third lies beside the second, and once that is joined, beside the first."""
-    units, _ = parts(range(8), range(9, 11), range(12, 14))
-    votes = votes_for(9, 3)
-    found = joined(units, votes, K)
-    np.testing.assert_array_equal(np.sort(found.corner), np.sort(units.corner))
-    assert not found.part.any()
-    monkeypatch.setattr(joins, "Surface", None)
-    alone = joined(units, votes.chosen(np.array([1])), K)
-    np.testing.assert_array_equal(alone.corner, units.corner[units.part == 0])
-
-
 def test_parts_that_begin_a_board_are_placed_before_smaller_ones(monkeypatch):
     units, _ = parts(range(8), range(9, 15), range(19, 25), range(16, 18))
     bending, asked = Surface.bending, []
@@ -158,13 +144,3 @@ def test_one_corner_across_a_gap_shows_no_surface(columns, sure, rows, step):
     one, rank = np.ones(len(both), np.bool_), np.repeat([0, 1], [number.size, moved.size])
     units = Units(np.arange(len(both)), rank, both, 0 * rank, one, step * both, np.zeros(2, int))
     assert (factor(Surface(units).bending(vote(0, 1.0), K))[0] > 100) == sure
-
-
-def test_long_tears_are_seen_by_some_of_their_nodes(monkeypatch):
-    units, _ = parts(range(60), range(61, 100), range(101, 130))
-    votes = votes_for(61, 40)
-    whole = Surface(units).bending(votes, K)
-    monkeypatch.setattr(module, "RIM", 40)
-    seen = Surface(units).bending(votes, K)
-    np.testing.assert_allclose(seen, whole, rtol=0.2)
-    assert (seen.argmin(axis=1) == 0).all()
