@@ -295,14 +295,12 @@ float usual_share(__global const int2 *cells, const int place, const int width) 
   return (float)(2 * count) * (root * root);
 }
 
-float clipped(const float v) { return v < -1.0f ? -1.0f : v > 1.0f ? 1.0f : v; }
-
 /* The score of a node in nats, below 0 if it is less likely than not: its sides, its cells, and its
  * distance from the prediction, which counts more if it is torn; a torn one is less likely.
  * PENALTY is 1 / (2 SD_CELLS^2). */
 float score_of(const float sides, const int quality, const float share, const float2 seen,
                const bool is_torn, const Prediction prediction, const float cell) {
-  const float cells = clipped((float)quality * share);
+  const float cells = SMALLER((float)quality * share, 1.0f);
   const float2 d = seen - prediction.at;
   const float root = inverse_root(LARGER(cell * cell, 1e-6f));
   const float misfit = prediction.weight > 0 ? (d.x * d.x + d.y * d.y) * (root * root) : 0.0f;
@@ -314,7 +312,7 @@ float score_of(const float sides, const int quality, const float share, const fl
 /* The score of a node; no node has a score of 99. */
 #define NO_SCORE 99.0f
 #define ADD_SIDE(neighbour, sum)                                                    \
-  if (IS_HERE(at[neighbour])) whole += clipped(((float)(sum) * share) * OF_POINTS);
+  if (IS_HERE(at[neighbour])) whole += SMALLER(((float)(sum) * share) * OF_POINTS, 1.0f);
 void score_node(PLACES_OF_BOARD, const int width, const int place) {
   float own = NO_SCORE;
   if (IS_HERE(at[place])) {
@@ -376,7 +374,7 @@ Candidate candidate_at(__global const float *corners, const uint capacity, LEVEL
     if (!IS_HERE(next)) continue;
     const int sum = difference(LEVELS, side < 2 ? here : next, side < 2 ? next : here, WHOLE_SIDE);
     const int sign = side == 1 || side == 2 ? -parity : parity;
-    whole += clipped(((float)(sign * sum) * share) * OF_POINTS);
+    whole += SMALLER(((float)(sign * sum) * share) * OF_POINTS, 1.0f);
   }
   const float score =
       score_of(whole, seen.quality, share, found.at, is_torn, prediction, steps.cell);

@@ -244,9 +244,9 @@ def evidence(
     to = _sides_to(plane, own, at, parity, contrast if new is None else None, k)
     for (r, c), each in zip(FOUR, to, strict=True):
         both = ~np.isnan(shifted(own, r, c, NOWHERE)) & ~np.isnan(at)
-        whole = np.clip((each.astype(np.float32) * share) * F(1 / len(SIDE_POINTS)), F(-1), F(1))
+        whole = np.minimum((each.astype(np.float32) * share) * F(1 / len(SIDE_POINTS)), F(1))
         sides = np.where(both, sides + whole, sides)
-    cells = np.clip(quality.astype(np.float32) * share, F(-1), F(1))
+    cells = np.minimum(quality.astype(np.float32) * share, F(1))
     away, weight = np.nan_to_num(seen) - prediction[0], prediction[1]
     with np.errstate(over="ignore", invalid="ignore"):
         misfit = dot(away, away) * inverse(np.maximum(steps.cell * steps.cell, F(1e-6)))
