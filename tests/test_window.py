@@ -152,8 +152,8 @@ def pattern(tilt=(0.0, 0.0), dome=0.0, nodes=NODES):
     return flat @ (axes @ turn).T + 45.7 * NORMAL * [0, 0, 1] / NORMAL[2]
 
 
-def views(xyz, rng, noise=0.05, **how):
-    return tuple(views_of(BEHIND, xyz, rng, noise, **how))
+def views(xyz, rng, noise=0.05, rig=BEHIND, **how):
+    return tuple(views_of(rig, xyz, rng, noise, **how))
 
 
 def drawn(rng):
@@ -186,14 +186,16 @@ def errors(window):
     return np.array([*tilt, window.distance - true.distance, window.index - true.index])
 
 
+@pytest.mark.parametrize("layers", [((5.0, 1.49),), ()], ids=["a pane", "the gel alone"])
 @pytest.mark.parametrize("surface", [{"tilt": (0.03, -0.02)}, {"dome": 40.0}])
-def test_the_window_is_found_from_equal_squares_of_any_surface(surface):
+def test_the_window_is_found_from_equal_squares_of_any_surface(surface, layers):
     """However far the thickness that begins the search is off."""
-    rest = views(pattern(**surface, nodes=FEW), np.random.default_rng(1), noise=0.0)
+    true = dataclasses.replace(BEHIND, window=dataclasses.replace(BEHIND.window, layers=layers))
+    rest = views(pattern(**surface, nodes=FEW), np.random.default_rng(1), noise=0.0, rig=true)
     for thickness in (GEL - 3, GEL + 4):
-        found = fitted(RIG, rest, media=(MEDIA[0], (thickness, 1.41)))
+        found = fitted(RIG, rest, media=(*layers, (thickness, 1.41)))
         np.testing.assert_allclose(errors(found.window), 0, atol=1e-4)  # of float32 pixels
-        assert found.window.layers == ((5.0, 1.49),)
+        assert found.window.layers == layers
 
 
 def pressed_by_1_mm(rig, rest, rng):
@@ -272,7 +274,12 @@ def test_a_known_step_of_a_flat_punch_gives_the_index_too(given):
     sigma = np.sqrt(np.diag(found.covariance)[22:])
     assert (np.abs(errors(found.window)) < 4 * sigma).all()
     aside = views(pattern() + np.array([0.3, 0, 0]), rng)
-    for then, words in ((rest, "0 nodes moved as one"), (aside, r"last index \(free\)")):
+    fewer = [grid_of(grid.xy[1:]) for grid in stepped]
+    for then, words in (
+        (rest, "0 nodes moved as one"),
+        (aside, r"last index \(free\)"),
+        (fewer, "rest has rows 0 to 25 .*, stepped rows 0 to 24"),
+    ):
         with pytest.raises(CalibrationError, match=words):
             fitted(RIG, rest, (1.0, *then))
 
