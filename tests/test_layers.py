@@ -59,6 +59,7 @@ def modules():
     }
 
 
+@functools.cache
 def imported(path):
     """Return the modules of cmp_cl that a file imports, in functions too."""
     waiting, names = [ast.parse(path.read_text(encoding="utf-8"))], set()
