@@ -25,6 +25,7 @@ from cmp_cl.synthetic import random_scene
 from cmp_cl.viz import Moment
 
 GRID = grid_of(np.moveaxis(10.0 * np.mgrid[:5, :6], 0, -1))
+ROW = grid_of(GRID.xy[:1])
 IMAGE = np.zeros((60, 70), np.uint8)
 SIZE = IMAGE.shape[::-1]
 FIELD = displacement(points(gel(18, 19)), points(gel(18, 19)))
@@ -47,6 +48,7 @@ def rig_of(matrix):
         (lambda: displacement(None, GRID), "rest must be of type Points3D"),
         (lambda: displacement(GRID, IMAGE), "now must be of type Grid"),
         (lambda: displacement(GRID, GRID, scale=0.1), "scale must be of type PlaneScale"),
+        (lambda: PlaneScale.of_cells(ROW, 1), "6 nodes at rest do not fix the plane"),
         (lambda: find_board(None, (9, 6)), "expected a NumPy array"),
         (lambda: find_board(np.zeros((9, 9, 3), np.uint8), (9, 6)), ".*COLOR_BGR2GRAY"),
         (lambda: TwoViews(IMAGE, None, None), "rig must be of type StereoRig"),

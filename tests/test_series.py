@@ -74,7 +74,10 @@ def clouds(path):
         reader = reading.make_reader(file, decoder_factories=[decoding.DecoderFactory()])
         assert next(reader.iter_metadata()).metadata["unit of rest"] == "mm"
         messages = [cloud for _, _, _, cloud in reader.iter_decoded_messages(["/cmp_cl/nodes"])]
-    assert {cloud.header.frame_id for cloud in messages} <= {"camera"}
+    for cloud in messages:
+        assert cloud.header.frame_id == "camera"
+        assert (cloud.height, cloud.width, cloud.point_step) == (*SHAPE, 36)
+        assert [each.offset for each in cloud.fields] == list(range(0, 36, 4))
     return [np.frombuffer(cloud.data, "<f4").reshape(*SHAPE, 9) for cloud in messages]
 
 
@@ -159,7 +162,7 @@ def test_hdf5_holds_units_version_time_and_configuration(tmp_path):
 
 def test_a_csv_has_a_row_for_each_node_and_metadata_beside_it(tmp_path):
     arrays = frame(2) | {"strain": np.full((*SHAPE, 3), 0.5), "direction": np.full(SHAPE, 0.25)}
-    arrays |= {"area": 7.5, "zoom": np.ones(2)}
+    arrays |= {"area": 7.5, "zoom": np.ones(2), "covariance": np.ones((*SHAPE, 3, 3))}
     with SeriesWriter(tmp_path / "press.csv", **ABOUT, rest=rest(), unit="mm") as series:
         series.append(index=12, time_ms=40.0, **arrays)
     rows = list(csv.DictReader((tmp_path / "press.csv").read_text().splitlines()))

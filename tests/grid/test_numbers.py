@@ -599,6 +599,20 @@ def test_an_open_pattern_is_never_numbered_wrongly_in_silence(shift, wear):
         assert score.share > 0.99
 
 
+@pytest.mark.parametrize(("y", "lines"), [(75, (1.4, 3.4)), (225, (57.6, 55.6))])
+def test_a_border_that_left_the_view_is_beyond_what_is_seen(y, lines):
+    """The pattern moved by two lines, across the upper or the lower side, where it was seen."""
+    rest, view = (
+        drawn(plane(cell=20, middle=(200, y), about=(6.5, line), turn=3), SIZE, (60, 14))
+        for line in lines
+    )
+    at_rest = grid_of(rest)
+    view = numbered_as(at_rest, rest, view)
+    grid = grid_of(view, like=at_rest)
+    assert (sum(at_rest.border), sum(grid.border)) == (3, 2)
+    assert scored(grid, view, known="truth").clean
+
+
 @pytest.mark.parametrize("moved", [{"turn": 12.0}, {"cell": 11.2}, {"cell": 12.9, "turn": -3.0}])
 def test_an_open_pattern_that_turned_or_came_nearer_keeps_its_numbers(moved):
     rest, view = endless(0), endless(1, **moved)
