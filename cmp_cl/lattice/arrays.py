@@ -207,12 +207,12 @@ class Board:
         """Return on how many sides its border is seen, if it is a full rectangle but for a few
         corners, else 0; 4 if it has every corner, and a further line on any side would be in view.
 
-        least: share, of its places that must hold a corner that is not torn.
+        least: share, of its places that must hold a corner.
         """
-        smooth = np.count_nonzero((self.owner >= 0) & ~self.torn) / max(self.owner.size, 1)
-        if smooth == 1 and (self.border.room & ~self.border.follows).all():
+        held = np.count_nonzero(self.owner >= 0) / max(self.owner.size, 1)
+        if held == 1 and (self.border.room & ~self.border.follows).all():
             return 4
-        return int(np.count_nonzero(self.border.ends)) if smooth >= least else 0
+        return int(np.count_nonzero(self.border.ends)) if held >= least else 0
 
     def ends_nowhere(self, least: float) -> bool:
         """Return whether no border of it is seen, as of the ground behind a board."""
