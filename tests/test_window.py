@@ -139,38 +139,40 @@ MEDIA = ((5.0, 1.49), (GEL, 1.41))
 SIGMAS = [0.1, 0.1, 0.13, 0.1, 5e-4, 2e-3, 3e-5, 4e-5] * 2 + [1e-4, 2e-4, 3e-5, 2e-3, 1e-3, 5e-3]
 
 
-def pattern(tilt=(0.0, 0.0), dome=0.0, nodes=NODES):
-    """Return the nodes of a pattern at the end of the gel, tilted, rad, or on a dome, mm."""
+def pattern(tilt=(0.0, 0.0), dome=0.0, nodes=NODES, along=NORMAL):
+    """Return the nodes of a pattern at the end of the gel, tilted, rad, or on a dome, mm; along:
+    the normal of the window."""
+    normal = along / np.linalg.norm(along)
     row, column = np.mgrid[:nodes, :nodes] - (nodes - 1) / 2
     flat = PITCH * np.stack([column, row, np.zeros(row.shape)], axis=-1)
     if dome:  # a cylinder keeps the sides
         flat[..., 2] = dome * (1 - np.cos(flat[..., 0] / dome))
         flat[..., 0] = dome * np.sin(flat[..., 0] / dome)
     turn = cv2.Rodrigues(np.array([*tilt, 0.0]))[0]
-    across = np.cross([0, 1.0, 0], NORMAL)
-    axes = np.stack([across, np.cross(NORMAL, across), NORMAL], axis=1)
-    return flat @ (axes @ turn).T + 45.7 * NORMAL * [0, 0, 1] / NORMAL[2]
+    across = np.cross([0, 1.0, 0], normal)
+    axes = np.stack([across, np.cross(normal, across), normal], axis=1)
+    return flat @ (axes @ turn).T + 45.7 * normal * [0, 0, 1] / normal[2]
 
 
 def views(xyz, rng, noise=0.05, rig=BEHIND, **how):
     return tuple(views_of(rig, xyz, rng, noise, **how))
 
 
-def drawn(rng):
-    """Return a rig in air that is off by a draw from its covariance."""
-    error = rng.normal(0, SIGMAS)
+def drawn(rng, true=RIG, share=1.0):
+    """Return a rig in air that is off by a draw from its covariance, a share of it."""
+    error = rng.normal(0, share * np.array(SIGMAS))
     focal = [np.diag([*error[k : k + 2], 0]) for k in (0, 8)]
     for matrix, k in zip(focal, (2, 10), strict=True):
         matrix[:2, 2] = error[k : k + 2]
-    turn = cv2.Rodrigues(RIG.R)[0].ravel() + error[16:19]
+    turn = cv2.Rodrigues(true.R)[0].ravel() + error[16:19]
     return StereoRig(
-        RIG.K1 + focal[0],
-        RIG.D1 + np.append(error[4:8], 0),
-        RIG.K2 + focal[1],
-        RIG.D2 + np.append(error[12:16], 0),
+        true.K1 + focal[0],
+        true.D1 + np.append(error[4:8], 0),
+        true.K2 + focal[1],
+        true.D2 + np.append(error[12:16], 0),
         cv2.Rodrigues(turn)[0],
-        RIG.T + error[19:],
-        covariance=np.diag(np.square(SIGMAS)),
+        true.T + error[19:],
+        covariance=np.diag(np.square(share * np.array(SIGMAS))),
     )
 
 
@@ -245,6 +247,23 @@ def test_sigma_of_a_window_is_that_of_its_errors(surface, noise):
     for _ in range(8):
         found = fitted(RIG, views(pattern(**surface), rng, **noise))
         scores.append(errors(found.window)[:3] / np.sqrt(np.diag(found.covariance)[22:25]))
+    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.5
+
+
+def test_cameras_2_mm_apart_find_a_window_though_their_errors_exceed_the_noise():
+    half = math.atan2(1.0, 45.0)
+    turn, at = cv2.Rodrigues(np.array([0, 2 * half, 0]))[0], np.array([0, 0, math.hypot(1.0, 45.0)])
+    near = dataclasses.replace(RIG, R=turn, T=at - turn @ at)
+    ahead = near.R[2] + (0, 0, 1)
+    window = dataclasses.replace(BEHIND.window, normal=ahead)
+    rng, scores = np.random.default_rng(801000), []
+    for _ in range(8):
+        rig = drawn(rng, near, 0.3)
+        seen = views_of(dataclasses.replace(near, window=window), pattern(along=ahead), rng, 0.05)
+        found = fitted(rig, tuple(seen))
+        tilt = window.axes @ (found.window.normal - window.normal)
+        off = [*tilt, found.window.distance - window.distance]
+        scores.append(off / np.sqrt(np.diag(found.covariance)[22:25]))
     assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.5
 
 

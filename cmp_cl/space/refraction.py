@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 _STEPS = 30
 _DONE = 1e-3  # share of its sigma by which a parameter still moves
 _BLOCKS = 6  # of the pattern along each side, see `_with_neighbours`
-_GROSS = 5.0  # times the scatter: a difference beyond is left out
+_GROSS = 10.0  # times the scatter: a difference beyond is left out; errors of cameras reach 5
 # Share of the step by which the motion of nodes under a punch differs; or times its sigma, if more.
 _UNDER, _UNDER_SIGMA = 0.02, 3.0
 _FEWEST = 9  # nodes
