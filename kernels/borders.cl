@@ -36,13 +36,13 @@ int place_on(const int side, const int line, const int k, const int4 box, const 
 #define LINES_OF(side) ((side) < 2 ? height : width)
 #define LENGTH_OF(side) ((side) < 2 ? width : height)
 
-/* ROUGH, or FIRM: a corner, not rough, whose two cells of each colour are alike. cells: the least
- * bright less the greatest dark level, and twice their contrast. */
+/* ROUGH, or FIRM: a corner, not rough, whose two cells of each colour are alike. */
 #define ROUGH 1
 #define FIRM 2
 #define KIND_OF(place) kind_of(owner[place], rough[place], cells[place])
-uchar kind_of(const int owner, const uchar is_rough, const int2 cells) {
-  const bool alike = cells.y > 0 && (float)(2 * cells.x) > (1.0f - PASSING) * (float)cells.y;
+uchar kind_of(const int owner, const uchar is_rough, const Cells cells) {
+  const bool alike = cells.contrast > 0 &&
+                     (float)(2 * cells.quality) > (1.0f - PASSING) * (float)cells.contrast;
   return is_rough ? ROUGH : owner >= 0 && alike ? FIRM : 0;
 }
 
@@ -55,7 +55,7 @@ uchar kind_of(const int owner, const uchar is_rough, const int2 cells) {
 __kernel void cut_board(const uint rows, const uint columns, __global const int *restrict layout,
                         __global const float2 *restrict result,
                         __global const int *restrict owner, __global const uchar *restrict rough,
-                        __global const int2 *restrict cells, __global const float *restrict spread,
+                        __global const Cells *restrict cells, __global const float *restrict spread,
                         __global float2 *restrict nodes, __global int *restrict node_owner,
                         __global uchar *restrict node_kind, __global float *restrict node_spread,
                         __global int *restrict border) {

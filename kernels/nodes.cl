@@ -14,11 +14,24 @@
 #define MARGIN (ROUNDS + 2) /* places beside the first board: those that are looked at last */
 #define NEAR 2 /* the farthest that a node looks */
 
+/* Where the neighbours predict a place: the mean of what some of them predict, and its weight. */
+typedef struct {
+  float2 at;
+  float weight;
+} Prediction;
+
+/* Four cells around a place: the least bright level less the greatest dark one, and twice their
+ * contrast, UNKNOWN where there is no node, or no step. */
+typedef struct {
+  int quality, contrast;
+} Cells;
+#define UNKNOWN INT_MIN
+
 /* What is known of the places of a board. */
 #define PLACES_OF_BOARD                                                             \
   __global float2 *seen, __global uchar *torn, __global float2 *at, __global float2 *result,  \
-      __global uchar *rough, __global float4 *predictions, __global float *cell,     \
-      __global int2 *sides, __global int2 *cells, __global float *score
+      __global uchar *rough, __global Prediction *predictions, __global float *cell, \
+      __global int2 *sides, __global Cells *cells, __global float *score
 #define PLACES seen, torn, at, result, rough, predictions, cell, sides, cells, score
 
 /* Lay the numbered corners out as a board, which is empty while parts wait to be placed beside
@@ -96,11 +109,6 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
          column += get_global_size(0))
 #define PLACE_OF_WORK_ITEM const int place = row * width + column;
 
-/* Where the neighbours predict a place: the mean of what some of them predict, and its weight. */
-typedef struct {
-  float2 at;
-  float weight;
-} Prediction;
 #define AT(rows, columns) at[place + (rows) * width + (columns)]
 #define CUBIC(DO, r, c)                                                             \
   DO(CUBIC_WEIGHT, BY_4 * AT(-(r), -(c)) + BY_4 * AT(r, c) + BY_1 * AT(-2 * (r), -2 * (c)) + \
@@ -202,7 +210,7 @@ bool blend(PLACES_OF_BOARD, const int width, const int place) {
   if (IS_HERE(here)) {
     const Prediction prediction = predicted(seen, place, width);
     const float cell = steps_of(seen, place, width).cell;
-    predictions[place] = (float4)(prediction.at, prediction.weight, 0.0f);
+    predictions[place] = prediction;
     const float2 away = here - prediction.at;
     const float limit = NEAR_CELLS * cell;
     is_rough = torn[place] || away.x * away.x + away.y * away.y > limit * limit;
@@ -222,11 +230,7 @@ __kernel void blend_nodes(__global const int *restrict layout, PLACES_OF_BOARD) 
   }
 }
 
-/* The four cells at a point, in the diagonals of these steps: the least bright level less the
- * greatest dark one, and twice their contrast. */
-typedef struct {
-  int quality, contrast;
-} Cells;
+/* The four cells at a point, in the diagonals of these steps. */
 Cells cells_at(LEVELS_OF_IMAGE, const float2 at, const Steps steps, const int parity) {
   const float share = depth_within(CELL_DEPTH, inverse_root(LARGER(steps.cell * steps.cell, 1.0f)));
   const float2 s = share * (steps.u + steps.v), t = share * (steps.v - steps.u);
@@ -238,8 +242,6 @@ Cells cells_at(LEVELS_OF_IMAGE, const float2 at, const Steps steps, const int pa
   Cells found = {parity > 0 ? least : other, ((c + d) - (a + b)) * parity};
   return found;
 }
-
-#define UNKNOWN INT_MIN /* the contrast where there is no node, or no step */
 
 /* The side from a node to the next: near it, and if that shows less than half of the node's
  * contrast deeper in the cells too, as beside a tab, or where the side bends. */
@@ -253,13 +255,13 @@ int side_between(LEVELS_OF_IMAGE, const float2 a, const float2 b, const int sign
 /* Measure the steps, sides and cells of a node. */
 #define PARITY_OF(row, column) (((row) + (column)) & 1 ? -layout[SIGN] : layout[SIGN])
 void measure(LEVELS_OF_IMAGE, PLACES_OF_BOARD, const int width, const int place, const int parity) {
-  int2 side = (int2)(0), found_cells = (int2)(0, UNKNOWN);
+  int2 side = (int2)(0);
+  Cells found = {0, UNKNOWN};
   const float2 here = at[place];
   if (IS_HERE(here)) {
     const Steps steps = steps_of(at, place, width);
-    const Cells found = cells_at(LEVELS, here, steps, parity);
+    found = cells_at(LEVELS, here, steps, parity);
     cell[place] = steps.cell;
-    found_cells = (int2)(found.quality, steps.known ? found.contrast : UNKNOWN);
     for (int down = 0; down < 2; ++down) { /* a loop, since a call in it is compiled once */
       const float2 next = at[place + (down ? width : 1)];
       if (!IS_HERE(next)) continue;
@@ -267,9 +269,10 @@ void measure(LEVELS_OF_IMAGE, PLACES_OF_BOARD, const int width, const int place,
       const int sum = side_between(LEVELS, here, next, sign, found.contrast);
       side = down ? (int2)(side.x, sum) : (int2)(sum, side.y);
     }
+    if (!steps.known) found.contrast = UNKNOWN;
   }
   sides[place] = side;
-  cells[place] = found_cells;
+  cells[place] = found;
 }
 
 __kernel void measure_nodes(LEVELS_OF_IMAGE, __global const int *restrict layout,
@@ -281,11 +284,11 @@ __kernel void measure_nodes(LEVELS_OF_IMAGE, __global const int *restrict layout
 }
 
 /* Two over the mean contrast of the nodes within 5 x 5 places. */
-float usual_share(__global const int2 *cells, const int place, const int width) {
+float usual_share(__global const Cells *cells, const int place, const int width) {
   int sum = 0, count = 0;
   for (int r = -2; r <= 2; ++r)
     for (int c = -2; c <= 2; ++c) {
-      const int contrast = cells[place + r * width + c].y;
+      const int contrast = cells[place + r * width + c].contrast;
       sum += contrast == UNKNOWN ? 0 : contrast;
       count += contrast != UNKNOWN;
     }
@@ -322,9 +325,8 @@ void score_node(PLACES_OF_BOARD, const int width, const int place) {
     ADD_SIDE(place + width, sides[place].y)
     ADD_SIDE(place - 1, sides[place - 1].x)
     ADD_SIDE(place - width, sides[place - width].y)
-    const float4 p = predictions[place];
-    const Prediction prediction = {p.xy, p.z};
-    own = score_of(whole, cells[place].x, share, seen[place], torn[place], prediction, cell[place]);
+    own = score_of(whole, cells[place].quality, share, seen[place], torn[place], predictions[place],
+                   cell[place]);
   }
   score[place] = own;
 }
@@ -350,7 +352,7 @@ bool is_readable(const float2 p, const uint rows, const uint columns) {
 Candidate candidate_at(__global const float *corners, const uint capacity, LEVELS_OF_IMAGE,
                        __global const int *layout, const int width, const int place,
                        const int parity, __global const int *starts, __global const int *binned,
-                       __global const float2 *at, __global const int2 *cells,
+                       __global const float2 *at, __global const Cells *cells,
                        __global const uchar *used) {
   Candidate found = {NONE, NONE, (float2)(0.0f)};
   if (!is_beside_nodes(at, place, width)) return found;
@@ -537,10 +539,8 @@ __kernel void weigh_nodes(__global const float *restrict corners, const uint cap
     if (!rough[place] || corner < 0 || IS_TORN(corner)) continue;
     const float sigma = sqrt(FIELD(corners, VARIANCE_FIELD)[corner]);
     if (!(sigma < FLT_MAX)) continue; /* unknown */
-    const float4 p = predictions[place];
-    const Prediction prediction = {p.xy, p.z};
     const float worn = WORN_SIGMAS * sigma, wear = worn * worn;
-    const float scatter = scatter_of(seen, place, width, prediction);
+    const float scatter = scatter_of(seen, place, width, predictions[place]);
     const float root = inverse_root(LARGER(wear + scatter, 1e-12f)), share = wear * (root * root);
     result[place] = seen[place] + share * (result[place] - seen[place]);
     spread[place] = share * scatter;

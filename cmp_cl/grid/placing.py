@@ -25,7 +25,7 @@ def placed(found: Found, corners: Corners, asked: Asked, told: Told = NOTHING) -
     sigma[mine] = np.maximum(corners.sigma[board.owner[mine]], np.sqrt(board.spread[mine]))
     looked = board.owner == LOOKED
     if looked.any():
-        between = looked & _between(mine)
+        between = looked & _amid(mine)
         status[between] = NodeStatus.INTERPOLATED
         xy[looked & ~between] = np.nan
     corner = board.owner[mine]
@@ -54,7 +54,7 @@ def placed(found: Found, corners: Corners, asked: Asked, told: Told = NOTHING) -
     return grid.within(first, shape)
 
 
-def _between(there: Mask) -> Mask:
+def _amid(there: Mask) -> Mask:
     """Return which places have a corner on both sides, in their row or in their column, (R, C)."""
     between = np.zeros_like(there)
     between[:, 1:-1] = there[:, 2:] & there[:, :-2]
