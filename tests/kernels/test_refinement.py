@@ -3,6 +3,8 @@
 edge_lines, edge_step (one corner at a time, and eight), midlines, centroid, centroids.
 """
 
+import functools
+
 import images
 import numpy as np
 import pytest
@@ -230,3 +232,26 @@ def test_two_sigma_cover_the_error(detector_for, make, amounts, within, count, m
         assert near.sum() > count
         assert (np.abs(error[near]) < 2 * found.sigma[near, None]).mean() > 0.9
         assert np.median(found.sigma[near]) < median * np.sqrt(np.square(error[near]).mean())
+
+
+def test_a_small_cell_takes_two_fifths_off_the_errors_by_waves_and_adds_a_quarter_of_noise(
+    detector_for,
+):
+    """Waves of a rolling shutter with the curvature of a circle of five cells; straight edges."""
+
+    def shaken(x, y, amplitude):
+        x = x - amplitude * np.sin(y / 12)
+        return (0.955 * x + 0.296 * y) / 12.4, (0.955 * y - 0.296 * x) / 12.4
+
+    errors = {}
+    for amplitude, noise in ((2.4, 2), (0, 8)):
+        camera = functools.partial(shaken, amplitude=amplitude)
+        view = boards.drawn(camera, (300, 400), blur=0.8, noise=noise, count=4)
+        for cell in (8.6, 6):
+            config = DetectorConfig(refinement=EdgeStep(cell=cell))
+            xy = detector_for(view.image, config)(view.image).xy
+            inside = xy[(np.abs(xy - (199.5, 149.5)) < (190, 140)).all(axis=1)]
+            error = np.linalg.norm(inside[:, None] - view.corners[:, :2], axis=2).min(axis=1)
+            errors[noise, cell] = np.sqrt(np.square(error).mean())
+    assert errors[2, 6] < 0.65 * errors[2, 8.6]
+    assert errors[8, 6] < 1.35 * errors[8, 8.6]
