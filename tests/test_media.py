@@ -37,13 +37,6 @@ def photograph(name, orientation):
     return data[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + data[2:]
 
 
-def test_what_follows_a_png_in_its_file_is_left_out(tmp_path):
-    media.write_image(tmp_path / "a.png", NOISE)
-    with open(tmp_path / "a.png", "ab") as file:
-        file.write(b"made by a camera")
-    np.testing.assert_array_equal(media.read_image(tmp_path / "a.png"), NOISE)
-
-
 def test_a_photograph_comes_upright(tmp_path):
     (tmp_path / "held.jpg").write_bytes(photograph(".jpg", 6))
     flat = cv2.imdecode(np.frombuffer(photograph(".jpg", 1), np.uint8), cv2.IMREAD_GRAYSCALE)
