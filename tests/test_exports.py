@@ -59,6 +59,12 @@ def test_opencv_and_the_library_read_a_rig_back(tmp_path):
     storage = cv2.FileStorage(str(tmp_path / "rig.yaml"), cv2.FILE_STORAGE_READ)
     assert storage.getNode("name2").string() == "right"
     assert storage.getNode("size1").mat().tolist() == [[640, 480]]
+    three = {**found.cameras, "third": camera(Lens.PINHOLE, translation=(-90, 0, 0))}
+    save_cameras(tmp_path / "three.yaml", three)
+    storage = cv2.FileStorage(str(tmp_path / "three.yaml"), cv2.FILE_STORAGE_READ)
+    np.testing.assert_array_equal(storage.getNode("R2").mat(), found.rig().R)
+    assert storage.getNode("T3").mat().ravel().tolist() == [-90, 0, 0]
+    assert storage.getNode("R1").empty()
 
 
 def test_a_file_of_one_camera_or_of_fisheyes_is_no_rig(tmp_path):
