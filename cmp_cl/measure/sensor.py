@@ -13,7 +13,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from cmp_cl.closing import Closing
-from cmp_cl.errors import ConfigError, FieldError, ImageError, check_kind
+from cmp_cl.errors import ConfigError, FieldError, ImageError, check_range
 from cmp_cl.field.field import frame_of_pytac3d
 from cmp_cl.measure.measured import Measured
 from cmp_cl.measure.two_views import TwoViews
@@ -44,9 +44,7 @@ class Frames(Closing):
         maxQSize: int = 5,
         callbackParam: Any = None,
     ) -> None:
-        check_kind("maxQSize", maxQSize, int, ConfigError)
-        if maxQSize < 1:
-            raise ConfigError(f"maxQSize must be 1 or more, not {maxQSize}")
+        check_range("maxQSize", maxQSize, 1, 10**6, kind=int)
 
         def told() -> Generator[Frame, None, None]:
             with contextlib.closing(frames):

@@ -20,7 +20,6 @@ from cmp_cl.measure.patterns import check_board
 # cell per frame could reach the next position that looks the same.
 BRIDGED = 1
 MOST_CELLS = 0.5  # from frame to frame
-_KNOWN_CELLS = 0.01  # so well is a motion known
 # Rows and columns to the nearest nodes of the same colours
 SHIFTS = np.array([(0, 2), (0, -2), (2, 0), (-2, 0), (1, 1), (-1, -1), (1, -1), (-1, 1)])
 
@@ -89,7 +88,7 @@ class View:
     def _may_slip(self, grid: Grid, before: Grid) -> bool:
         """Return whether the pattern may have come to another position that looks the same, in the
         frames since the one before."""
-        most = MOST_CELLS * (self._lost + 1) - _KNOWN_CELLS
+        most = MOST_CELLS * (self._lost + 1)
         off = np.linalg.norm(SHIFTS - _motion(grid, before), axis=1)
         return bool(grid.valid.any() and not off.min() >= most)
 
