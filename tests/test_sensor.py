@@ -246,7 +246,7 @@ def test_errors_reach_the_caller(video, tmp_path):
             sensor.waitForFrame(timeout=60)
     with Sensor(video, RIG, shape=(13, 40)) as sensor, pytest.raises(GridError):
         sensor.waitForFrame(timeout=60)
-    with pytest.raises(ConfigError, match="maxQSize must be an integer in .1, 1000000., not 0"):
+    with pytest.raises(ConfigError, match="maxQSize must be an integer in"):
         Sensor(video, RIG, maxQSize=0)
     with pytest.raises(FileNotFoundError):
         Sensor(str(tmp_path / "none.mp4"), RIG)
