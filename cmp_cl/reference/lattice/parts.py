@@ -24,8 +24,7 @@ DIRECTIONS = 1024  # unit vectors in a full turn
 COSINE = (np.rint(16384 * np.cos(np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS))) / 16384).astype(
     np.float32
 )
-COLUMN_STEP = np.array([1, 0, -1, 0])
-ROW_STEP = np.array([0, 1, 0, -1])
+STEPS = np.array([1, 1j, -1, -1j])  # columns + 1j rows, by direction
 F = np.float32
 NOWHERE = np.complex64(complex(np.nan, np.nan))
 SIDE_POINTS, MIDDLE_POINTS = (0.25, 0.375, 0.5, 0.625, 0.75), (0.375, 0.5, 0.625)  # of a side
@@ -179,32 +178,14 @@ def candidates(shape: tuple[int, int], corners: Directed, constants: LatticeCons
         shift += 1
     column = np.clip(np.floor(at.real).astype(np.int64), 0, width - 1) >> shift
     row = np.clip(np.floor(at.imag).astype(np.int64), 0, height - 1) >> shift
-    rows, columns = ((height - 1) >> shift) + 1, ((width - 1) >> shift) + 1
-    count = np.bincount(row * columns + column, minlength=rows * columns).reshape(rows, columns)
-    total = np.zeros((rows + 1, columns + 1), np.int64)
-    total[1:, 1:] = count.cumsum(0).cumsum(1)
+    apart = np.maximum(*(np.abs(np.subtract.outer(each, each)) for each in (row, column)))
     ring = np.full(len(some), constants.link_rings)
-    for k in range(constants.link_rings, 0, -1):
-        top, bottom = np.maximum(row - k, 0), np.minimum(row + k + 1, rows)
-        left, right = np.maximum(column - k, 0), np.minimum(column + k + 1, columns)
-        within = total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
-        ring[within >= constants.link_neighbours] = k
-    order = np.argsort(row * columns + column, kind="stable")
-    start = np.concatenate([[0], count.ravel().cumsum()])
-    pairs = []
-    for dr in range(-constants.link_rings, constants.link_rings + 1):  # one row of bins is a run
-        near = np.flatnonzero((ring >= abs(dr)) & (row + dr >= 0) & (row + dr < rows))
-        first = (row[near] + dr) * columns + np.maximum(column[near] - ring[near], 0)
-        last = (row[near] + dr) * columns + np.minimum(column[near] + ring[near], columns - 1)
-        number = start[last + 1] - start[first]
-        place = np.arange(number.sum()) - np.repeat(number.cumsum() - number, number)
-        other = order[np.repeat(start[first], number) + place]
-        pairs.append(np.stack([np.repeat(near, number), other], axis=1))
-    both = np.concatenate(pairs)
-    both = some[both[both[:, 0] != both[:, 1]]]
-    both = both[corners.known[both].all(axis=1)]
-    ordered: Whole = both[np.lexsort((both[:, 1], both[:, 0]))]
-    return ordered
+    if len(some) >= constants.link_neighbours:
+        last = constants.link_neighbours - 1
+        ring = np.clip(np.partition(apart, last, axis=1)[:, last], 1, constants.link_rings)
+    both = some[np.argwhere(apart <= ring[:, None])]
+    found: Whole = both[(both[:, 0] != both[:, 1]) & corners.known[both].all(axis=1)]
+    return found
 
 
 def links(plane: NDArray[np.integer], corners: Directed, constants: LatticeConstants) -> Whole:
@@ -417,38 +398,22 @@ def numbered(
     faces agree. The least half-edge of a part is its root, with number (0, 0) and direction 0.
     """
     count = len(twin)
-    root = np.where(closed, np.arange(count), -1)
-    here = np.flatnonzero(closed)
-    across = np.flatnonzero(agree)
-    source = np.concatenate([here, across])
-    target = np.concatenate([after[here], twin[across]])
-    turn = np.concatenate([np.ones(len(here), np.int64), np.full(len(across), 2)])
-    while len(source):  # hook the greater root to the lesser, then shorten all ways to the roots
-        before = root.copy()
-        least = np.minimum(root[source], root[target])
-        np.minimum.at(root, before[source], least)
-        np.minimum.at(root, before[target], least)
-        root[here] = root[root[here]]
-        if np.array_equal(root, before):
-            break
-    column, row, direction = (np.zeros(count, np.int64) for _ in range(3))
-    reached = root == np.arange(count)
-    while len(source):  # breadth first from the roots, both ways along each step
-        forth = reached[source] & ~reached[target]
-        back = reached[target] & ~reached[source]
-        if not (forth.any() or back.any()):
-            break
-        a, b = source[forth], target[forth]
-        column[b] = column[a] + COLUMN_STEP[direction[a]]
-        row[b] = row[a] + ROW_STEP[direction[a]]
-        direction[b] = (direction[a] + turn[forth]) % 4
-        a, b = source[back], target[back]
-        direction[a] = (direction[b] - turn[back]) % 4
-        column[a] = column[b] - COLUMN_STEP[direction[a]]
-        row[a] = row[b] - ROW_STEP[direction[a]]
-        reached[target[forth]] = True
-        reached[source[back]] = True
-    return root, column, row, direction
+    ways = [(after.tolist(), 1), (np.where(agree, twin, -1).tolist(), 2)]
+    root, number, direction = [-1] * count, [0j] * count, [0] * count
+    for first in np.flatnonzero(closed).tolist():
+        if root[first] >= 0:
+            continue
+        root[first], reached = first, [first]
+        for h in reached:  # it grows
+            for way, turn in ways:
+                other = way[h]
+                if other >= 0 and root[other] < 0:
+                    root[other] = first
+                    number[other] = number[h] + STEPS[direction[h]]
+                    direction[other] = (direction[h] + turn) % 4
+                    reached.append(other)
+    columns, rows = np.real(number).astype(np.int64), np.imag(number).astype(np.int64)
+    return np.array(root, np.int64), columns, rows, np.array(direction, np.int64)
 
 
 def contradicted(root: Whole, column: Whole, row: Whole, direction: Whole) -> Mask:

@@ -6,9 +6,8 @@ from numpy.typing import NDArray
 from cmp_cl.lattice.arrays import Float, Numbers, Units, Votes
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.reference.lattice.parts import (
-    COLUMN_STEP,
-    ROW_STEP,
     SIDE_POINTS,
+    STEPS,
     Directed,
     F,
     Real,
@@ -86,7 +85,7 @@ def votes(
         weight = (np.minimum(share, F(1)) * root).astype(np.float64)
         one, other = first[n], second[n]
         direction = (s[n] + rotation[one]) % 4
-        number = units.number[one] + m * (COLUMN_STEP[direction] + 1j * ROW_STEP[direction])
+        number = units.number[one] + m * STEPS[direction]
         found.append((one, other, number, direction - t[n] + 2 - rotation[other], weight))
     one, other, number, quarter, weight = (
         np.concatenate(each) for each in zip(*found, strict=True)
