@@ -372,15 +372,9 @@ def dropped(plane: Plane, board: Board, k: LatticeConstants) -> Board:
 def nearest_corner(corners: Places, at: Places) -> tuple[Whole, Real]:
     """Return the nearest corner to each point, the lower index of equals, and its squared
     distance."""
-    best: Whole = np.zeros(len(at), np.int64)
-    least = np.full(len(at), np.inf, np.float32)
-    for first in range(0, len(at), 1024):
-        some = np.s_[first : first + 1024]
-        away = corners - at[some, None]
-        square = np.where(np.isnan(away), np.inf, dot(away, away))
-        best[some] = square.argmin(axis=1)
-        least[some] = square.min(axis=1)
-    return best, least
+    away = corners - at[:, None]
+    square = np.where(np.isnan(away), np.inf, dot(away, away))
+    return square.argmin(axis=1), square.min(axis=1)
 
 
 def _first_claims(owner: Whole, take: Mask) -> Mask:
