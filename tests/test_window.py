@@ -113,7 +113,11 @@ def test_the_bias_of_a_field_is_what_an_error_of_the_rig_does_to_it():
             rig,
             R=cv2.Rodrigues(cv2.Rodrigues(rig.R)[0].ravel() + error[16:19])[0],
             T=rig.T + error[19:22],
-            window=WINDOW.moved(error[22:]),
+            window=dataclasses.replace(
+                WINDOW.moved([*error[22:24], 0, 0]),
+                distance=WINDOW.distance + error[24],
+                index=WINDOW.index + error[25],
+            ),
         )
         seen = [np.hstack(each.project(rest.reshape(-1, 3))) for each in (rig, wrong)]
         slope = rig.slopes(rest.reshape(-1, 3))[1][..., number]
