@@ -143,8 +143,7 @@ def anew(made: Sequence[Film]) -> list[Row]:
     for film in made:
         with two_views(film[0].frame) as following, two_views(film[0].frame) as numbering:
             for shot in film[1:]:
-                for _ in range(2):  # of more than one missing frame no number is continued
-                    numbering.skip()
+                numbering.skip()  # a frame after a missing one is numbered anew
                 one, two = following(shot.frame), numbering(shot.frame)
                 frames += one.tracked
                 off = np.linalg.norm(one.field.displacement - two.field.displacement, axis=2)
