@@ -3,10 +3,8 @@
     python bench/fit.py octaves|sigma [BOARDS]      prints a table; up to 40 s a board
 
 No photograph and no rendered scene is among the boards, and none of another bench.
-
 octaves: the oracle decides about its maxima, on boards of `boards.drawn`. Missed and false are
-means over the boards of shares of a board's corners, at most all of them, %, so that a board of
-thousands counts like one of ten.
+shares of a board's corners, at most all of them, %, and means over the boards.
 sigma: the oracle's share of the errors within two sigma, %, and the median sigma over the errors'
 RMS, on boards as drawn, enlarged by repeating pixels, compressed, in coarse noise, blurred, or
 whose ink has spread; see kernels/residual.cl.
@@ -37,10 +35,12 @@ OCTAVES: dict[str, tuple[float, ...]] = {  # of the oracle; `relative` is the ru
     "OCTAVE_APART": (2, 3, 4, 6, 8),
     "STRONG": (1, 1.25, 1.75, 2),
     "NEIGHBOURS": (20, 24, 28, 40),
-    "ALIGNED": (5, 6, 7, 10, 12),
     "OUTDONE": (1, 1.5, 4, 10**6),
-    "MOSTLY": (1, 2, 10**6),
     "SEEN": (0.5, 2.5),
+    "ASKEW": (1.5, 1.75, 2.25, 2.5, 3),
+    "CONFIRMED": (0, 2, 4, 8, 12),
+    "NEEDED": (8, 12, 14, 18, 20),
+    "SPARED": (12, 16, 24, 28),
 }
 SIGMA = {
     "VARIANCE_OF_ODD": (1000, 0, 500, 700, 1400, 2000),  # the first is the default

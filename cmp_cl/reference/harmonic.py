@@ -38,9 +38,9 @@ OCTAVE_APART = 5  # px of the halved frame: nearer to a corner found before it i
 STRONG = 1.5  # one in so many of the reference is a response that needs nothing beside it
 OUTDONE = 2  # a frame may be noise if its own reference is less than one in so many of W
 NEIGHBOURS = 32  # px of the octave, x and y: corners of narrower cells have neighbours in there
-ALIGNED = 8  # of them suffice, and two more for each that is askew
-MOSTLY = 3  # times as many aligned neighbours as askew ones or more: the latter are few
 SEEN = 1.5  # px of the next octave
+ASKEW, CONFIRMED = 2, 6  # a neighbour that is askew, and the next octave, in aligned neighbours
+NEEDED, SPARED = 16, 20  # of them for a response of 0 in the frame, and fewer by this times R/W
 UNIT = 15  # of a direction, about
 
 
@@ -257,11 +257,9 @@ def decided(
         n, reach = each.halvings, OCTAVE_APART if each.halvings else nms_radius
         corner = ~is_near(each, kept, reach)
         if n + 1 < len(octaves):
-            weak = (STRONG * each.response < level) & (n == 0)
-            asked = corner & (weak | (n > 0) | (OUTDONE * references[0] < level))
-            corner[asked] = ~is_lone(
-                each.of(asked), weak[asked], every[n], enough[n + 1], nms_radius
-            )
+            weak = (STRONG * each.response < level) | (OUTDONE * references[0] < level)
+            asked = corner & (weak | (n > 0))
+            corner[asked] = ~is_lone(each.of(asked), every[n], enough[n + 1], level, nms_radius)
         kept.append(each.of(corner))
     return greatest, kept
 
@@ -291,22 +289,20 @@ def weakened(found: Maxima) -> Whole:
 
 
 def is_lone(
-    asked: Maxima,
-    weak: NDArray[np.bool_],
-    every: Sequence[Maxima],
-    following: Maxima,
-    nms_radius: int,
+    asked: Maxima, every: Sequence[Maxima], following: Maxima, level: int, nms_radius: int
 ) -> NDArray[np.bool_]:
-    """Return which maxima of an octave neither many neighbours confirm nor the next octave.
+    """Return which maxima of an octave have less evidence beside them than they need.
 
-    weak: (N,), whether the next octave can confirm a maximum only if no neighbour is askew; others
-        are lone only if many are. every: the neighbours. following: the maxima of the next octave.
-        Noise is weaker there, and independent of that before; the corners of wide cells stay.
+    every: the neighbours: aligned ones are evidence for a corner, and askew ones against it.
+    following: the maxima of the next octave. Noise is weaker there, and independent of that before;
+        the corners of wide cells stay, and need no more if no neighbour is askew.
+    level: W. In the frame a weak response needs more.
     """
     aligned, askew = around(asked, every, nms_radius)
     seen = is_near(asked, [following], SEEN)
-    if_weak, if_not = (askew > 0) | ~seen, (MOSTLY * askew > aligned) & ~seen
-    lone: NDArray[np.bool_] = np.where(weak, if_weak, if_not) & (aligned < ALIGNED + 2 * askew)
+    evidence = aligned - ASKEW * askew + CONFIRMED * seen
+    needed = 0 if asked.halvings else NEEDED * level - SPARED * asked.response
+    lone: NDArray[np.bool_] = (level * evidence < needed) & ((askew > 0) | ~seen)
     return lone
 
 

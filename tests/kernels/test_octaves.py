@@ -122,6 +122,22 @@ def test_a_board_in_noise_that_pixels_share_keeps_its_corners(detector_in_form, 
     assert to_nearest(corners, found.xy).max() < 1
 
 
+@pytest.mark.parametrize("blur", [0.8, 1.3])
+def test_rows_of_a_board_seen_at_75_degrees_have_few_neighbours_and_are_found(
+    detector_in_form, blur
+):
+    (tilt, _), (turn, _) = (
+        cv2.Rodrigues(np.radians(axis)) for axis in ([75.0, 0, 0], [0, 0, 15.0])
+    )
+    lens = np.array([[500, 0, SHAPE[1] / 2], [0, 500, SHAPE[0] / 2], [0, 0, 1]])
+    to_middle = np.array([[1, 0, -3], [0, 1, -1.5], [0, 0, 1]])
+    to_image = lens @ np.column_stack([(tilt @ turn)[:, :2], [0, 0, 12]]) @ to_middle
+    view = boards.drawn(boards.homography(to_image), SHAPE, (4, 7), blur=blur)
+    found = assert_corners_equal(detector_in_form(view.image, OCTAVES), view.image)
+    assert len(view.corners) == 28
+    assert to_nearest(view.corners[:, :2], found.xy).max() < 1
+
+
 @pytest.mark.parametrize(("cell", "name"), [(36, "4X4_50"), (40, "4X4_50"), (24, "6X6_250")])
 def test_markers_do_not_hide_the_corners_beside_them(detector_in_form, cell, name):
     """Most neighbours of such a corner are modules of markers, whose directions differ."""
