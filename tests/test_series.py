@@ -120,6 +120,16 @@ def test_rosbags_reads_an_mcap(tmp_path):
     assert not found
 
 
+def test_the_points_of_an_mcap_are_positions_displacements_sigma_and_numbers(tmp_path):
+    pytest.importorskip("mcap_ros2", reason="mcap is not installed")
+    *_, points = clouds(write(tmp_path / "press.mcap"))
+    shift = frame(2)["displacement"]
+    np.testing.assert_allclose(points[..., :3], rest() + shift, rtol=1e-6)
+    np.testing.assert_allclose(points[..., 3:6], shift, rtol=1e-6)
+    np.testing.assert_array_equal(points[..., 6], frame(2)["sigma"])
+    np.testing.assert_array_equal(np.moveaxis(points[..., 7:], 2, 0), np.indices(SHAPE))
+
+
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_a_series_can_be_read_while_it_is_written_and_has_its_name_at_the_end(tmp_path, suffix):
     path, part = tmp_path / f"a press{suffix}", tmp_path / f"a press{suffix}.part"
