@@ -10,7 +10,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from typing import NoReturn, TextIO
+from typing import Any, NoReturn, TextIO
 
 import cv2
 
@@ -71,6 +71,12 @@ def _silence(stream: TextIO) -> None:
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {shortened(message)}; {self.prog} --help says more\n")
+
+    def parse_known_args(self, *given: Any, **how: Any) -> Any:  # what only a command knows
+        found, unknown = super().parse_known_args(*given, **how)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return found, unknown
 
 
 def _parser() -> argparse.ArgumentParser:

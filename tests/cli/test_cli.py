@@ -84,7 +84,7 @@ def test_each_device_is_timed_and_its_answer_is_checked(run, monkeypatch):
     [
         ((), ["COMMAND"]),
         (("bogus",), ["bogus", "detect"]),
-        (("run", BOARD, "--rig", "r.yaml", "--out", "a.npz"), ["unrecognized", "--rig r.yaml; "]),
+        (("run", BOARD, "--rig", "r.yaml", "--out", "a.npz"), ["--rig r.yaml; cmp-cl run --help"]),
         (("detect", "float.tif"), ["float32", "expected 8 or 16 bits"]),
         (("detect", BOARD, "--out", "-"), ["--out - must end in .csv"]),
         (("detect", BOARD, BOARD, "--overlay", "o.png"), ["--overlay is the picture of one image"]),
