@@ -26,6 +26,7 @@ from cmp_cl.lattice.printing import prints_of
 
 K = LatticeConstants()
 LEAST_ROWS = 3  # whose median end is sure
+ALIKE = 2 / 3  # of the rows beside a step end at one column
 
 
 class Asked(NamedTuple):
@@ -176,23 +177,32 @@ def _slipped(at: Numbers) -> int:
     rows step alike, at: (R, C), px, NaN where no node is; 0 if none do.
 
     The next place beyond the end of most rows there must lie among the nodes: the view may end
-    before others.
+    before others. A step by one column is that of an edge of the view: colours go on by two.
     """
     there = ~np.isnan(at)
     if not there.any(axis=1).all():
         return 0
-    most = 0
+    rows, most = np.arange(len(at)), 0
     first, last = there.argmax(axis=1), there.shape[1] - 1 - there[:, ::-1].argmax(axis=1)
     lacks_first, lacks_last = _lacks_next(at, first, 0), _lacks_next(at, last, there.shape[1] - 1)
+    if not (lacks_first.any() and lacks_last.any()):
+        return 0
     for row in range(LEAST_ROWS, len(at) - LEAST_ROWS + 1):
-        is_after = np.arange(len(at)) >= row
-        steps = [np.median(end[is_after]) - np.median(end[~is_after]) for end in (first, last)]
-        if steps[0] * steps[1] <= 0:
-            continue
-        lower = is_after if steps[0] > 0 else ~is_after  # the rows that begin farther inside
-        if min(lacks_first[lower].mean(), lacks_last[~lower].mean()) >= K.least_line:
-            most = max(most, min(int(np.count_nonzero(there[side])) for side in (lower, ~lower)))
+        for lower in (rows >= row, rows < row):  # the rows that begin farther inside
+            if min(lacks_first[lower].mean(), lacks_last[~lower].mean()) < K.least_line:
+                continue
+            if min(_step(end, lower) for end in (first, last)) > 1:
+                sides = (int(np.count_nonzero(there[side])) for side in (lower, ~lower))
+                most = max(most, min(sides))
     return most
+
+
+def _step(end: Whole, lower: Mask) -> float:
+    """Return by how many columns some rows end behind the others; 0 unless most of both end alike,
+    as those along a slanted edge do not."""
+    behind, before = end[lower], end[~lower]
+    alike = min(np.mean(np.abs(each - np.median(each)) < 1) for each in (behind, before))
+    return float(np.median(behind) - np.median(before)) if alike >= ALIKE else 0.0
 
 
 def _lacks_next(at: Numbers, end: Whole, outer: int) -> Mask:
