@@ -318,6 +318,19 @@ def test_a_window_that_the_views_do_not_fix_is_refused_by_name():
         fitted(RIG, tuple(grid_of(xy) for xy in few))
 
 
+def test_views_that_are_no_grids_are_refused_by_name():
+    rest = views(pattern(nodes=FEW), np.random.default_rng(770000))
+    for first, then, words in (
+        (rest[:1], None, "rest must be the grids of the left and the right view"),
+        (None, None, "rest must be several, not one NoneType"),
+        (rest, rest, "stepped must be a length and the grids of both views"),
+        (rest, (1.0, rest[0], None), "each of the views of stepped must be of type Grid"),
+        (rest, (-1.0, *rest), "the length of stepped must be a positive number, not -1"),
+    ):
+        with pytest.raises(CalibrationError, match=words):
+            fitted(RIG, first, then)
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError, check_kind, check_positive
+from cmp_cl.errors import CalibrationError, check_kind, check_positive, listed
 from cmp_cl.grid.grid import Grid
 from cmp_cl.space.lens import ESTIMATED, POSE
 from cmp_cl.space.rig import StereoRig, points_by_image
@@ -159,11 +159,19 @@ def _check(
     check_kind("rig", rig, StereoRig, CalibrationError)
     if rig.window is not None:
         raise CalibrationError("rig has a window; give the rig that was calibrated in air")
+    views = {"rest": rest}
     if stepped is not None:
-        step, left, _ = stepped
-        check_positive("the length of stepped", step, CalibrationError)
-        if (left.origin, left.shape) != (rest[0].origin, rest[0].shape):
-            raise CalibrationError(f"rest has {rest[0].extent}, stepped {left.extent}")
+        if len(listed("stepped", stepped, object, CalibrationError)) != 3:
+            raise CalibrationError("stepped must be a length and the grids of both views")
+        check_positive("the length of stepped", stepped[0], CalibrationError)
+        views["the views of stepped"] = stepped[1:]
+    for name, grids in views.items():
+        if len(listed(name, grids, Grid, CalibrationError)) != 2:
+            raise CalibrationError(f"{name} must be the grids of the left and the right view")
+    if stepped is not None and (stepped[1].origin, stepped[1].shape) != (
+        rest[0].origin, rest[0].shape
+    ):  # fmt: skip
+        raise CalibrationError(f"rest has {rest[0].extent}, stepped {stepped[1].extent}")
 
 
 def _start(rig: StereoRig, rest: tuple[Grid, Grid], media: Sequence[tuple[float, float]]) -> Window:
