@@ -219,7 +219,7 @@ class Measurement(Closing):
 
         frame: (H, W). Nodes that are not found are NaN; in a frame without the pattern all are.
         Raises ImageError, CapacityError and DeviceError as a `Detector` does; FieldError within a
-        stream that has not ended.
+        stream that has not ended. A frame that raises counts as missing, see `skip`.
         """
         with self._lock:
             (measured,) = self.stream([frame])
@@ -272,8 +272,8 @@ class Measurement(Closing):
             return None if frame is None else self._begin(self._checked(frame))
 
     def skip(self) -> None:
-        """Note that a frame is missing here; `track` continues numbers over few missing frames
-        only."""
+        """Note that a frame is missing here: the next one is numbered anew. `track` continues
+        numbers over one missing frame only."""
         with self._lock:
             list(self.stream([None]))
 
