@@ -352,6 +352,32 @@ def test_a_frame_that_fails_or_is_interrupted_costs_no_memory_and_the_next_is_nu
     assert used[-1] == used[2]  # before that, other stages make their plans
 
 
+class Interrupted:
+    """A lock that Ctrl-C interrupts as it is left, after so many times."""
+
+    def __init__(self, lock, times):
+        self.lock, self.times = lock, times
+
+    def __enter__(self):
+        self.lock.acquire()
+
+    def __exit__(self, *_):
+        self.lock.release()
+        self.times -= 1
+        if self.times == 0:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("times", range(1, 7))
+def test_an_interrupt_between_the_parts_of_a_call_keeps_no_call_from_what_follows(film, times):
+    with OneView(film[0][:, :240], shape=NODES) as following:
+        lock, following._lock = following._lock, Interrupted(following._lock, times)
+        with pytest.raises(KeyboardInterrupt):
+            following(film[1][:, :240])
+        following._lock = lock
+        assert following(film[1][:, :240]).nodes
+
+
 def test_a_measured_frame_can_be_pickled_for_another_process(film):
     with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
         anew, tracked = map(following, film[:2])

@@ -233,14 +233,15 @@ class Measurement(Closing):
         change before the frame after the next one is requested. Raises the errors of a call, and
         what making a frame raises, after the results before it.
         """
-        with self._lock:
-            if self._streams:
-                raise FieldError(
-                    "a stream of this measurement has not ended: take its frames, or close it"
-                )
-            self._streams = True
         waiting: _Begun | None = None
+        begins = False
         try:
+            with self._lock:
+                if self._streams:
+                    raise FieldError(
+                        "a stream of this measurement has not ended: take its frames, or close it"
+                    )
+                begins = self._streams = True
             for begun in errors_last(map(self._begun, frames)):
                 ready, waiting = waiting, begun if isinstance(begun, _Begun) else None
                 with self._lock:
@@ -262,7 +263,7 @@ class Measurement(Closing):
                 yield last
         finally:
             with self._lock:
-                self._streams = False
+                self._streams &= not begins
                 if waiting is not None:
                     self._give_up(waiting)
 
