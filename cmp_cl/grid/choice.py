@@ -12,7 +12,7 @@ import numpy as np
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus, Others, Sides
-from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Border, Mask, Numbers, Whole
+from cmp_cl.lattice.arrays import NONE, NOT_SEEN, Board, Border, Mask, Whole
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.joins import goes_on
 from cmp_cl.lattice.numbers import (
@@ -25,8 +25,6 @@ from cmp_cl.lattice.numbers import (
 from cmp_cl.lattice.printing import prints_of
 
 K = LatticeConstants()
-LEAST_ROWS = 3  # whose median end is sure
-ALIKE = 2 / 3  # of the rows beside a step end at one column
 
 
 class Asked(NamedTuple):
@@ -112,13 +110,6 @@ class Found:
         may have joined the others by chance."""
         return self.board.hanging if self.board.hanging >= K.least_board else 0
 
-    @property
-    def slipped(self) -> int:
-        """Return the nodes on the smaller side of a line across which both ends of the lines step
-        alike, as those of a part that slid by cells; 0 if none do."""
-        at = np.where(self.board.owner >= 0, self.board.at, complex(math.nan, math.nan))
-        return max(_slipped(at), _slipped(at.T))
-
     @functools.cached_property
     def ended(self) -> int:
         """Return on how many sides the border of a full rectangle is seen, as `Board.ended`."""
@@ -170,52 +161,6 @@ def by_size(found: Iterable[Found]) -> list[Found]:
 def by_extent(found: Iterable[Found]) -> list[Found]:
     """Return boards, those that are larger in the image first."""
     return sorted(found, key=lambda each: -each.extent)
-
-
-def _slipped(at: Numbers) -> int:
-    """Return the nodes on the smaller side of a row across which the first and the last columns of
-    rows step alike, at: (R, C), px, NaN where no node is; 0 if none do.
-
-    The next place beyond the end of most rows there must lie among the nodes: the view may end
-    before others. A step by one column is that of an edge of the view: colours go on by two.
-    """
-    there = ~np.isnan(at)
-    if not there.any(axis=1).all():
-        return 0
-    rows, most = np.arange(len(at)), 0
-    first, last = there.argmax(axis=1), there.shape[1] - 1 - there[:, ::-1].argmax(axis=1)
-    lacks_first, lacks_last = _lacks_next(at, first, 0), _lacks_next(at, last, there.shape[1] - 1)
-    if not (lacks_first.any() and lacks_last.any()):
-        return 0
-    for row in range(LEAST_ROWS, len(at) - LEAST_ROWS + 1):
-        for lower in (rows >= row, rows < row):  # the rows that begin farther inside
-            if min(lacks_first[lower].mean(), lacks_last[~lower].mean()) < K.least_line:
-                continue
-            if min(_step(end, lower) for end in (first, last)) > 1:
-                sides = (int(np.count_nonzero(there[side])) for side in (lower, ~lower))
-                most = max(most, min(sides))
-    return most
-
-
-def _step(end: Whole, lower: Mask) -> float:
-    """Return by how many columns some rows end behind the others; 0 unless most of both end alike,
-    as those along a slanted edge do not."""
-    behind, before = end[lower], end[~lower]
-    alike = min(np.mean(np.abs(each - np.median(each)) < 1) for each in (behind, before))
-    return float(np.median(behind) - np.median(before)) if alike >= ALIKE else 0.0
-
-
-def _lacks_next(at: Numbers, end: Whole, outer: int) -> Mask:
-    """Return which rows end at a column within the outer one, though their next place lies in the
-    box around all nodes, (R,)."""
-    rows, inner = np.arange(len(at)), 1 if outer == 0 else -1
-    beside = np.clip(end + inner, 0, at.shape[1] - 1)
-    place = 2 * at[rows, end] - at[rows, beside]
-    among = np.ones(len(at), np.bool_)
-    for line, every in ((place.real, at.real), (place.imag, at.imag)):
-        among &= (line > np.nanmin(every)) & (line < np.nanmax(every))
-    lacks: Mask = among & (end != outer)
-    return lacks
 
 
 def _between(there: Mask) -> Mask:
@@ -351,7 +296,6 @@ def chosen_of(boards: Iterable[Found], asked: Asked, count: int) -> tuple[Found 
     told = (
         Told(others, Others.PATTERN),
         Told(0 if sure or chosen.is_whole else chosen.hanging, Others.HANGING),
-        Told(chosen.slipped, Others.HANGING),
         Told(0 if filled else chosen.across, Others.ACROSS),
         Told(chosen.gap, Others.GAP),
         Told(0 if fits else chosen.beyond, Others.BESIDE),

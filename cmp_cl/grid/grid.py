@@ -44,8 +44,7 @@ class Others(enum.IntEnum):
     PATTERN = 1  #: corners of another lattice: squares behind a board, or a part without numbers
     GAP = 2  #: places between nodes of a row and of a column that show no corner
     BESIDE = 3  #: corners that lie where its next lines would be
-    #: nodes of a region whose cells share no side with the others, or whose rows are cells behind
-    HANGING = 4
+    HANGING = 4  #: nodes of a region whose cells share no side with the others
     ACROSS = 5  #: nodes beyond lines without a node, as behind a bar
 
 
@@ -58,7 +57,7 @@ _SAID = {
     Others.BESIDE: "{} corners lie where its next lines would be and are no nodes: it may go on "
     "there",
     Others.HANGING: "a region of {} nodes hangs on the others by a single side or by doubtful "
-    "corners, or slid beside them, and may have wrong numbers",
+    "corners, and may have wrong numbers",
     Others.ACROSS: "{} nodes lie beyond lines of which none is seen, and how many these are is not "
     "sure",
 }

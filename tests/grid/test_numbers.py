@@ -469,31 +469,6 @@ def test_a_board_before_larger_squares_is_the_one_that_is_like_the_rest():
     assert not grid.doubts
 
 
-@pytest.mark.parametrize(("turn", "cells"), [(3, 1.6), (3, -2.0), (93, 1.7)])
-def test_a_part_that_slid_beside_the_rest_is_told_by_the_steps_of_both_sides(device, turn, cells):
-    """As in a frame whose lower part is from another moment; the sizes of both are those seen."""
-    still = plane(cell=16, middle=(200, 150), about=(6.5, 6.5), turn=turn)
-
-    def slid(x, y):
-        return still(x - 16 * cells * (y > 139), y)
-
-    for camera, told in ((still, False), (slid, True)):
-        image = drawn(camera, SIZE, (14, 14), blur=0.7).image
-        grid = build_grid(detect(image, device=device), image, device=device)
-        assert (grid.others_are is Others.HANGING) == told == bool(grid.doubts)
-
-
-@pytest.mark.parametrize("slant", [-0.36, 0.3])
-def test_a_pattern_behind_a_slanted_opening_did_not_slip(slant):
-    """Both ends of its rows go on to one side, a cell each few rows."""
-    y, x = np.indices(SIZE) - np.reshape(SIZE, (2, 1, 1)) / 2
-    is_open = (np.abs(x - slant * y) < 130) & (np.abs(y) < 120)
-    view = drawn(plane(cell=14, middle=(200, 150)), SIZE, front=np.where(is_open, np.nan, 30.0))
-    grid = grid_of(view)
-    assert np.count_nonzero(grid.valid) > 250
-    assert grid.others_are is not Others.HANGING
-
-
 @pytest.mark.parametrize(("cells", "told"), [(0, False), (1, True)])
 @pytest.mark.parametrize(("columns", "slope", "at"), [(20, 1, 0.1), (40, 0.5, 0.2)])
 def test_a_part_that_slides_by_cells_is_told_where_the_border_was_seen_at_rest(
