@@ -30,9 +30,9 @@ class LatticeConstants:
         rows on both sides of a bar are linked as neighbours; .05 and .2 do the same on 240 torn
         gels, and on 9 401 corners of bent boards.
     deep_cells: shares of a side, how far beside it levels are read too, where those near it do not
-        show it. Of a puzzle, whose tabs hide the colours near a side, enlarged 2.5 times, 257 of
-        258 corners are nodes, and none without it. With .35, a row behind one of 60 bars was linked
-        to the wrong one; .3 does the same.
+        show it, as beside the tabs of a puzzle. Without it torn gels lose nodes, and boards before
+        clutter take squares of it (bench/numbering.py --ablation). With .35, a row behind one of
+        60 bars was linked to the wrong one; .3 does the same.
     side_depth_cells: shares of a side, how far beside a way the levels are read; with .2 marks
         in the cells are met.
     side_depth_px: px, the same, at least: the smoothed image is three pixels wide. With 0, torn
