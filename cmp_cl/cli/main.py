@@ -9,7 +9,7 @@ import contextlib
 import os
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NoReturn, TextIO
 
 import cv2
@@ -36,8 +36,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             warnings.showwarning = lambda message, *_: tell(str(message))
             arguments = _parser().parse_args(argv)
             run: Callable[[argparse.Namespace], int] = arguments.run
-            status = run(arguments)
-            sys.stdout.flush()  # a full disk is reported now
+            stdout: Any = sys.stdout
+            if getattr(arguments, "out", None) not in (None, "-"):
+                stdout = _Unheard(stdout)
+            with contextlib.redirect_stdout(stdout):
+                status = run(arguments)
+                stdout.flush()  # a full disk is reported now
         return status
     except KernelBuildError as error:
         return _fail(str(error))
@@ -66,6 +70,32 @@ def _silence(stream: TextIO) -> None:
     """Discard what a stream still buffers, or Python complains at its end."""
     with contextlib.suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+class _Unheard:
+    """A stream whose reader may leave, as `head` does; the file that was asked for is made."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        with self._goes_on():
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with self._goes_on():
+            self._stream.flush()
+
+    @contextlib.contextmanager
+    def _goes_on(self) -> Iterator[None]:
+        try:
+            yield
+        except BrokenPipeError:
+            _silence(self._stream)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -203,3 +203,10 @@ def test_closed_and_full_streams_are_no_traceback(tmp_path):
     done = of_shell(f"run {BOARD} --out - >&-")
     message = "cmp-cl: --out - needs standard output, which is closed\n"
     assert (done.returncode, done.stderr) == (2, message)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="streams are closed otherwise on Windows")
+def test_a_reader_that_leaves_costs_no_file(tmp_path):
+    done = of_shell(f"detect {BOARD} {BOARD} --out c.csv | head -0", cwd=tmp_path)
+    assert done.stderr == ""
+    assert (tmp_path / "c.csv").read_text().count("\n") == 1 + 2 * 54
