@@ -201,6 +201,35 @@ def moving(turn: float) -> View:
     return view._replace(image=cv2.blur(view.image, (17, 1)))
 
 
+def bent() -> View:
+    """Return wide cells, the middles of whose sides lie up to 8 px beside their chords."""
+
+    def to_cells(x: Array, y: Array) -> tuple[Array, Array]:
+        return (x + 25 * np.sin(y / 60)) / 90, (y + 25 * np.sin(x / 60)) / 90
+
+    return drawn(to_cells, (600, 700))
+
+
+def puzzle(seed: int) -> View:
+    """Return cells of 60 px; a disc of one of the two colours hides the middle of each side."""
+    colour = np.random.default_rng(seed).random((17, 17)) < 0.5
+
+    def tabs(u: Array, v: Array, row: Array, column: Array) -> NDArray[np.bool_]:
+        half = np.stack([2 * (row + v) + 1, 2 * (column + u) + 1])  # half cells
+        side = np.rint(half).astype(int)
+        disc = (np.hypot(*(half - side)) < 0.34) & (side.sum(axis=0) % 2 == 1)
+        return disc & (colour[tuple(side % 17)] != ((row + column) % 2 != 0))
+
+    return drawn(plane(cell=60, middle=(59.5, 59.5), about=(1, 1)), (480, 480), mark=tabs)
+
+
+def shadowed(number: int) -> View:
+    """Return a board with an eighth of the light behind the edge of a shadow."""
+    view = board(number)
+    light = 0.125 + 0.875 / (1 + np.exp((200.0 - np.arange(SIZE[1])) / 12))
+    return view._replace(image=(light * view.image).astype(np.uint8))
+
+
 def barred(shape: tuple[int, int], cell: float, turn: float, **hidden: tuple[float, float]) -> View:
     """Return a board, cells of so many px, behind a grey bar.
 
@@ -269,6 +298,20 @@ SCENES: dict[str, Case] = {
         for seed in (61, 62, 63)
     },
     **{
+        f"gel torn all around a ring, {markers}": Case(
+            functools.partial(
+                gel,
+                markers,
+                (480, 640),
+                seed=720_000 + markers - 40,
+                severity=2.0,
+                indenter=Indenter.TORUS,
+            ),
+            0.9,
+        )
+        for markers in (43, 48)
+    },
+    **{
         f"gel, cut at {side}": Case(lambda box=box: cut(gel(seed=71, severity=1.0), box), 0.99)
         for side, box in {
             "left": (0.3, 0, 1, 1),
@@ -315,6 +358,10 @@ SCENES: dict[str, Case] = {
         for turn, glare in ((20, 70), (25, 90))
     },
     **{
+        f"board at the edge of a shadow, {number}": Case(functools.partial(shadowed, number))
+        for number in range(1, 5)
+    },
+    **{
         f"board of 3 x {columns} before a floor": Case(
             functools.partial(before_floor, (3, columns)), asked=(3, columns)
         )
@@ -328,6 +375,11 @@ SCENES: dict[str, Case] = {
     },
     "endless": Case(endless, 0.99),
     "endless, turned": Case(functools.partial(endless, turn=31.0), 0.99),
+    "endless, small cells in noise": Case(
+        lambda: drawn(plane(cell=6, middle=(0, 0), turn=17), SIZE, noise=50, seed=1), 0.75
+    ),
+    "sides that bend": Case(bent, 0.93),
+    **{f"puzzle {seed}": Case(functools.partial(puzzle, seed)) for seed in (0, 1, 3)},
     "12 bits": Case(functools.partial(board, 1, bits=12)),
     "16 bits": Case(functools.partial(board, 1, bits=16)),
 }
