@@ -125,18 +125,6 @@ def test_a_grid_says_in_one_line_what_it_is_and_gives_opencv_its_points(grid):
     np.testing.assert_array_equal(points[-1, 0], grid.xy[5, 8])
 
 
-def test_a_pattern_without_nine_corners_is_no_board_and_says_so():
-    cells = np.kron(np.indices((3, 3)).sum(axis=0) % 2, np.ones((24, 24))) * 200 + 30
-    image = np.pad(cells, 30, constant_values=230).astype(np.uint8)
-    corners = detect(image)
-    assert len(corners) == 4
-    grid = build_grid(corners, image, shape=(2, 2))
-    assert not grid.valid.any()
-    assert "no board is seen: it has nine corners or more" in grid.doubts[0]
-    with pytest.raises(GridError, match="no board is seen"):
-        build_grid(corners, image, shape=(2, 2), strict=True)
-
-
 @pytest.mark.parametrize(("second", "counted"), [(0, 0), (2, 0), (3, 9), (5, 15)])
 @pytest.mark.parametrize("first", [5, 6])
 def test_regions_are_of_cells_with_firm_nodes_that_share_sides(first, second, counted):
