@@ -32,6 +32,13 @@ def film():
     return [pressed(severity).frame for severity in FILM]
 
 
+@pytest.fixture
+def two_views(film):
+    """Yield what measures both views against the first frame of the film."""
+    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
+        yield following
+
+
 def test_the_ten_lines_of_the_readme_turn_a_video_into_fields(tmp_path, monkeypatch):
     readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
     example = readme.split("```python\n")[1].split("```")[0]
@@ -173,27 +180,26 @@ def any_memory(request, monkeypatch):
 
 
 @pytest.mark.usefixtures("any_memory")
-def test_a_stream_is_measured_as_calls_are_and_refuses_them_until_it_ends(film):
-    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
-        calls = [following(frame) for frame in film]
-        alone = [each.field.displacement for each in calls]
-        for each, called in zip(following.stream(film), calls, strict=True):
-            np.testing.assert_array_equal(each.field.displacement, called.field.displacement)
-            for corners, expected in zip(each.corners, called.corners, strict=True):
-                assert_same_bytes(corners, expected)
-        left = following.stream(film)
-        next(left)
-        within = [lambda: following(film[5]), following.skip, lambda: next(following.stream(film))]
-        for call in within:
-            with pytest.raises(cmp_cl.FieldError, match="has not ended: take its frames, or"):
-                call()
-        left.close()  # the second frame runs, and nobody checks its nodes
-        after = following(film[4])
+def test_a_stream_is_measured_as_calls_are_and_refuses_them_until_it_ends(two_views, film):
+    calls = [two_views(frame) for frame in film]
+    alone = [each.field.displacement for each in calls]
+    for each, called in zip(two_views.stream(film), calls, strict=True):
+        np.testing.assert_array_equal(each.field.displacement, called.field.displacement)
+        for corners, expected in zip(each.corners, called.corners, strict=True):
+            assert_same_bytes(corners, expected)
+    left = two_views.stream(film)
+    next(left)
+    within = [lambda: two_views(film[5]), two_views.skip, lambda: next(two_views.stream(film))]
+    for call in within:
+        with pytest.raises(cmp_cl.FieldError, match="has not ended: take its frames, or"):
+            call()
+    left.close()  # the second frame runs, and nobody checks its nodes
+    after = two_views(film[4])
     assert not after.tracked
     np.testing.assert_array_equal(after.field.displacement, alone[4])
 
 
-def test_audits_take_the_views_in_turn(film, monkeypatch):
+def test_audits_take_the_views_in_turn(two_views, film, monkeypatch):
     number, audited = View.number, []
 
     def noted(view, corners, image):
@@ -201,26 +207,24 @@ def test_audits_take_the_views_in_turn(film, monkeypatch):
         return number(view, corners, image)
 
     monkeypatch.setattr("cmp_cl.measure.measurement.AUDITED", 2)
-    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
-        following(film[0])
-        monkeypatch.setattr(View, "number", noted)
-        for frame in (film[1], film[0], film[1], film[0]):
-            assert following(frame).tracked
-        first, second = audited
-        assert first is not second
+    two_views(film[0])
+    monkeypatch.setattr(View, "number", noted)
+    for frame in (film[1], film[0], film[1], film[0]):
+        assert two_views(frame).tracked
+    first, second = audited
+    assert first is not second
 
 
-def test_an_audit_tells_the_nodes_that_tracking_numbered_otherwise(film, monkeypatch):
+def test_an_audit_tells_the_nodes_that_tracking_numbered_otherwise(two_views, film, monkeypatch):
     monkeypatch.setattr("cmp_cl.measure.measurement.AUDITED", 2)
-    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
-        found = [following(frame) for frame in film[:4]]
-        assert [each.tracked for each in found] == [False, True, True, True]
-        assert [each.differing for each in found] == [0, 0, 0, 0]
-        monkeypatch.setattr(View, "number", numbered_otherwise)
-        audited = following(film[3])
-        assert (audited.tracked, audited.differing) == (False, 4)  # two in each view
-        after = following(film[3])
-        assert (after.tracked, after.differing) == (True, 0)
+    found = [two_views(frame) for frame in film[:4]]
+    assert [each.tracked for each in found] == [False, True, True, True]
+    assert [each.differing for each in found] == [0, 0, 0, 0]
+    monkeypatch.setattr(View, "number", numbered_otherwise)
+    audited = two_views(film[3])
+    assert (audited.tracked, audited.differing) == (False, 4)  # two in each view
+    after = two_views(film[3])
+    assert (after.tracked, after.differing) == (True, 0)
 
 
 def test_an_audit_finds_nodes_that_tracking_has_lost(monkeypatch):
@@ -286,20 +290,18 @@ def test_a_tracked_frame_says_what_its_kernels_took(film):
             assert all(ms >= 0 for ms in following.times.values())
 
 
-def test_a_frame_that_is_missing_in_a_stream_has_no_result(film):
-    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
-        found = list(following.stream([film[0], None, film[1], film[2], None]))
+def test_a_frame_that_is_missing_in_a_stream_has_no_result(two_views, film):
+    found = list(two_views.stream([film[0], None, film[1], film[2], None]))
     assert [each is None for each in found] == [False, True, False, False, True]
 
 
-def test_a_frame_that_does_not_fit_is_refused_and_the_next_one_is_measured(film):
+def test_a_frame_that_does_not_fit_is_refused_and_the_next_one_is_measured(two_views, film):
     wider = np.pad(film[1], ((0, 40), (0, 60)))
-    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
-        expected = following(film[2]).field.displacement
-        for other in (wider, film[1][:-5], film[1].astype(np.uint16), film[1].astype(float)):
-            with pytest.raises(cmp_cl.ImageError, match=r"of uint8, this one \(|of float64"):
-                list(following.stream([film[1], other, film[1]]))
-        np.testing.assert_array_equal(following(film[2]).field.displacement, expected)
+    expected = two_views(film[2]).field.displacement
+    for other in (wider, film[1][:-5], film[1].astype(np.uint16), film[1].astype(float)):
+        with pytest.raises(cmp_cl.ImageError, match=r"of uint8, this one \(|of float64"):
+            list(two_views.stream([film[1], other, film[1]]))
+    np.testing.assert_array_equal(two_views(film[2]).field.displacement, expected)
 
 
 @pytest.mark.usefixtures("any_memory")
@@ -328,7 +330,7 @@ def test_a_frame_with_more_corners_than_there_is_room_for_is_measured_and_so_is_
     ],
 )
 def test_a_frame_that_fails_or_is_interrupted_costs_no_memory_and_the_next_is_numbered_anew(
-    film, monkeypatch, part, step, error
+    two_views, film, monkeypatch, part, step, error
 ):
     def fails(*_):
         raise error
@@ -340,15 +342,14 @@ def test_a_frame_that_fails_or_is_interrupted_costs_no_memory_and_the_next_is_nu
         return begin(detector, *frames, **how)
 
     monkeypatch.setattr(cmp_cl.Detector, "begin", noted)
-    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
-        following(film[0])
-        for frame in film[1:5]:
-            assert following(frame).tracked
-            with monkeypatch.context() as patch:
-                patch.setattr(part, step, fails)
-                with pytest.raises(type(error)):
-                    following(film[6])
-            assert not following(frame).tracked
+    two_views(film[0])
+    for frame in film[1:5]:
+        assert two_views(frame).tracked
+        with monkeypatch.context() as patch:
+            patch.setattr(part, step, fails)
+            with pytest.raises(type(error)):
+                two_views(film[6])
+        assert not two_views(frame).tracked
     assert used[-1] == used[2]  # before that, other stages make their plans
 
 
@@ -378,9 +379,8 @@ def test_an_interrupt_between_the_parts_of_a_call_keeps_no_call_from_what_follow
         assert following(film[1][:, :240]).nodes
 
 
-def test_a_measured_frame_can_be_pickled_for_another_process(film):
-    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as following:
-        anew, tracked = map(following, film[:2])
+def test_a_measured_frame_can_be_pickled_for_another_process(two_views, film):
+    anew, tracked = map(two_views, film[:2])
     for sent in (anew, tracked):
         came = pickle.loads(pickle.dumps(sent))
         assert repr(came) == repr(sent)
@@ -479,25 +479,19 @@ def knocked(shot, *, across=0.0, degrees=0.0, zoom=1.0):
 
 
 @pytest.mark.parametrize("severity", [0.0, 0.9])
-def test_a_view_that_is_knocked_after_rest_is_told(film, severity):
+def test_a_view_that_is_knocked_after_rest_is_told(two_views, severity):
     shot = pressed(severity)
-    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as against_rest:
-        for knock in (
-            {"across": 0.5},
-            {"across": -2.0},
-            {"across": 5.0},
-            {"degrees": 0.2},
-            {"zoom": 1.005},
-        ):
-            measured = against_rest(knocked(shot, **knock))
-            assert measured.misfit, knock
-            assert measured.arrays["misfit"]
-            assert measured.nodes > 130
-        gone = against_rest(knocked(shot, across=20.0))
-        assert (gone.nodes, gone.misfit) == (0, True)
-        still = against_rest(knocked(shot)), against_rest(shot.frame)
-        assert [(each.misfit, each.nodes) for each in still] == 2 * [(False, 144)]
-        assert not still[0].arrays["misfit"]
+    knocks = *({"across": px} for px in (0.5, -2.0, 5.0)), {"degrees": 0.2}, {"zoom": 1.005}
+    for knock in knocks:
+        measured = two_views(knocked(shot, **knock))
+        assert measured.misfit, knock
+        assert measured.arrays["misfit"]
+        assert measured.nodes > 130
+    gone = two_views(knocked(shot, across=20.0))
+    assert (gone.nodes, gone.misfit) == (0, True)
+    still = two_views(knocked(shot)), two_views(shot.frame)
+    assert [(each.misfit, each.nodes) for each in still] == 2 * [(False, 144)]
+    assert not still[0].arrays["misfit"]
 
 
 def still(rig=RIG, **changes):
@@ -525,7 +519,7 @@ def test_a_rig_that_was_out_of_date_at_rest_tells_only_what_moves_after_it():
             assert against_rest(knocked(pressed(0.0), across=across)).misfit, across
 
 
-def test_neither_a_press_nor_wear_nor_dim_light_nor_a_gel_that_moves_is_a_knock(film):
+def test_neither_a_press_nor_wear_nor_dim_light_nor_a_gel_that_moves_is_a_knock(two_views):
     changes = (
         *({"severity": severity} for severity in (0.1, 0.5, 1.0, 1.5, 2.0)),
         {"corrosion": 3.0},
@@ -534,12 +528,11 @@ def test_neither_a_press_nor_wear_nor_dim_light_nor_a_gel_that_moves_is_a_knock(
         {"blur": 2.0},
         {"position": (5.0, -7.0), "rotation": 0.05},
     )
-    with measure.TwoViews(film[0], RIG, SPLIT, shape=NODES) as against_rest:
-        for change in changes:
-            scene = dataclasses.replace(GEL, **{"severity": 0.0, **change})
-            measured = against_rest(Shot(*render_stereo(scene, RIG)).frame)
-            assert measured.nodes > 70
-            assert not measured.misfit, change
+    for change in changes:
+        scene = dataclasses.replace(GEL, **{"severity": 0.0, **change})
+        measured = two_views(Shot(*render_stereo(scene, RIG)).frame)
+        assert measured.nodes > 70
+        assert not measured.misfit, change
     with OneView(pressed(0.0).left.image, shape=NODES) as one:
         measured = one(pressed(0.4).left.image)
     assert not measured.misfit
