@@ -12,11 +12,11 @@ import pyopencl as cl
 import pytest
 from cases import some
 from comparison import assert_same_bytes
-from configs import all_settings, settings_of
+from configs import ANY_RINGS, all_settings, rings, settings_of
 from corner_images import board, to_nearest
 
 import cmp_cl
-from cmp_cl import BinaryRings, Detector, DetectorConfig, Method, RapidCriteria, errors
+from cmp_cl import BinaryRings, Detector, DetectorConfig, Method, errors
 from cmp_cl.errors import (
     CalibrationError,
     CapacityError,
@@ -245,15 +245,10 @@ def test_threads_wait_for_one_another(detector):
 # --- capacity ------------------------------------------------------------------------------
 
 
-EVERYTHING = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
-
-
 def test_a_batch_and_a_stream_enlarge_the_lists_too(device):
     image = images.salt_and_pepper((400, 80), 0.9)
     calm = np.full_like(image, 128)
-    config = DetectorConfig(
-        detection=BinaryRings(contrast=None, criteria=EVERYTHING), nms_radius=1, max_corners=1
-    )
+    config = rings(contrast=None, criteria=ANY_RINGS, nms_radius=1, max_corners=1)
     with Detector(shape=image.shape, config=config, device=device) as detector:
         results = detector.batch([calm, image, image[::-1].copy()])
         assert detector.regrown == 1

@@ -16,7 +16,9 @@ from configs import CONFIGS, rings
 from detectors import in_form
 
 from cmp_cl import AdaptiveMean, Detector, DetectorConfig, SpectralCriteria
+from cmp_cl.opencl.device import DeviceKind
 from cmp_cl.opencl.program import kernel_folder
+from cmp_cl.stages.layout import PlanBase
 
 VECTORS = sorted((Path(__file__).resolve().parent / "data").glob("*.npz"))
 QUICK = [path for path in VECTORS if path.stem in ("ties-paper", "harmonic-noise")]
@@ -58,6 +60,17 @@ def check(device, config, frames):
 @pytest.mark.parametrize("name", CASES)
 def test_every_kernel_equals_the_oracle_in_every_form(other_form, name):
     assert check(other_form, *CASES[name])[0] > 0
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", CASES)
+def test_groups_of_many_work_items_find_what_one_finds(device, monkeypatch, name):
+    """A CPU runs the kernels of whole work-groups with one work-item each, cards with many."""
+    monkeypatch.setattr(PlanBase, "_on_cpu", False)
+    config, (frame, *_) = CASES[name]
+    pair = images.scene(2).image, images.texture((96, 128))
+    frames = [image.astype(frame.dtype) * (1 if frame.dtype == np.uint8 else 16) for image in pair]
+    assert min(check(in_form(device, DeviceKind.GPU), config, frames)) > 0
 
 
 @pytest.mark.parametrize("path", some(VECTORS, QUICK), ids=lambda path: path.stem)

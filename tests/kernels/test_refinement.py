@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cases import some
 from comparison import POSITION, assert_corners_equal, assert_same_bytes
-from configs import rings
+from configs import ANY_RINGS, rings
 from corner_images import board, corner, grain
 from detectors import FORMS, in_form
 
@@ -22,7 +22,6 @@ from cmp_cl import (
     Fit,
     Method,
     Midlines,
-    RapidCriteria,
     detect,
     reference,
 )
@@ -31,8 +30,7 @@ from cmp_cl.opencl.device import DeviceKind
 from cmp_cl.synthetic import boards
 
 EIGHT, DEEP = images.eight_bits(), images.sixteen_bits()
-WIDE = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
-DENSE = {"contrast": None, "nms_radius": 1, "criteria": WIDE}
+DENSE = {"contrast": None, "nms_radius": 1, "criteria": ANY_RINGS}
 REFINEMENTS = {  # and the method of a corner that is not refused
     "centroid": (None, Method.CENTROID),
     "edge lines": (EdgeLines(), Method.EDGE_LINES),

@@ -17,6 +17,8 @@ from cmp_cl import (
     SpectralCriteria,
 )
 
+# Every pixel whose rings have four transitions is a candidate.
+ANY_RINGS = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
 _OF_RINGS = [field.name for field in dataclasses.fields(BinaryRings)]
 
 
