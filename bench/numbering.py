@@ -58,7 +58,7 @@ from cmp_cl.synthetic.scoring import agreeing
 SEED = 8_100_000  # of the report; constants were chosen on other frames
 FEWER = 10  # --quick takes one frame in so many
 HIT, SHARE = 3.0, 0.25  # px; of a cell
-CROSSED = "if (!passes[h] && !passes[end]) return;"  # of links that are looked at
+CROSSED = "(passes[h] || passes[end])"  # of links that are looked at
 FEW = 0.002  # share of wrong numbers in a frame of an open pattern that counts as right
 K = LatticeConstants()
 # Constants that leave one idea out.
@@ -142,7 +142,7 @@ def crossed(stage: str, macros: Mapping[str, str] | None = None) -> str:
     """Return the text of a stage; in that of the lattice, links that others cross stay."""
     text = source(stage, macros)
     assert stage != "lattice" or CROSSED in text
-    return text.replace(CROSSED, "return;")
+    return text.replace(CROSSED, "false")
 
 
 def calib_targets(view: View, _: Corners) -> Answer:

@@ -41,8 +41,9 @@ __kernel void smooth_levels(__global const PIXEL *restrict image, const uint ste
 }
 
 /* A corner's two lines, unit vectors along boundaries 0 and 1 (0, 0 if unknown), from the angles of
- * its four boundaries, and its contrast: twice the difference of white and black around it. One
- * work-item per corner. `circle` has the cosines of 1024 angles. */
+ * its four boundaries, and its contrast: twice the difference of white and black around it. It has
+ * no link and no face yet, and may choose any chord. One work-item per corner. `circle` has the
+ * cosines of 1024 angles. */
 #define TURN 65536
 #define SIXTEEN_BITS(v) ((v) & (TURN - 1))
 float2 unit_of(const int angle, __global const float *circle) {
@@ -58,13 +59,17 @@ int middle_of(const int angle, const int other) {
 
 __kernel void direct_corners(__global const float *restrict corners, const uint capacity,
                              LEVELS_OF_IMAGE, __global const float *restrict circle,
-                             __global float4 *restrict lines, __global int *restrict contrast) {
+                             __global float4 *restrict lines, __global int *restrict contrast,
+                             __global float4 *restrict limit, __global int4 *restrict twin,
+                             __global int4 *restrict face) {
   const uint i = get_global_id(0);
   if (i >= COUNT(corners)) return;
   const float2 at = POSITIONS(corners)[i];
   const float4 edges = EDGES(corners)[i];
   lines[i] = (float4)(0.0f);
   contrast[i] = 1;
+  limit[i] = (float4)(INFINITY);
+  twin[i] = face[i] = (int4)(NONE);
   if (isnan(at.x + at.y + (edges.x + edges.y) + (edges.z + edges.w))) return;
   const int first = middle_of(ANGLE(edges.x), ANGLE(edges.z));
   const int second = middle_of(ANGLE(edges.y), ANGLE(edges.w));

@@ -3,7 +3,7 @@
 /* Links between corners (13.1): of the neighbours along a boundary the cheapest, kept where both
  * ends choose each other, the middle of the side between them has the colours that both claim, and
  * no link as short crosses. A bar or an arm before the pattern leaves only the ends of such a
- * side. */
+ * side. The kernels run twice: the ends of a crossed link choose once more. */
 
 #define COSTS_PER_PX 64.0f
 
@@ -71,27 +71,35 @@ int least_of(const int8 v) {
 
 /* choice[4 i + s]: the half-edge 4 j + t at the other end of the cheapest chord along boundary s of
  * corner i, the lower one of equals, NONE without one. passes: whether a chord along it is nearer.
- * link and face: NONE, for the kernels below. There is none if it bends too much or joins
- * boundaries of one colour. A narrow window is enough if any corner outside of it is farther away
- * than the chords in it cost. Eight corners of a row of bins at a time take .6 of the time that one
- * after the other do. One work-item per corner. */
+ * limit: the square that its length must be under, 0 if it has chosen. There is none if it bends
+ * too much or joins boundaries of one colour. A narrow window is enough if any corner outside of it
+ * is farther away than the chords in it cost. Eight corners of a row of bins at a time take .6 of
+ * the time that one after the other do. One work-item per corner. */
 #define NARROW 12
 #define EIGHT_OF(T, p) (T)((p)[0], (p)[1], (p)[2], (p)[3], (p)[4], (p)[5], (p)[6], (p)[7])
 #define SPOT(k) EIGHT_OF(float8, spots + (k) * (int)capacity + n)
-#define KEEP_CHEAPER(s) \
-  keep_cheaper(best + s, saved & (near.side == s), half_edge, nearer & (near.side == s));
+#define KEEP_CHEAPER(s)                                                             \
+  {                                                                                 \
+    const int8 own = (near.side == s) & (squared < most[s]);                        \
+    keep_cheaper(best + s, saved & own, half_edge, nearer & own);                   \
+  }
 __kernel void choose_links(__global const float *restrict corners, const uint capacity,
                            __global const float4 *restrict lines,
                            __global const int *restrict layout, __global const int *restrict starts,
                            __global const int *restrict binned,
                            __global const float *restrict spots,
-                           const uint rows, const uint columns, __global int *restrict choice,
-                           __global uchar *restrict passes, __global int *restrict link,
-                           __global int *restrict face) {
+                           const uint rows, const uint columns, __global float *restrict limit,
+                           __global int *restrict choice, __global uchar *restrict passes) {
   const int i = get_global_id(0);
   if (i >= (int)COUNT(corners)) return;
-  vstore4((int4)(NONE), i, link);
-  vstore4((int4)(NONE), i, face);
+  float most[4];
+  bool any = false;
+  for (int s = 0; s < 4; ++s) {
+    most[s] = limit[4 * i + s];
+    limit[4 * i + s] = 0;
+    any |= most[s] > 0;
+  }
+  if (!any) return;
   const float4 own = lines[i];
   const float2 here = POSITIONS(corners)[i];
   const int shift = layout[BIN_SHIFT], row = BIN_ROW(here), column = BIN_COLUMN(here);
@@ -120,6 +128,7 @@ __kernel void choose_links(__global const float *restrict corners, const uint ca
     const float outside = px_outside(layout, window, here) * (COSTS_PER_PX - 0.1f);
     sure = true;
     for (int s = 0; s < 4; ++s) {
+      if (!(most[s] > 0)) continue;
       const int8 costs = NO_CHORD - best[s].saved;
       const int least = least_of(costs);
       const int end = least_of(costs == least ? best[s].end : (int8)(INT_MAX));
@@ -177,49 +186,22 @@ bool is_crossed(__global const float2 *at, __global const int *layout, __global 
   return found;
 }
 
-/* link[h]: the half-edge at the other end of a side that both ends choose. One work-item per
- * half-edge; that of the lower end does the work of both, in the kernels below too. */
+/* link[h]: the half-edge at the other end of a side that both ends choose, NONE without one. One
+ * work-item per half-edge; that of the lower end does the work of both, in the kernel below too. */
 __kernel void keep_links(__global const float *restrict corners, const uint capacity,
                          __global const int *restrict contrast, LEVELS_OF_IMAGE,
-                         __global const int *restrict choice, __global int *restrict link) {
+                         __global const int *restrict choice, __global const int *restrict twin,
+                         __global int *restrict link) {
   const int h = get_global_id(0);
-  if (h >= 4 * (int)COUNT(corners)) return;
+  if (h >= 4 * (int)COUNT(corners) || twin[h] != NONE) return;
   const int end = choice[h];
-  if (end < h || choice[end] != h) return;
-  if (!is_side(POSITIONS(corners), contrast, LEVELS, h, end)) return;
-  link[h] = end;
-  link[end] = h;
-}
-
-/* The half-edge at the other end of the cheapest chord along half-edge h that is shorter than its
- * link, NONE without one. */
-int chosen_again(__global const float2 *at, __global const float4 *lines,
-                 __global const int *layout, __global const int *starts,
-                 __global const int *binned, const uint rows, const uint columns, const int h,
-                 const int end) {
-  const int i = h >> 2, shift = layout[BIN_SHIFT];
-  const Window window =
-      window_of(layout, starts, BIN_ROW(at[i]), BIN_COLUMN(at[i]), LINK_NEIGHBOURS);
-  const float2 before = at[end >> 2] - at[i];
-  const float most = before.x * before.x + before.y * before.y;
-  int least = NO_CHORD, best = NONE;
-  FOR_CORNERS_IN(window, j) {
-    const float2 way = at[j] - at[i];
-    const float squared = way.x * way.x + way.y * way.y;
-    if (squared < 1 || squared >= most) continue;
-    const float length = squared * inverse_root(squared);
-    const Boundary near = boundary_along(lines[i], way.x, way.y);
-    const Boundary far = boundary_along(lines[j], way.x, way.y);
-    if (near.side != (h & 3) || !((near.side ^ far.side) & 1)) continue;
-    if (!(SMALLER(near.length, far.length) > LEAST_COSINE * length)) continue;
-    const float price = length + TURN_PRICE * ((length + length) - (near.length + far.length));
-    const int cost = (int)(price * COSTS_PER_PX), other = 4 * j + (far.side ^ 2);
-    if (cost < least || (cost == least && other < best)) {
-      least = cost;
-      best = other;
-    }
+  if (end == NONE || choice[end] != h) {
+    link[h] = NONE;
+  } else if (h < end) {
+    const bool is_link = is_side(POSITIONS(corners), contrast, LEVELS, h, end);
+    link[h] = is_link ? end : NONE;
+    link[end] = is_link ? h : NONE;
   }
-  return best;
 }
 
 /* twin[h]: the half-edge at the other end of a link, but for one that passes over a nearer corner
@@ -227,40 +209,20 @@ int chosen_again(__global const float2 *at, __global const float4 *lines,
  * nearer corners: motion over half a cell turns edges so far that the second next row seems to lie
  * along them. One work-item per half-edge. */
 __kernel void part_links(__global const float *restrict corners, const uint capacity,
-                         __global const float4 *restrict lines, __global const int *restrict layout,
-                         __global const int *restrict starts, __global const int *restrict binned,
-                         const uint rows, const uint columns,
-                         __global const uchar *restrict passes, __global const int *restrict link,
-                         __global int *restrict choice, __global int *restrict twin) {
-  const int h = get_global_id(0);
-  if (h >= 4 * (int)COUNT(corners)) return;
-  const int end = link[h];
-  if (end == NONE) twin[h] = NONE;
-  if (end < h) return;
-  __global const float2 *at = POSITIONS(corners);
-  twin[h] = end;
-  twin[end] = h;
-  if (!passes[h] && !passes[end]) return;
-  if (!is_crossed(at, layout, starts, binned, rows, columns, link, h, end)) return;
-  twin[h] = twin[end] = NONE;
-  choice[h] = chosen_again(at, lines, layout, starts, binned, rows, columns, h, end);
-  choice[end] = chosen_again(at, lines, layout, starts, binned, rows, columns, end, h);
-}
-
-/* twin[h] of sides that both ends choose now, and that no link as short crosses. One work-item per
- * half-edge. */
-__kernel void link_again(__global const float *restrict corners, const uint capacity,
-                         __global const int *restrict contrast, LEVELS_OF_IMAGE,
                          __global const int *restrict layout, __global const int *restrict starts,
-                         __global const int *restrict binned, __global const int *restrict choice,
-                         __global const int *restrict link, __global int *restrict twin) {
+                         __global const int *restrict binned, const uint rows, const uint columns,
+                         __global const uchar *restrict passes, __global const int *restrict link,
+                         __global float *restrict limit, __global int *restrict twin) {
   const int h = get_global_id(0);
-  if (h >= 4 * (int)COUNT(corners)) return;
-  const int end = choice[h];
-  if (end < h || choice[end] != h || twin[h] != NONE) return;
+  if (h >= 4 * (int)COUNT(corners) || twin[h] != NONE || link[h] < h) return;
+  const int end = link[h];
   __global const float2 *at = POSITIONS(corners);
-  if (!is_side(at, contrast, LEVELS, h, end)) return;
-  if (is_crossed(at, layout, starts, binned, rows, columns, link, h, end)) return;
-  twin[h] = end;
-  twin[end] = h;
+  if ((passes[h] || passes[end]) &&
+      is_crossed(at, layout, starts, binned, rows, columns, link, h, end)) {
+    const float2 way = at[end >> 2] - at[h >> 2];
+    limit[h] = limit[end] = way.x * way.x + way.y * way.y;
+  } else {
+    twin[h] = end;
+    twin[end] = h;
+  }
 }

@@ -46,7 +46,9 @@ PARTS_OF_CORNERS: tuple[Kernel, ...] = (
     ("choose_links", Over.CORNERS),
     ("keep_links", Over.HALF_EDGES),
     ("part_links", Over.HALF_EDGES),
-    ("link_again", Over.HALF_EDGES),
+    ("choose_links", Over.CORNERS),
+    ("keep_links", Over.HALF_EDGES),
+    ("part_links", Over.HALF_EDGES),
     ("close_faces", Over.HALF_EDGES),
     ("number_parts", Over.GROUP),
 )
@@ -71,7 +73,7 @@ def sizes(*, corners: int, places: int, rows: int, columns: int, step: int) -> d
     of_corners = {
         **dict.fromkeys(("contrast", "claim", "passes"), 4),
         **dict.fromkeys(("lines", "choice", "link", "twin", "face", "beyond", "part"), 16),
-        **dict.fromkeys(("waiting", "faces_of_part", "numbers"), 16),
+        **dict.fromkeys(("waiting", "faces_of_part", "numbers", "limit"), 16),
         **{"used": 1, "cut": 4, "steps": 64, "state": 64},
     }
     of_places = {

@@ -193,11 +193,11 @@ def links(plane: NDArray[np.integer], corners: Directed, constants: LatticeConst
 
     A half-edge chooses its cheapest candidate. A link is a choice of both its ends, and a side in
     the image. If it passes over a nearer candidate and a link as short crosses it, its ends choose
-    again, among nearer ones.
+    once more, among nearer ones.
     """
-    count = len(corners.at)
+    twin = np.full(4 * len(corners.at), -1)
     if np.count_nonzero(corners.known) < 2:
-        return np.full(4 * count, -1)
+        return twin
     i, j = candidates(plane.shape, corners, constants).T
     chord = corners.at[j] - corners.at[i]
     length = length_of(chord, 1)
@@ -212,24 +212,22 @@ def links(plane: NDArray[np.integer], corners: Directed, constants: LatticeConst
     order = np.lexsort((other, key, h))
     h, other, square = h[order], other[order], square[order]
 
-    def chosen(some: Mask) -> Whole:
-        """Return the first of some candidates of each half-edge, -1 without one."""
-        choice = np.full(4 * count, -1)
-        choice[h[some][::-1]] = other[some][::-1]
-        return choice
-
-    choice = chosen(np.ones(len(h), np.bool_))
-    link = linked(plane, corners, choice, constants)
-    most, least = np.zeros(4 * count, np.float32), np.full(4 * count, np.inf, np.float32)
-    is_link = other == link[h]
-    most[h[is_link]] = square[is_link]
-    np.minimum.at(least, h, square)
-    passes = least < most
-    twin = np.where(passes | passes[link], uncrossed(corners, link, link), link)
-    crossed = (link >= 0) & (twin < 0)
-    choice = np.where(crossed, chosen(square < most[h]), choice)
-    again = np.where(twin < 0, linked(plane, corners, choice, constants), -1)
-    return np.maximum(twin, uncrossed(corners, again, link))
+    choice, passes = twin.copy(), np.zeros(len(twin), np.bool_)
+    limit = np.full(len(twin), np.inf, np.float32)
+    for _ in range(2):
+        some, again = square < limit[h], limit > 0
+        choice[again] = -1
+        choice[h[some][::-1]] = other[some][::-1]  # the first of each half-edge
+        chosen, least = np.zeros_like(limit), np.full_like(limit, np.inf)
+        own = other == choice[h]
+        chosen[h[own]] = square[own]
+        np.minimum.at(least, h, square)
+        passes = np.where(again, least < chosen, passes)
+        link = np.where(twin < 0, linked(plane, corners, choice, constants), twin)
+        left = uncrossed(corners, link, link)
+        twin = np.where((twin < 0) & (passes | passes[link]), left, link)
+        limit = np.where((link >= 0) & (twin < 0), chosen, F(0))
+    return twin
 
 
 def linked(
