@@ -36,16 +36,6 @@ int place_on(const int side, const int line, const int k, const int4 box, const 
 #define LINES_OF(side) ((side) < 2 ? height : width)
 #define LENGTH_OF(side) ((side) < 2 ? width : height)
 
-/* ROUGH, or FIRM: a corner, not rough, whose two cells of each colour are alike. */
-#define ROUGH 1
-#define FIRM 2
-#define KIND_OF(place) kind_of(owner[place], rough[place], cells[place])
-uchar kind_of(const int owner, const uchar is_rough, const Cells cells) {
-  const bool alike = cells.contrast > 0 &&
-                     (float)(2 * cells.quality) > (1.0f - PASSING) * (float)cells.contrast;
-  return is_rough ? ROUGH : owner >= 0 && alike ? FIRM : 0;
-}
-
 /* Take off the outer lines of a board that hold too few of their places in view, and keep the rest,
  * upright. Things beside a pattern continue some of its columns, a further line of the pattern
  * continues all of them; where a thing hides some, half of them are firm. The steps to the next
@@ -54,8 +44,8 @@ uchar kind_of(const int owner, const uchar is_rough, const Cells cells) {
 #define IN_32THS(v) floor_of(32 * (v) + 0.5f)
 __kernel void cut_board(const uint rows, const uint columns, __global const int *restrict layout,
                         __global const float2 *restrict result,
-                        __global const int *restrict owner, __global const uchar *restrict rough,
-                        __global const Cells *restrict cells, __global const float *restrict spread,
+                        __global const int *restrict owner, __global const uchar *restrict kind,
+                        __global const float *restrict spread,
                         __global float2 *restrict nodes, __global int *restrict node_owner,
                         __global uchar *restrict node_kind, __global float *restrict node_spread,
                         __global int *restrict border) {
@@ -82,7 +72,7 @@ __kernel void cut_board(const uint rows, const uint columns, __global const int 
       }
       if (is_here) atomic_inc(there + side);
       if (counts) atomic_inc(asked + side);
-      if (is_here && KIND_OF(place) == FIRM) atomic_inc(firm + side);
+      if (is_here && kind[place] == FIRM) atomic_inc(firm + side);
     }
     ALL_TOGETHER;
     bool any = false; /* of the lines without a node */
@@ -136,7 +126,7 @@ __kernel void cut_board(const uint rows, const uint columns, __global const int 
     const int from = (box.x + row) * width + box.z + column;
     nodes[place] = result[from];
     node_owner[place] = owner[from];
-    node_kind[place] = KIND_OF(from);
+    node_kind[place] = kind[from];
     node_spread[place] = spread[from];
   }
   if (get_local_id(0)) return;

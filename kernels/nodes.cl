@@ -7,9 +7,7 @@
  *
  * seen: the position of a node, NAN where it is missing. owner: its corner, NONE, or PLACE if no
  * corner is there. torn: refinement of that position was rejected. at: the same position, if torn
- * blended with the one that the neighbours predict; what nodes are judged by. rough: torn, or far
- * from that prediction. result: blended if rough, then weighed; a wrong neighbour may still mislead
- * it. */
+ * blended with the one that the neighbours predict; what nodes are judged by. */
 #define PLACE (-2)
 #define MARGIN (ROUNDS + 2) /* places beside the first board: those that are looked at last */
 #define NEAR 2 /* the farthest that a node looks */
@@ -29,10 +27,10 @@ typedef struct {
 
 /* What is known of the places of a board. */
 #define PLACES_OF_BOARD                                                             \
-  __global float2 *seen, __global uchar *torn, __global float2 *at, __global float2 *result,  \
-      __global uchar *rough, __global Prediction *predictions, __global float *cell, \
-      __global int2 *sides, __global Cells *cells, __global float *score
-#define PLACES seen, torn, at, result, rough, predictions, cell, sides, cells, score
+  __global float2 *seen, __global uchar *torn, __global float2 *at,                 \
+      __global Prediction *predictions, __global float *cell, __global int2 *sides, \
+      __global Cells *cells, __global float *score
+#define PLACES seen, torn, at, predictions, cell, sides, cells, score
 
 /* Lay the numbered corners out as a board, which is empty while parts wait to be placed beside
  * others. One work-group. */
@@ -202,24 +200,15 @@ float2 blended(const float2 seen, const Prediction prediction, const float cell)
   return seen + share * (prediction.at - seen);
 }
 
-/* Blend the position of a node with its prediction. Returns whether `at` changes. */
+/* Blend the position of a node, if torn, with its prediction. Returns whether `at` changes. */
 bool blend(PLACES_OF_BOARD, const int width, const int place) {
   const float2 here = seen[place], before = at[place];
-  float2 blend = here, judged = here;
-  bool is_rough = false;
+  float2 judged = here;
   if (IS_HERE(here)) {
-    const Prediction prediction = predicted(seen, place, width);
-    const float cell = steps_of(seen, place, width).cell;
-    predictions[place] = prediction;
-    const float2 away = here - prediction.at;
-    const float limit = NEAR_CELLS * cell;
-    is_rough = torn[place] || away.x * away.x + away.y * away.y > limit * limit;
-    if (is_rough) blend = blended(here, prediction, cell);
-    if (torn[place]) judged = blend;
+    const Prediction prediction = predictions[place] = predicted(seen, place, width);
+    if (torn[place]) judged = blended(here, prediction, steps_of(seen, place, width).cell);
   }
   at[place] = judged;
-  result[place] = blend;
-  rough[place] = is_rough;
   return as_int(judged.x) != as_int(before.x) || as_int(judged.y) != as_int(before.y);
 }
 
@@ -526,23 +515,45 @@ __kernel void settle_nodes(__global const float *restrict corners, const uint ca
   }
 }
 
-/* A rough corner that fits the corner model is worn, or the surface bends sharply there: what its
+/* Of each node of the settled board: result, its position, blended if it is rough: torn, or far from
+ * its prediction; a wrong neighbour may still mislead it. spread: the variance that its neighbours
+ * leave it, px^2 per axis, 0 of others. kind: ROUGH, or FIRM: a corner, not rough, whose two cells of
+ * each colour are alike.
+ *
+ * A rough corner that fits the corner model is worn, or the surface bends sharply there: what its
  * neighbours predict scatters then, and counts as much less as it does so more than wear moves a
- * corner. spread: the variance that they leave it, px^2 per axis, 0 of other nodes. */
+ * corner. */
+#define ROUGH 1
+#define FIRM 2
 __kernel void weigh_nodes(__global const float *restrict corners, const uint capacity,
                           __global const int *restrict layout, PLACES_OF_BOARD,
-                          __global const int *restrict owner, __global float *restrict spread) {
+                          __global const int *restrict owner, __global float2 *restrict result,
+                          __global float *restrict spread, __global uchar *restrict kind) {
   FOR_PLACES(0) {
     PLACE_OF_WORK_ITEM
+    const float2 here = seen[place];
+    result[place] = here;
+    spread[place] = kind[place] = 0;
+    if (!IS_HERE(here)) continue;
     const int corner = owner[place];
-    spread[place] = 0;
-    if (!rough[place] || corner < 0 || IS_TORN(corner)) continue;
+    const Prediction prediction = predictions[place];
+    const float size = steps_of(seen, place, width).cell, limit = NEAR_CELLS * size;
+    const float2 away = here - prediction.at;
+    if (!torn[place] && !(away.x * away.x + away.y * away.y > limit * limit)) {
+      const float quality = 2 * cells[place].quality, contrast = cells[place].contrast;
+      const bool is_alike = contrast > 0 && quality > (1.0f - PASSING) * contrast;
+      if (corner >= 0 && is_alike) kind[place] = FIRM;
+      continue;
+    }
+    kind[place] = ROUGH;
+    const float2 blend = result[place] = blended(here, prediction, size);
+    if (corner < 0 || IS_TORN(corner)) continue;
     const float sigma = sqrt(FIELD(corners, VARIANCE_FIELD)[corner]);
     if (!(sigma < FLT_MAX)) continue; /* unknown */
     const float worn = WORN_SIGMAS * sigma, wear = worn * worn;
-    const float scatter = scatter_of(seen, place, width, predictions[place]);
+    const float scatter = scatter_of(seen, place, width, prediction);
     const float root = inverse_root(LARGER(wear + scatter, 1e-12f)), share = wear * (root * root);
-    result[place] = seen[place] + share * (result[place] - seen[place]);
+    result[place] = here + share * (blend - here);
     spread[place] = share * scatter;
   }
 }

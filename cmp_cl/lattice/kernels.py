@@ -77,7 +77,7 @@ def sizes(*, corners: int, places: int, rows: int, columns: int, step: int) -> d
         **{"used": 1, "cut": 4, "steps": 64, "state": 64},
     }
     of_places = {
-        **dict.fromkeys(("torn", "rough", "node_kind"), 1),
+        **dict.fromkeys(("torn", "kind", "node_kind"), 1),
         **dict.fromkeys(("owner", "cell", "score", "candidate", "listed", "asked"), 4),
         **dict.fromkeys(("marks", "spread", "node_owner", "node_spread"), 4),
         **dict.fromkeys(("seen", "at", "result", "sides", "cells", "found", "nodes"), 8),

@@ -71,11 +71,7 @@ def test_outer_lines_of_few_nodes_are_taken_off(device, seed):
     plan.write("layout", layout)
     plan.write("result", np.stack([x, y], axis=2))
     plan.write("owner", owner.astype(np.int32))
-    plan.write("rough", board.torn)
-    plan.write(
-        "cells",
-        np.stack([np.where(alike, 40, 30), np.full(nodes.shape, 100)], axis=2).astype(np.int32),
-    )
+    plan.write("kind", np.where(board.torn, ROUGH, FIRM * board.firm).astype(np.uint8))
     plan.enqueue([each for each in plan.lay if each[0] == "cut_board"])
     wanted = upright(trimmed(board, shape, K))
     count = wanted.owner.size
