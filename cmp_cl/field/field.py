@@ -74,7 +74,7 @@ class DisplacementField:
         """Return (R, C) bool, True where there is a displacement."""
         return np.equal(self.status, PointStatus.VALID)
 
-    @property
+    @functools.cached_property
     def sigma(self) -> Array:
         """Return the standard deviation along the most uncertain axis, (R, C), in `unit`, or
         NaN."""

@@ -296,9 +296,10 @@ class Measurement(Closing):
         """Return the views of a frame; raises ImageError unless it is like that at rest."""
         kind = _kind_of(frame)
         if kind != self._kind:
+            rest, this = ("{} of {}".format(*each) for each in (self._kind, kind))
             raise ImageError(
-                f"the frame at rest is {self._kind}, this one {kind}; measure a recording of "
-                "another size or type against its own frame at rest"
+                f"the frame at rest is {rest}, this one {this}; measure a recording of another "
+                "size or type against its own frame at rest"
             )
         return self._views_of(frame)
 
@@ -408,10 +409,10 @@ class Measurement(Closing):
         self._follows = self._tracker is not None and self._tracker.begin(grids)
 
 
-def _kind_of(frame: AnyImage) -> str:
-    """Return the shape and the type of an image, as text; raises ImageError for anything else."""
+def _kind_of(frame: AnyImage) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Return the shape and the type of an image; raises ImageError for anything else."""
     image = check_image(frame)
-    return f"{image.shape} of {image.dtype}"
+    return image.shape, image.dtype
 
 
 def _grids(

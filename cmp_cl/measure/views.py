@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 
@@ -56,9 +57,9 @@ class View:
         self._previous: Callable[[], Grid] | None = None
         self._lost = 0  # frames since the last one with a grid
 
-    @property
+    @functools.cached_property
     def sure(self) -> Grid:
-        """Return the grid at rest with numbers that are beyond doubt."""
+        """Return the grid at rest, once it has its numbers, as one that is beyond doubt."""
         return dataclasses.replace(self.rest, confidence=math.inf, rival=None)
 
     def number(self, corners: Corners, view: GreyImage) -> Grid:
