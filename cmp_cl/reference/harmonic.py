@@ -26,8 +26,7 @@ LEAST = 80  # a step of two grey levels of 255 may have this response
 COARSE: Ring = (5, 4)  # distance along the axes and along the diagonals, px
 MIDDLE: Ring = (4, 3)
 FINE: Ring = (3, 2)
-FINEST: Ring = (2, 1)
-ALIGNMENT, FINE_ALIGNMENT = 8, 4
+ALIGNMENT = 8
 SUPPORT = 32
 WIDE: Ring = (8, 6)
 CLEAN, DEEP = 1, 2
@@ -183,12 +182,9 @@ def layers_of(
             )
             response = measure(harmonics(plane, rows, columns, ring))
             y, x = np.nonzero(maxima(response, bounds[fine], nms_radius) & allowed)
-            passed = (
-                looks_alike_when_squeezed(once, y, x)
-                if fine
-                else looks_alike(once, thrice, y, x, response[y, x])
-            )
-            y, x = y[passed], x[passed]
+            if not fine:
+                passed = looks_alike(once, thrice, y, x, response[y, x])
+                y, x = y[passed], x[passed]
             seen = harmonics(plane, y, x, ring)
             wide = coarse_measure(harmonics(thrice, y, x, WIDE))
             found = Maxima(
@@ -281,11 +277,9 @@ def strong_enough(found: Maxima, rule: RingHarmonic, level: int) -> Maxima:
 def weakened(found: Maxima) -> Whole:
     """Return how often each response may be half as weak: DEEP times if it is a fifth of the
     samples' sum, weak at most in light, which multiplies both; else CLEAN times if little was
-    subtracted from the length, weak at most in contrast; dirt loses more. In a halved frame the
-    ring of 8 px must respond half as much."""
+    subtracted from the length, weak at most in contrast; dirt loses more."""
     deep, clean = 5 * found.response >= found.total, 4 * found.response >= 3 * found.length
-    times = np.where(deep, DEEP, np.where(clean, CLEAN, 0))
-    return times if not found.halvings else np.where(2 * found.wide >= found.response, times, 0)
+    return np.where(deep, DEEP, np.where(clean, CLEAN, 0))
 
 
 def is_lone(
@@ -462,12 +456,6 @@ def looks_alike(
     middle = coarse_measure(harmonics(thrice, y, x, MIDDLE))
     passed &= (SUPPORT * middle >= response) & (middle <= 2 * response)
     return passed
-
-
-def looks_alike_when_squeezed(once: Whole, y: Whole, x: Whole) -> NDArray[np.bool_]:
-    """Return (N,): the maxima of the 3 px ring that the 2 px ring confirms."""
-    small, large = harmonics(once, y, x, FINEST), harmonics(once, y, x, FINE)
-    return FINE_ALIGNMENT * _dot(small, large) >= _dot(large, large)
 
 
 def reference(responses: Whole) -> int:
