@@ -386,22 +386,24 @@ float8 exp_below(const float8 x) {
   return y > -60.0f ? found : (float8)0;
 }
 
-/* The mean of all pairs with weights by their risk, and its variance. One work-item for eight nodes
- * of a row. */
+/* The mean of all pairs with weights by their risk, and its variance: that of the noise in it, and
+ * what the risk shows beyond, the square of its bias. Where no vote is near, all pairs are alike.
+ * One work-item for eight nodes of a row. */
 __kernel void blend(__global const float *estimate, __global const float *loss,
                     __global const float *near_votes, __global const float *variance,
                     __global const float *chosen, __global const float *own_down,
                     __global const float *own_along, __global const float *gain_down,
                     __global const float *gain_along, __global const float *rows_risk,
                     __global float *values,
-                    __global float *mixed_variance, __global float *mixed_own) {
+                    __global float *mixed_noise, __global float *mixed_bias,
+                    __global float *mixed_own) {
   const int row = get_global_id(0), c = LANES * get_global_id(1), at = row * LINE + c;
   if (row >= ROWS || c >= COLUMNS) return;
   const float8 s1 = EIGHT_AT(chosen + at), s2 = EIGHT_AT(variance + at);
   float8 near = 0;
   EACH_ROW_WITHIN(RISK_REACH)
     near += rows_risk[r - row + RISK_REACH] * EIGHT_AT(near_votes + IN_PIECES(r, c));
-  const float8 scale = 1 / (K * KNOWN_OR_1(s1) * (near > NONE_NEAR ? near : (float8)NONE_NEAR));
+  const float8 none = 0, scale = near > NONE_NEAR ? 1 / (K * KNOWN_OR_1(s1) * near) : none;
   float8 risk[PAIRS], least = INFINITY;
   for (int a = 0; a < PAIRS; a += FILTERS_ALONG) {
     float8 sum[FILTERS_ALONG];
@@ -434,18 +436,29 @@ __kernel void blend(__global const float *estimate, __global const float *loss,
   const float8 stein = s1 * mean_risk * share + 2 * (s2 - s1) * mean_own * share - s2;
   for (int k = 0; k < K; ++k) EIGHT_AT(values + k * PLANE + at) = value[k] * share;
   EIGHT_AT(mixed_own + at) = mean_own * share;
-  EIGHT_AT(mixed_variance + at) = s2 != s2 ? s2 : stein > noise ? stein : noise;
+  EIGHT_AT(mixed_noise + at) = noise;
+  EIGHT_AT(mixed_bias + at) = stein > noise ? stein - noise : none;
 }
 
 /* The planes of a covariance: all in space; in the plane the variance, that of both axes. */
 #define COVARIANCES (K == 3 ? PRODUCTS : 1)
 
-/* The covariance from the lattice, or that of the points where the lattice has none. */
-void store_covariance(const float variance, __global const float *common,
+#define IS_VARIANCE(p) ((p) == 0 || (p) == 3 || (p) == 5)
+/* That of noise, over its mean diagonal; in the plane both axes have the same. */
+#if K == 3
+#define SHAPE(common, p, i) common[(p) * PLANE + IN_LINE(i)]
+#else
+#define SHAPE(common, p, i) 1
+#endif
+
+/* The covariance from the lattice, where a bias may have any direction, or that of the points where
+ * the lattice has none. noise, bias: their variance per axis. */
+void store_covariance(const float noise, const float bias, __global const float *common,
                       __global const float *points, const int i, __global float *covariance) {
-  for (int p = 0; p < COVARIANCES; ++p)
-    covariance[p * NODES + i] =
-        isnan(variance) ? points[p * NODES + i] : variance * SHAPE(common, p, i);
+  for (int p = 0; p < COVARIANCES; ++p) {
+    const float found = noise * SHAPE(common, p, i) + (IS_VARIANCE(p) ? bias : 0);
+    covariance[p * NODES + i] = isnan(noise) ? points[p * NODES + i] : found;
+  }
 }
 
 /* The displacement of each node without the shift by bent edges, and its covariance, both also
@@ -456,9 +469,10 @@ void store_covariance(const float variance, __global const float *common,
  * first. points: the covariance of the points. One work-item a node. */
 __kernel void finish(__global const float *moved, __global const float *values,
                      __global const uchar *votes, __global const uchar *measured,
-                     __global const float *variance, __global const float *mixed_variance,
-                     __global const float *mixed_own, __global const float *bound_rest,
-                     __global const float *own, __global const float *common,
+                     __global const float *variance, __global const float *mixed_noise,
+                     __global const float *mixed_bias, __global const float *mixed_own,
+                     __global const float *bound_rest, __global const float *own,
+                     __global const float *common,
                      __global const float *points, __global const float *bent,
                      __global const uchar *valid,
                      __global float *displacement, __global float *raw_displacement,
@@ -474,7 +488,7 @@ __kernel void finish(__global const float *moved, __global const float *values,
     return;
   }
   const int keeps_own = measured[i] == DETECTED && !votes[i], at = IN_LINE(i);
-  float before = variance[at], after = votes[i] ? mixed_variance[at] : before, off = 0;
+  float before = variance[at], after = votes[i] ? mixed_noise[at] : before, off = 0;
   for (int k = 0; k < K; ++k) {
     const float gap = moved[k * NODES + i] - values[k * PLANE + at];
     off += gap * gap / K;
@@ -493,6 +507,6 @@ __kernel void finish(__global const float *moved, __global const float *values,
     displacement[k * NODES + i] = found - bent[k * NODES + i];
     raw_displacement[k * NODES + i] = seen;
   }
-  store_covariance(after, common, points, i, covariance);
-  store_covariance(before, common, points, i, raw_covariance);
+  store_covariance(after, votes[i] ? mixed_bias[at] : 0.0f, common, points, i, covariance);
+  store_covariance(before, 0.0f, common, points, i, raw_covariance);
 }

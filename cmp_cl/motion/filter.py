@@ -242,7 +242,8 @@ class LatticeFilter:
             loss=pairs,
             near_votes=1,
             values=axes,
-            mixed_variance=1,
+            mixed_noise=1,
+            mixed_bias=1,
             mixed_own=1,
         )
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from stereo_data import gel, grid_of, points, project, rms, toed_in_rig
+from stereo_data import gel, grid_of, points, project, rms, toed_in_rig, views_of
 
 from cmp_cl import Detector, DetectorConfig
 from cmp_cl.fits import bend_shift
@@ -16,6 +16,7 @@ from cmp_cl.motion import displacement, filter_positions
 from cmp_cl.motion.filter import filtered
 from cmp_cl.reference import detect
 from cmp_cl.reference.field import filter as lattice_filter
+from cmp_cl.space import StereoRig
 from cmp_cl.synthetic import Indenter, Mode, boards, random_scene, render
 
 
@@ -169,9 +170,28 @@ def test_the_kernels_filter_positions_as_the_oracle(device, shape, axes):
     if known.any():
         apart = np.abs(found.values - expected.values).max(axis=2) / expected.noise
         assert np.nanmax(apart) < 5e-3
-        sigma = np.sqrt(np.trace(found.covariance, axis1=2, axis2=3) / axes)
-        np.testing.assert_allclose(sigma[known], expected.sigma[known], rtol=5e-3)
+        sigma, wanted = (
+            np.sqrt(np.trace(each.covariance, axis1=2, axis2=3) / axes)
+            for each in (found, expected)
+        )
+        np.testing.assert_allclose(sigma[known], wanted[known], rtol=5e-3)
         np.testing.assert_allclose(found.noise, expected.noise, rtol=1e-3)
+
+
+def test_sigma_holds_along_each_axis_of_a_node_that_two_near_cameras_see():
+    """The depth is noisy, which asks for wide filters; across, the shape then errs by more."""
+    matrix = np.array([[1100.0, 0, 400], [0, 1100, 600], [0, 0, 1]])
+    rig = StereoRig(matrix, [], matrix, [], np.eye(3), [-4.0, 0, 0])
+    rest = gel(40, 40, depth=0.0)
+    bump = np.exp(-np.square(rest[..., :2]).sum(axis=2) / 30)[..., None]
+    now, within = rest + bump * rest * (0.1, 0.1, 0) - bump * (0, 0, 1), []
+    for seed in range(770_700, 770_704):
+        rng = np.random.default_rng(seed)
+        field = displacement(*(rig.triangulate(*views_of(rig, xyz, rng)) for xyz in (rest, now)))
+        variance, axes = np.linalg.eigh(field.covariance)
+        off = np.einsum("rcij,rci->rcj", axes, field.displacement - (now - rest))
+        within.append((np.abs(off) < 2 * np.sqrt(variance)).mean(axis=(0, 1)))
+    assert np.mean(within, axis=0).min() > 0.83
 
 
 # the shift by bent edges

@@ -23,12 +23,14 @@
 6. Each pair gives the estimate E, the loss Q = |X - E|^2 / K + 2 s2 H, with H the node's own weight
    in the pair, and the risk G1.5(Q) / s2 over the votes. The result is the mean of the E with
    weights w proportional to exp(-(risk - least risk) 2 pi 1.5^2 / 3).
-7. Its variance is s2 max(sum w risk - 1, sum w V), V the sum of the squares of the pair's weights.
+7. The noise in it has the variance s2 sum w V, V the sum of the squares of the pair's weights, and
+   by coordinates the shape of C. What s2 (sum w risk - 1) exceeds it by is the square of a bias of
+   any direction: it is added to the variance of each axis.
 8. If the values may bend sharply, as displacements, the pairs are chosen with s1 in place of
    s2. s1 is 1.29 times the least of s2 and of the same estimates from the pilot along one axis
    alone or along one diagonal alone, but at most s2. Along a diagonal the pilot is (3, 5), and
-   is used only where its window fits. Then the variance is max(s1 sum w risk + 2 (s2 - s1) sum
-   w H - s2, s2 sum w V). If an upper bound of the noise is known, s1 is at most its square.
+   is used only where its window fits. Then s1 sum w risk + 2 (s2 - s1) sum w H - s2 takes the place
+   of s2 (sum w risk - 1). If an upper bound of the noise is known, s1 is at most its square.
 9. A node may be worse than the lattice shows. Of displacements the images say so, if their variance
    now exceeds four times the sum of s2 and of what the upper bound exceeds that variance by; of all
    values their mean squared distance from the result does, if it exceeds 9 s2. With v the larger of
@@ -62,20 +64,18 @@ PAIRED = ((0, 0), (2, 1), (2, 3), (3, 3), (4, 3), (7, 3))  # half width in nodes
 class Filtered:
     """A filtered lattice.
 
-    values: (R, C, K); a rejected node keeps its own value, unless it is rough. sigma, noise: (R,
-    C), standard deviations of the values and of those before the filter, NaN where unknown.
-    refused: (R, C), the rejected nodes. margin: the smallest relative distance from its bound of a
-    quantity that rejects or accepts a node; if it is tiny, float32 may decide otherwise. common:
-    (R, C, K, K), the covariance of the coordinates from the residuals of the votes around, over its
-    mean diagonal.
+    values: (R, C, K); a rejected node keeps its own value, unless it is rough. covariance: (R, C,
+    K, K), of the values; in the plane both axes have the same variance. noise: (R, C), standard
+    deviation of those before the filter. Both are NaN where unknown. refused: (R, C), the rejected
+    nodes. margin: the smallest relative distance from its bound of a quantity that rejects or
+    accepts a node; if it is tiny, float32 may decide otherwise.
     """
 
     values: Floats
-    sigma: Floats
+    covariance: Floats
     noise: Floats
     refused: Bools
     margin: float
-    common: Floats
 
 
 def filter_positions(values: Floats, measured: Source, by_images: Floats) -> Filtered:
@@ -122,7 +122,7 @@ def _filtered(values: Floats, measured: Source, by_images: Floats, most: Floats 
     if most is not None:
         chosen = _least_noise(data, kept, s2, common)
         chosen = np.where(np.isnan(most), chosen, np.minimum(chosen, most**2))
-    smooth, variance, used = _mixture(data, kept, s2, chosen)
+    smooth, variance, bias, used = _mixture(data, kept, s2, chosen)
     gone = votes & ~kept
     off = ((values - smooth) ** 2).mean(axis=2)
     at_rest = np.nan if most is None else most**2 - by_images
@@ -132,14 +132,21 @@ def _filtered(values: Floats, measured: Source, by_images: Floats, most: Floats 
     own_error = gone & (alone > 0) & ~(rough & _supported(kept))
     variance = np.where(own_error, alone, variance)
     changed = there & ~(gone & ~rough) & np.isfinite(variance)
+    each_axis = np.eye(values.shape[2])
+    shape = common if values.shape[2] == 3 else each_axis
+    covariance = _each(variance) * shape + _each(np.where(kept, bias, 0)) * each_axis
     return Filtered(
         values=np.where(changed[..., None], smooth, values),
-        sigma=np.where(there, np.sqrt(variance), np.nan),
+        covariance=np.where(_each(there), covariance, np.nan),
         noise=np.where(there, np.sqrt(s2), np.nan),
         refused=gone,
         margin=margin,
-        common=common,
     )
+
+
+def _each(numbers: NDArray[Any]) -> NDArray[Any]:
+    """Return the numbers (R, C) of the nodes to multiply matrices with, (R, C, 1, 1)."""
+    return numbers[..., None, None]
 
 
 def _common(residual: Floats, own: Floats, votes: Bools) -> Floats:
@@ -188,10 +195,11 @@ def _share(votes: Bools, halves: tuple[int, int]) -> Floats:
 
 
 def _gaussian(n: int, deviation: float) -> Floats:
-    """Return (n, n), the weights of the nodes of a line around each of them, with the sum 1."""
+    """Return (n, n), the weights of the nodes of a line around each of them; on an endless line
+    their sum is 1."""
     apart = np.arange(n)[:, None] - np.arange(n)
     weights = np.exp(-(apart**2) / (2 * deviation**2))
-    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+    return np.asarray(weights / (math.sqrt(2 * math.pi) * deviation))
 
 
 def _average(values: Floats, counted: Bools, deviation: float) -> Floats:
@@ -239,8 +247,9 @@ def _rejected(residual: Floats, usual: Floats, own: Floats, votes: Bools) -> tup
 
 def _mixture(
     data: Floats, votes: Bools, s2: Floats, chosen: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Return the values, their variance, and the weight of each node in its own value."""
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the values, the variance of the noise in them, the square of their bias, and the
+    weight of each node in its own value."""
     rows, columns, _ = data.shape
     estimates, risks, gains, owns = [], [], [], []
     for h_row, p_row in PAIRED:
@@ -264,8 +273,8 @@ def _mixture(
     mean_risk = (weights * risk).sum(axis=0)
     mean_own = (weights * np.array(owns)).sum(axis=0)
     expected = chosen * mean_risk + 2 * (s2 - chosen) * mean_own - s2
-    share = (weights * gain).sum(axis=0)
-    return values, np.maximum(expected, s2 * share), mean_own
+    noise = s2 * (weights * gain).sum(axis=0)
+    return values, noise, np.maximum(expected - noise, 0), mean_own
 
 
 def _least_noise(data: Floats, votes: Bools, s2: Floats, common: Floats) -> Floats:
