@@ -7,8 +7,8 @@
  * signal: it is there inside, it is gone where the pattern ends, and it comes back where cells
  * follow. Decisions rest on sums of levels.
  *
- * nodes: the positions of a board, row by row; node_owner: their corners; only nodes with one are
- * read here. Sides are top, bottom, left, right; line 0 of a side is its last one. */
+ * Only nodes with a corner are read here. Sides are top, bottom, left, right; line 0 of a side is
+ * its last one. */
 #define SIDES 4
 #define PAIRS 16  /* pairs of neighbouring squares of a side that are read */
 #define DEPTHS 10 /* half a cell inside, beyond, and in steps of levels where squares may end */
@@ -17,13 +17,13 @@
 #define WHOLE 4096 /* a share of 1 */
 #define REACH(doubled) (BORDER_STEP_CELLS * (1.5f + (float)(doubled) * (0.5f / WHOLE))) /* cells */
 
-/* What is found: the size of the board, and values of its sides, see `Border`. */
-#define ROWS_OF 0
-#define COLUMNS_OF 1
-#define SIGN_OF 2
-#define ROOM_OF 3
-#define FOLLOWS_OF 7
-#define REACH_OF 11
+/* What is found: the lines of the board, and values of its sides, see `Border`. */
+#define BOX_OF 0 /* the first row, one past the last one, and so for columns */
+#define ROOM_OF 4
+#define FOLLOWS_OF 8
+#define REACH_OF 12
+#define IN_32THS(v) floor_of(32 * (v) + 0.5f)
+#define MAGNITUDE_OF(v) ((int)abs(v))
 
 /* A place, by its line from a side and its number there. box: top, bottom, left, right, the ends
  * not included. */
@@ -32,39 +32,34 @@ int place_on(const int side, const int line, const int k, const int4 box, const 
   const int column = side == 2 ? box.z + line : side == 3 ? box.w - 1 - line : box.z + k;
   return row * width + column;
 }
-#define MAGNITUDE_OF(v) ((int)abs(v))
-#define LINES_OF(side) ((side) < 2 ? height : width)
-#define LENGTH_OF(side) ((side) < 2 ? width : height)
+#define LINES_OF(side) ((side) < 2 ? box.y - box.x : box.w - box.z)
+#define LENGTH_OF(side) LINES_OF((side) ^ 2)
 
-/* Take off the outer lines of a board that hold too few of their places in view, and keep the rest,
- * upright. Things beside a pattern continue some of its columns, a further line of the pattern
- * continues all of them; where a thing hides some, half of them are firm. The steps to the next
- * column, and those to the next row turned back by a quarter, sum to a way that is nearest to the
- * image's x axis then. One work-group. */
-#define IN_32THS(v) floor_of(32 * (v) + 0.5f)
+/* Take off the outer lines of a board that hold too few of their places in view. Things beside a
+ * pattern continue some of its columns, a further line of the pattern continues all of them; where
+ * a thing hides some, half of them are firm. One work-group. */
 __kernel void cut_board(const uint rows, const uint columns, __global const int *restrict layout,
                         __global const float2 *restrict result,
                         __global const int *restrict owner, __global const uchar *restrict kind,
-                        __global const float *restrict spread,
-                        __global float2 *restrict nodes, __global int *restrict node_owner,
-                        __global uchar *restrict node_kind, __global float *restrict node_spread,
                         __global int *restrict border) {
   const int width = layout[BOARD_COLUMNS];
   int4 box = (int4)(0, layout[BOARD_ROWS], 0, width);
   __local int there[SIDES], asked[SIDES], firm[SIDES];
   for (;;) {
-    const int height = box.y - box.x, across = box.w - box.z;
     ALL_TOGETHER;
-    if (height <= 0 || across <= 0) break;
+    if (LINES_OF(0) <= 0 || LINES_OF(2) <= 0) {
+      box = (int4)(0);
+      break;
+    }
     FOR_ALL(side, SIDES) there[side] = asked[side] = firm[side] = 0;
     ALL_TOGETHER;
-    FOR_ALL(m, SIDES * LARGER(height, across)) {
-      const int side = m & 3, k = m >> 2, lines = side < 2 ? height : across;
-      if (k >= (side < 2 ? across : height)) continue;
+    FOR_ALL(m, SIDES * LARGER(LINES_OF(0), LINES_OF(2))) {
+      const int side = m & 3, k = m >> 2;
+      if (k >= LENGTH_OF(side)) continue;
       const int place = place_on(side, 0, k, box, width);
       const bool is_here = owner[place] != NONE;
       bool counts = is_here;
-      if (!counts && lines >= 3) {
+      if (!counts && LINES_OF(side) >= 3) {
         const int one = place_on(side, 1, k, box, width);
         const int two = place_on(side, 2, k, box, width);
         const float2 p = 2.0f * result[one] - result[two];
@@ -82,7 +77,7 @@ __kernel void cut_board(const uint rows, const uint columns, __global const int 
     for (int side = 0; side < SIDES && !any; ++side) {
       const float lack = LEAST_LINE * (float)asked[side] - (float)there[side];
       const bool is_hidden = 2 * firm[side] >= asked[side];
-      if (lack > worst && !is_hidden && (side < 2 ? height : across) >= 3) {
+      if (lack > worst && !is_hidden && LINES_OF(side) >= 3) {
         worst = lack;
         line = side;
       }
@@ -93,57 +88,16 @@ __kernel void cut_board(const uint rows, const uint columns, __global const int 
     box.z += any ? !there[2] : line == 2;
     box.w -= any ? !there[3] : line == 3;
   }
-  const int height = LARGER(box.y - box.x, 0), across = LARGER(box.w - box.z, 0);
-  const int all = height && across ? height * across : 0;
-  __local int way_x, way_y;
-  if (get_local_id(0) == 0) way_x = way_y = 0;
-  ALL_TOGETHER;
-  int own_x = 0, own_y = 0;
-  FOR_ALL(place, all) {
-    const int row = place / across, column = place - row * across;
-    const int from = (box.x + row) * width + box.z + column;
-    if (owner[from] < 0) continue;
-    if (column + 1 < across && owner[from + 1] >= 0) {
-      own_x += IN_32THS(result[from + 1].x - result[from].x);
-      own_y += IN_32THS(result[from + 1].y - result[from].y);
-    }
-    if (row + 1 < height && owner[from + width] >= 0) {
-      own_x += IN_32THS(result[from + width].y - result[from].y);
-      own_y -= IN_32THS(result[from + width].x - result[from].x);
-    }
-  }
-  atomic_add(&way_x, own_x);
-  atomic_add(&way_y, own_y);
-  ALL_TOGETHER;
-  const bool flat = MAGNITUDE_OF(way_x) >= MAGNITUDE_OF(way_y);
-  const int quarters = flat ? (way_x < 0 ? 2 : 0) : (way_y < 0 ? 1 : 3);
-  const int2 size = quarters & 1 ? (int2)(across, height) : (int2)(height, across);
-  FOR_ALL(place, all) {
-    const int r = place / size.y, c = place % size.y;
-    const int row = quarters == 0 ? r : quarters == 1 ? c : height - 1 - (quarters == 2 ? r : c);
-    const int column =
-        quarters == 0 ? c : quarters == 3 ? r : across - 1 - (quarters == 2 ? c : r);
-    const int from = (box.x + row) * width + box.z + column;
-    nodes[place] = result[from];
-    node_owner[place] = owner[from];
-    node_kind[place] = kind[from];
-    node_spread[place] = spread[from];
-  }
-  if (get_local_id(0)) return;
-  const int passed = (quarters == 1 || quarters == 2 ? across : 0) + (quarters > 1 ? height : 0);
-  border[ROWS_OF] = all ? size.x : 0;
-  border[COLUMNS_OF] = all ? size.y : 0;
-  border[SIGN_OF] = (box.x + box.z + passed) & 1 ? -layout[SIGN] : layout[SIGN];
+  if (get_local_id(0) == 0) vstore4(box, 0, border + BOX_OF);
 }
 
 /* The position of a corner's node, NAN without one. */
 #define NODES_OF_BOARD                                                              \
-  __global const float2 *nodes, __global const int *node_owner, const int height, const int width
-#define OF_BOARD nodes, node_owner, height, width
-#define ON(side, line, k)                                                           \
-  corner_at(nodes, node_owner, place_on(side, line, k, (int4)(0, height, 0, width), width))
-float2 corner_at(__global const float2 *nodes, __global const int *node_owner, const int place) {
-  return node_owner[place] >= 0 ? nodes[place] : (float2)(NAN, NAN);
+  __global const float2 *result, __global const int *owner, const int4 box, const int width
+#define OF_BOARD result, owner, box, width
+#define ON(side, line, k) corner_at(result, owner, place_on(side, line, k, box, width))
+float2 corner_at(__global const float2 *result, __global const int *owner, const int place) {
+  return owner[place] >= 0 ? result[place] : (float2)(NAN, NAN);
 }
 
 bool is_in_view(const float2 p, const uint rows, const uint columns) {
@@ -254,15 +208,17 @@ int common_reach(__local const int *reach, const int count) {
 }
 
 /* Measure the sides of a board. One work-group. */
-__kernel void measure_border(LEVELS_OF_IMAGE, __global const float2 *restrict nodes,
-                             __global const int *restrict node_owner,
-                             __global int *restrict border) {
-  const int height = border[ROWS_OF], width = border[COLUMNS_OF];
+__kernel void measure_border(LEVELS_OF_IMAGE, __global const int *restrict layout,
+                             __global const float2 *restrict result,
+                             __global const int *restrict owner, __global int *restrict border) {
+  const int width = layout[BOARD_COLUMNS];
+  const int4 box = vload4(0, border + BOX_OF);
   __local int first[SIDES * PAIRS], pairs[SIDES], near[SIDES], shown[SIDES * PAIRS];
   __local int sums[SIDES * PAIRS * DEPTHS * 2], squares[SIDES * PAIRS];
   FOR_ALL(side, SIDES) {
-    border[ROOM_OF + side] = height && width && has_room(OF_BOARD, side, rows, columns);
-    pairs[side] = height < 2 || width < 2 ? 0 : list_pairs(OF_BOARD, side, first + side * PAIRS);
+    const bool has_squares = LINES_OF(side) > 1 && LENGTH_OF(side) > 1;
+    border[ROOM_OF + side] = has_room(OF_BOARD, side, rows, columns);
+    pairs[side] = has_squares ? list_pairs(OF_BOARD, side, first + side * PAIRS) : 0;
   }
   ALL_TOGETHER;
   FOR_ALL(side, SIDES) { /* the image may end before the cells beyond a whole square */

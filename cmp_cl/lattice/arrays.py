@@ -242,6 +242,15 @@ class Board:
             border=self.border.turned(quarters),
         )
 
+    def upright(self) -> "Board":
+        """Return the board turned so that its rows follow the image's x axis: the steps to the next
+        column, and those to the next row, turned back by a quarter, are nearest to it."""
+        along, down = self.steps
+        way = along - 1j * down
+        if abs(way.real) >= abs(way.imag):
+            return self.turned(2 if way.real < 0 else 0)
+        return self.turned(1 if way.imag < 0 else 3)
+
     def changed(self, change: Callable[[NDArray[Any]], NDArray[Any]], **others: Any) -> "Board":
         """Return the board with what `change` makes of each of its arrays (R, C), and others."""
         for name in ("x", "y", "owner", "torn", "firm", "spread"):

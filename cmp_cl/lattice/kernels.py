@@ -16,11 +16,11 @@ from cmp_cl.stages.refine import RESULT_FIELDS, RESULT_HEAD
 FILES = ("bins", "lattice")  # the type of pixels matters for the first alone
 DIRECTIONS = 1024  # unit vectors in a full turn
 # In the layout, see kernels/lattice.clh; numbers in all.
-BOARD_ROWS, BOARD_COLUMNS, PARTS, VOTES, LAYOUT = 3, 4, 6, 8, 9
+BOARD_ROWS, BOARD_COLUMNS, SIGN, PARTS, VOTES, LAYOUT = 3, 4, 5, 6, 8, 9
 ROUNDS = 12  # times that nodes are looked for
 LISTS = 8  # of places, see `settle_nodes`
 ROUGH, FIRM = 1, 2  # kinds of a node
-SIDES, FOUND = 3, 15  # what is found of a board: its size, from here its sides; numbers in all
+SIDES, FOUND = 4, 16  # what is found of a board: its lines, from here its sides; numbers in all
 VOTE = 6  # numbers of a vote
 SPOT, LANES = 6, 8  # numbers of a corner in the bins; corners that are read at a time
 TAKEN = -1  # in the place of 1 that a numbered corner has: it is another board's
@@ -77,10 +77,10 @@ def sizes(*, corners: int, places: int, rows: int, columns: int, step: int) -> d
         **{"used": 1, "cut": 4, "steps": 64, "state": 64},
     }
     of_places = {
-        **dict.fromkeys(("torn", "kind", "node_kind"), 1),
+        **dict.fromkeys(("torn", "kind"), 1),
         **dict.fromkeys(("owner", "cell", "score", "candidate", "listed", "asked"), 4),
-        **dict.fromkeys(("marks", "spread", "node_owner", "node_spread"), 4),
-        **dict.fromkeys(("seen", "at", "result", "sides", "cells", "found", "nodes"), 8),
+        **dict.fromkeys(("marks", "spread"), 4),
+        **dict.fromkeys(("seen", "at", "result", "sides", "cells", "found"), 8),
         **{"predictions": 16, "lists": 4 * LISTS},
     }
     return {

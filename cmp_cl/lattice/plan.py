@@ -263,28 +263,33 @@ class LatticePlan:
             layout, found, at, owner, kind, spread = self.fetch(
                 ("layout", np.int32, kernels.LAYOUT),
                 ("border", np.int32, kernels.FOUND),
-                ("nodes", np.float32, 2 * self._likely),
-                ("node_owner", np.int32, self._likely),
-                ("node_kind", np.uint8, self._likely),
-                ("node_spread", np.float32, self._likely),
+                ("result", np.float32, 2 * self._likely),
+                ("owner", np.int32, self._likely),
+                ("kind", np.uint8, self._likely),
+                ("spread", np.float32, self._likely),
             )
-            rows, columns, sign = found[: kernels.SIDES].tolist()
-            count = rows * columns
+            shape = layout[[kernels.BOARD_ROWS, kernels.BOARD_COLUMNS]]
+            count = int(shape.prod())
         self._likely = count or self._likely
-        laid = layout[[kernels.BOARD_ROWS, kernels.BOARD_COLUMNS]] - 2 * (kernels.ROUNDS + 2)
-        self.gained = int(np.max(np.sort([rows, columns]) - np.sort(laid))) if count else 0
-        x, y = at[: 2 * count].reshape(rows, columns, 2).transpose(2, 0, 1)
+        top, bottom, left, right = found[: kernels.SIDES].tolist()
+        size = bottom - top, right - left
+        self.gained = int(np.max(size - (shape - 2 * (kernels.ROUNDS + 2)))) if count else 0
+
+        def held(values: NDArray[Any], *more: int) -> NDArray[Any]:
+            return values.reshape(*shape, *more)[top:bottom, left:right]
+
+        kinds, xy = held(kind[:count]), held(at[: 2 * count], 2)
         board = Board(
-            x=x,
-            y=y,
-            owner=owner[:count].reshape(rows, columns),
-            torn=kind[:count].reshape(rows, columns) == kernels.ROUGH,
-            firm=kind[:count].reshape(rows, columns) == kernels.FIRM,
-            spread=spread[:count].reshape(rows, columns),
-            sign=sign,
+            x=xy[..., 0],
+            y=xy[..., 1],
+            owner=held(owner[:count]),
+            torn=kinds == kernels.ROUGH,
+            firm=kinds == kernels.FIRM,
+            spread=held(spread[:count]),
+            sign=int(layout[kernels.SIGN]) * (1 - 2 * ((top + left) % 2)),
             border=Border.of(found[kernels.SIDES :]),
         )
-        return layout, board
+        return layout, board.upright()
 
     def fetch(self, *wanted: tuple[str, Any, int]) -> list[NDArray[Any]]:
         """Return the first elements of arrays after the launches: names, dtypes, counts."""

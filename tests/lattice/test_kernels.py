@@ -87,9 +87,10 @@ def assert_equal_to_the_oracle(device, image, corners, *, change=None, full_scal
     board = board_of(numbers, corners.xy, torn)
     taken = numbers[:, 3] == TAKEN
     wanted = lattice_nodes.settled(plane, corners.xy, torn, corners.sigma, board, K, taken)
-    wanted = borders.upright(borders.trimmed(wanted, image.shape, K))
+    wanted = borders.trimmed(wanted, image.shape, K)
     sides = borders.Sides(wanted, plane, K)
     assert plan.read("border", np.int32)[SIDES:].tolist() == sides.found()
+    wanted = wanted.upright()
     for name in ("owner", "firm", "x", "y", "spread"):
         np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), err_msg=name)
     np.testing.assert_array_equal(found.torn & found.there, wanted.torn & wanted.there)

@@ -55,24 +55,6 @@ def trimmed(board: Board, shape: tuple[int, int], k: LatticeConstants) -> Board:
     return board.changed(lambda plane: plane[here], sign=sign)
 
 
-def upright(board: Board) -> Board:
-    """Return the board turned so that its columns follow the image's x axis: the sum of the steps
-    to the next column, and of those to the next row, turned back by a quarter, 1/32 px."""
-    at = np.where(board.owner >= 0, seen_at(board), NOWHERE)
-    along, down = (_sum_of(np.diff(at, axis=axis)) for axis in (1, 0))
-    way = along - 1j * down
-    if abs(way.real) >= abs(way.imag):
-        return board.turned(2 if way.real < 0 else 0)
-    return board.turned(1 if way.imag < 0 else 3)
-
-
-def _sum_of(steps: Places) -> complex:
-    known = F(32) * steps[~np.isnan(steps)]
-    return complex(
-        *(np.floor(each + F(0.5)).astype(np.int64).sum() for each in (known.real, known.imag))
-    )
-
-
 def ways(a: NDArray[Any]) -> list[NDArray[Any]]:
     """Return an array as seen from the top, the bottom, the left and the right: row 0 is the last
     line there."""
