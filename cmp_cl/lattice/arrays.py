@@ -144,7 +144,7 @@ class Board:
     @functools.cached_property
     def outer_lines(self) -> tuple[int, int, int, int]:
         """Return the first and last row, first and last column that hold corners."""
-        rows, columns = (np.flatnonzero((self.owner >= 0).any(axis)).tolist() for axis in (1, 0))
+        rows, columns = (np.flatnonzero(line).tolist() for line in self.lines)
         return rows[0], rows[-1], columns[0], columns[-1]
 
     @property
