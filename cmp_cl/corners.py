@@ -141,7 +141,7 @@ def _misfit(brightest: int, dtype: DTypeLike, full_scale: int | None) -> str:
         return f"{above}pixels all look alike" if brightest > full_scale else ""
     if dtype != np.uint16 or not 0 < brightest < FEW_BITS:
         return ""
-    cameras = [bits for bits in (10, 12, 14) if brightest < 2**bits]
+    cameras = [bits for bits in (8, 10, 12, 14) if brightest < 2**bits]
     *levels, last = [f"{2**bits - 1} for {bits} bits" for bits in cameras]
     scales = f"{', '.join(levels)} or {last}" if levels else last
     return f"the brightest of the 16-bit pixels is {brightest}; give a full scale of {scales}"

@@ -76,4 +76,6 @@ def _not_an_image(image: Any) -> Exception:
             hint = "image.reshape(height, width) or one frame of it converts"
         elif image.dtype not in _PIXELS:
             hint = "(image * (255 / white)).clip(0, 255).astype(numpy.uint8) converts"
+            if image.dtype.newbyteorder("=") in _PIXELS:
+                hint = "image.astype(numpy.uint16) puts its bytes in this machine's order"
     return ImageError(f"{expected}, got {came}; {hint}")

@@ -104,3 +104,9 @@ def test_a_masked_image_is_refused_unless_nothing_is_masked():
     assert len(found) == 30
     with pytest.raises(ImageError, match=r"got a masked array; image\.filled\(level\) converts"):
         detect(np.ma.masked_array(board, board > 100))
+
+
+def test_an_image_of_the_other_byte_order_keeps_its_bits():
+    swapped = np.zeros((6, 7), np.uint16).astype(np.dtype(np.uint16).newbyteorder("S"))
+    with pytest.raises(ImageError, match=r"image\.astype\(numpy\.uint16\)"):
+        detect(swapped)

@@ -97,6 +97,8 @@ def test_each_image_of_fewer_than_16_bits_gets_a_hint_about_full_scale(run):
         _, _, err = run(*command.split(), "deep.png")
         assert "give a full scale of 1023 for 10 bits" in err
         assert "\n" not in err.strip()
+    media.write_image("eight.png", media.read_image("deep.png") // 4)  # 8 bits in a file of 16
+    assert "give a full scale of 255 for 8 bits" in run("detect", "eight.png")[2]
     status, out, err = run("detect", "deep.png", "--full-scale", 1023)
     assert ("deep.png: 400 corners" in out, err) == (True, "")
     assert "above the full scale of 255" in run("detect", "deep.png", "--full-scale", 255)[2]
