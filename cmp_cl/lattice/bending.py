@@ -14,39 +14,37 @@ HELD = 1e-7  # of squared terms, in the energy, so that those which nodes leave 
 RIM = 128  # nodes, of a rim, to which distances are taken
 
 
-class Surface:
-    """The nodes of parts, from left to right in each, and the size of a cell, px."""
+def bending(units: Units, asked: Votes, k: LatticeConstants) -> Float:
+    """Return the bending energy of the map from numbers to positions, cells^2, near the tear at
+    each placement, for each shift of it, (T, 9); infinite where it is not defined.
 
-    def __init__(self, units: Units) -> None:
-        self.units = units.chosen(np.lexsort((units.at.real, units.part)))
-        self.bounds = np.searchsorted(self.units.part, np.arange(len(units.faces) + 1))
-        self.cell = _cells(units)
+    units: the nodes, part after part.
+    """
+    energy = np.full((len(asked.first), len(SHIFTS)), np.inf)
+    bounds = np.searchsorted(units.part, np.arange(len(units.faces) + 1))
+    at, number = units.at, units.number
+    for n, (first, second, quarter, offset, _) in enumerate(zip(*asked, strict=True)):
+        one, two = (np.arange(*bounds[part : part + 2]) for part in (first, second))
+        cell = _cell(number[two], at[two])
+        one, two = _beside(units, one, two, (k.span + 1) / 2 * cell, k.tear_most)
+        if len(one) >= TREND and len(two) >= TREND // 2:
+            moved = number[two] * TURNS[quarter] + offset
+            energy[n] = _energies(number[one], at[one] / cell, moved, at[two] / cell)
+    return energy
 
-    def bending(self, asked: Votes, k: LatticeConstants) -> Float:
-        """Return the bending energy of the map from numbers to positions, cells^2, near the tear at
-        each placement, for each shift of it, (T, 9); infinite where it is not defined."""
-        energy = np.full((len(asked.first), len(SHIFTS)), np.inf)
-        at, number = self.units.at, self.units.number
-        for n, (first, second, quarter, offset, _) in enumerate(zip(*asked, strict=True)):
-            cell = self.cell[second]
-            one, two = self._beside(first, second, (k.span + 1) / 2 * cell, k.tear_most)
-            if len(one) >= TREND and len(two) >= TREND // 2:
-                moved = number[two] * TURNS[quarter] + offset
-                energy[n] = _energies(number[one], at[one] / cell, moved, at[two] / cell)
-        return energy
 
-    def _beside(self, first: int, second: int, reach: float, most: int) -> tuple[Whole, Whole]:
-        """Return nodes of both parts near the tear: less than three lines, which a quadratic needs,
-        farther from the other's rim than the nearest one. A corner of both is of the smaller
-        part."""
-        at, rim = self.units.at, self.units.rim
-        one, two = (np.arange(*self.bounds[part : part + 2]) for part in (first, second))
-        for line in (at.real, at.imag):  # nodes with votes are less than two reaches apart
-            low, high = line[two].min() - 3 * reach, line[two].max() + 3 * reach
-            one = one[(line[one] > low) & (line[one] < high)]
-        one = one[_are_near(at[one], at[_some(two[rim[two]], RIM)], reach)]
-        two = two[_are_near(at[two], at[_some(one[rim[one]], RIM)], reach)]
-        return _some(one, most), _some(two, most)
+def _beside(units: Units, one: Whole, two: Whole, reach: float, most: int) -> tuple[Whole, Whole]:
+    """Return nodes of two parts near the tear: less than three lines, which a quadratic needs,
+    farther from the other's rim than the nearest one, from left to right. A corner of both is of
+    the smaller part, `two`."""
+    at, rim = units.at, units.rim
+    for line in (at.real, at.imag):  # nodes with votes are less than two reaches apart
+        low, high = line[two].min() - 3 * reach, line[two].max() + 3 * reach
+        one = one[(line[one] > low) & (line[one] < high)]
+    one, two = (part[np.argsort(at[part].real, kind="stable")] for part in (one, two))
+    one = one[_are_near(at[one], at[_some(two[rim[two]], RIM)], reach)]
+    two = two[_are_near(at[two], at[_some(one[rim[one]], RIM)], reach)]
+    return _some(one, most), _some(two, most)
 
 
 def _some(nodes: Whole, most: int) -> Whole:
@@ -57,28 +55,19 @@ def _some(nodes: Whole, most: int) -> Whole:
 
 def _are_near(at: Numbers, others: Numbers, reach: float) -> Mask:
     """Return which nodes are less than `reach` farther from the others than the nearest one."""
-    apart = np.subtract.outer(at.astype(np.complex64), others.astype(np.complex64))
-    away = np.sqrt((apart.real**2 + apart.imag**2).min(axis=1, initial=np.inf))
+    each, other = (nodes.astype(np.complex64) for nodes in (at, others))
+    x, y = (np.subtract.outer(*line) for line in ((each.real, other.real), (each.imag, other.imag)))
+    away = np.sqrt((x * x + y * y).min(axis=1, initial=np.inf))
     away[away == 0] = np.inf  # a corner of both parts
     near: Mask = away < away.min(initial=np.inf) + reach
     return near
 
 
-def _cells(units: Units) -> Float:
-    """Return the length of a step in each part, px, by a linear fit; 0 without one, (P,)."""
-
-    def total(values: Numbers) -> Numbers:
-        real, imag = (
-            np.bincount(units.part, each, len(units.faces)) for each in (values.real, values.imag)
-        )
-        total: Numbers = real + 1j * imag
-        return total
-
-    count = np.maximum(total(np.ones(len(units.part), np.complex128)), 1)
-    number, at = (each - (total(each) / count)[units.part] for each in (units.number, units.at))
-    square = total(number * number.conj()).real
-    cell: Float = np.abs(total(number.conj() * at)) / np.where(square > 0, square, 1)
-    return cell
+def _cell(number: Numbers, at: Numbers) -> float:
+    """Return the length of a step of nodes, px, by a linear fit; 0 without one."""
+    number, at = number - number.mean(), at - at.mean()
+    square = np.vdot(number, number).real
+    return float(np.abs(np.vdot(number, at)) / square) if square > 0 else 0.0
 
 
 def _energies(first: Numbers, x: Numbers, second: Numbers, y: Numbers) -> Float:
@@ -111,8 +100,8 @@ def _energies(first: Numbers, x: Numbers, second: Numbers, y: Numbers) -> Float:
 
 
 def _as_pairs(values: Numbers) -> Float:
-    """Return complex numbers as real ones, (T, N, 2)."""
-    return np.stack([values.real, values.imag], axis=-1)
+    """Return complex numbers as real ones, (N, 2)."""
+    return values.view(np.float64).reshape(-1, 2)
 
 
 def _trend(number: Numbers) -> Float:

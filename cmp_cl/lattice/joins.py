@@ -8,15 +8,17 @@ apart.
 """
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from cmp_cl.lattice.arrays import Board, Float, Mask, Numbers, Units, Votes, Whole
-from cmp_cl.lattice.bending import TURNS, Surface
+from cmp_cl.lattice.bending import TURNS, bending
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.parts import keys, summed
 
+Lead = tuple[int, int, float]  # two parts, and by how many votes their placement leads
 # Of the second of two parts beside the first, in the same numbers.
 BESIDE = Votes(
     first=np.zeros(1, np.int64),
@@ -36,7 +38,7 @@ def joined(units: Units, votes: Votes, k: LatticeConstants) -> Units:
     one, and again where votes are new. A corner, and a number, belongs to the larger of two parts,
     so parts that begin a board are asked before smaller ones, whose places are less sure.
     """
-    refused, surface = np.zeros(0, np.complex128), None
+    refused: set[Lead] = set()
     begin = max(int(np.count_nonzero(units.faces >= k.least_board)), 1)  # the first ones
     while True:
         asked = _asked(votes.chosen(votes.second < begin), refused)
@@ -44,13 +46,11 @@ def joined(units: Units, votes: Votes, k: LatticeConstants) -> Units:
             asked = _asked(votes.chosen(votes.first < begin), refused)
         if not len(asked.first):
             return units.chosen(units.part < begin)
-        surface = surface or Surface(units)
-        sure = _are_sure(surface, asked, k)
-        refused = np.append(refused, _leads(asked))
+        sure = _are_sure(units, asked, k)
+        refused.update(_leads(asked))
         if sure.any():
             at = Placements.of(asked.chosen(sure), len(units.faces))
             units, votes = at.units(units), at.votes(votes)
-            surface = None
 
 
 class Placements(NamedTuple):
@@ -107,7 +107,7 @@ def _is_new(part: Whole, key: Whole) -> Mask:
     return new
 
 
-def _asked(votes: Votes, refused: Numbers) -> Votes:
+def _asked(votes: Votes, refused: set[Lead]) -> Votes:
     """Return placements that were not refused with the same lead: for each part the one with the
     most votes beside the largest other part. Their weight is by how many they lead there."""
     is_first = _is_first(votes.first, votes.second)
@@ -119,15 +119,14 @@ def _asked(votes: Votes, refused: Numbers) -> Votes:
     others[best] = 0
     lead = most - np.maximum.reduceat(others, starts)
     asked = votes.chosen(best)._replace(weight=lead)
-    asked = asked.chosen(~np.isin(_leads(asked), refused))
+    asked = asked.chosen(np.array([lead not in refused for lead in _leads(asked)], np.bool_))
     asked = asked.chosen(np.lexsort((asked.first, asked.second)))
     return asked.chosen(_is_first(asked.second))
 
 
-def _leads(asked: Votes) -> Numbers:
-    """Return both parts and the weight of each as one number."""
-    leads: Numbers = (asked.first << 32) + asked.second + 1j * asked.weight
-    return leads
+def _leads(asked: Votes) -> Iterable[Lead]:
+    """Return both parts and the weight of each."""
+    return zip(asked.first.tolist(), asked.second.tolist(), asked.weight.tolist(), strict=True)
 
 
 def _is_first(*keys: Whole) -> Mask:
@@ -137,7 +136,7 @@ def _is_first(*keys: Whole) -> Mask:
     return first
 
 
-def _are_sure(surface: Surface, asked: Votes, k: LatticeConstants) -> Mask:
+def _are_sure(units: Units, asked: Votes, k: LatticeConstants) -> Mask:
     """Return which placements are sure.
 
     They lead by some votes, the surface bends least there, and the lead, times how much more it
@@ -145,7 +144,7 @@ def _are_sure(surface: Surface, asked: Votes, k: LatticeConstants) -> Mask:
     parts, which makes counts too short; and where cells are long the surface expects more of them.
     Behind a bar few colours are seen, but a flat board goes on nowhere else.
     """
-    sure: Mask = asked.weight * factor(surface.bending(asked, k)) > k.join_votes
+    sure: Mask = asked.weight * factor(bending(units, asked, k)) > k.join_votes
     return sure
 
 
@@ -176,4 +175,4 @@ def goes_on(board: Board, some: Mask, k: LatticeConstants) -> bool:
         at=board.at[row, column],
         faces=np.zeros(2, np.int64),
     ).chosen(np.argsort(part, kind="stable"))
-    return bool(factor(Surface(nodes).bending(BESIDE, k))[0] >= math.exp(k.sure_nats))
+    return bool(factor(bending(nodes, BESIDE, k))[0] >= math.exp(k.sure_nats))

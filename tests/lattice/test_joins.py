@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from cmp_cl.lattice import joins
 from cmp_cl.lattice.arrays import Units, Votes
-from cmp_cl.lattice.bending import TURNS, Surface
+from cmp_cl.lattice.bending import TURNS, bending
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.lattice.joins import Placements, factor, joined
 
@@ -109,13 +110,13 @@ def test_a_part_that_is_not_sure_is_asked_again_once_more_votes_are_for_it():
 
 def test_parts_that_begin_a_board_are_placed_before_smaller_ones(monkeypatch):
     units, _ = parts(range(8), range(9, 15), range(19, 25), range(16, 18))
-    bending, asked = Surface.bending, []
+    asked = []
 
-    def noted(surface: Surface, votes: Votes, *given: object) -> np.ndarray:
+    def noted(units: Units, votes: Votes, k: LatticeConstants) -> np.ndarray:
         asked.append(votes.second.tolist())
-        return bending(surface, votes, *given)
+        return bending(units, votes, k)
 
-    monkeypatch.setattr(Surface, "bending", noted)
+    monkeypatch.setattr(joins, "bending", noted)
     first, second = np.zeros(3, np.int64), np.arange(1, 4)
     votes = Votes(first, second, first, np.array([9, 19, 16]) + 0j, np.full(3, 30.0))
     joined(units, votes, K)
@@ -143,4 +144,4 @@ def test_one_corner_across_a_gap_shows_no_surface(columns, sure, rows, step):
     both = np.concatenate([number.ravel(), moved.ravel()])
     one, rank = np.ones(len(both), np.bool_), np.repeat([0, 1], [number.size, moved.size])
     units = Units(np.arange(len(both)), rank, both, 0 * rank, one, step * both, np.zeros(2, int))
-    assert (factor(Surface(units).bending(vote(0, 1.0), K))[0] > 100) == sure
+    assert (factor(bending(units, vote(0, 1.0), K))[0] > 100) == sure
