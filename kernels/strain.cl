@@ -136,26 +136,14 @@ int weights_of_some(const int i, __global const uchar *valid, const Window windo
   return own[0] < MOST_VARIANCE && own[1] < MOST_VARIANCE;
 }
 
-/* The weights of the cubic surface through the valid nodes of the 5 x 5 that hold node i, determine
- * it, and have the nearest middle: of equals, the first by rows. Return that window, one of no
- * nodes if there is none. */
-Window weights_of_cubic(const int i, __global const uchar *valid, __global const float *table,
-                        float (*weight)[WEIGHTS]) {
-  const int row = i / COLUMNS, column = i % COLUMNS, reach = CUBIC_SIDE / 2;
-  for (int far = 0; far <= 2 * reach * reach; ++far)
-    for (int down = -reach; down <= reach; ++down)
-      for (int along = -reach; along <= reach; ++along) {
-        const int top = row + down - reach, left = column + along - reach;
-        if (down * down + along * along != far || min(top, left) < 0 ||
-            top + CUBIC_SIDE > ROWS || left + CUBIC_SIDE > COLUMNS)
-          continue;
-        const Window window = {top, left, CUBIC_SIDE, CUBIC_SIDE};
-        const int whole = is_whole(valid, window, CUBIC_SIDE);
-        if (whole) weights_of_whole(i, table, window, weight);
-        if (whole || weights_of_some(i, valid, window, CUBIC, weight)) return window;
-      }
-  const Window none = {0, 0, 0, 0};
-  return none;
+/* The same of the cubic surface through the valid nodes of a window; `whole`: whether it has all
+ * 5 x 5. table: of `weights_of_whole`. */
+int weights_of_cubic(const int i, __global const uchar *valid, const Window window,
+                     const int whole, __global const float *table, float (*weight)[WEIGHTS]) {
+  if (min(window.down, window.along) < CUBIC_SIDE) return 0;
+  if (!whole) return weights_of_some(i, valid, window, CUBIC, weight);
+  weights_of_whole(i, table, window, weight);
+  return 1;
 }
 
 /* The weights of the nodes of a window of 5 x 5 in the mean fourth differences of its rows and of
@@ -251,15 +239,15 @@ int fit_surfaces(const int i, __global const float *rest_position,
   for (int moment = 0; moment < 2; ++moment)
     for (int step = 0; step < 2; ++step)
       for (int k = 0; k < 3; ++k) by_step[moment][step][k] = 0;
-  const Window other = weights_of_cubic(i, valid, cubic, weight_in_cubic);
-  if (other.down) {
+  const int wide_is_whole = is_whole(valid, wide, CUBIC_SIDE);
+  if (weights_of_cubic(i, valid, wide, wide_is_whole, cubic, weight_in_cubic)) {
     float3 moved_in_cubic[2], torn[2];
     float weight_of_fourth[2][WEIGHTS];
-    slopes_at(i, displacement, valid, other, weight_in_cubic, moved_in_cubic);
-    weights_of_fourth(valid, other, weight_of_fourth);
-    slopes_at(i, displacement, valid, other, weight_of_fourth, torn);
-    const int middle = (other.top + CUBIC_SIDE / 2) * COLUMNS + other.left + CUBIC_SIDE / 2;
-    const int follows = i == middle && is_whole(valid, other, CUBIC_SIDE);
+    slopes_at(i, displacement, valid, wide, weight_in_cubic, moved_in_cubic);
+    weights_of_fourth(valid, wide, weight_of_fourth);
+    slopes_at(i, displacement, valid, wide, weight_of_fourth, torn);
+    const int middle = (wide.top + CUBIC_SIDE / 2) * COLUMNS + wide.left + CUBIC_SIDE / 2;
+    const int follows = i == middle && wide_is_whole;
     for (int step = 0; step < 2; ++step) {
       add_square(APART, moved_in_cubic[step] - moved[step], by_step[1][step]);
       add_square(TORN, torn[step], by_step[1][step]);
@@ -267,7 +255,7 @@ int fit_surfaces(const int i, __global const float *rest_position,
       moved[step] = moved_in_cubic[step];
       for (int n = 0; n < WEIGHTS; ++n) weight[step][n] = weight_in_cubic[step][n];
     }
-    if (follows) window = other;
+    if (follows) window = wide;
   }
   slopes_at(i, rest_position, valid, window, weight, slope[0]);
   for (int step = 0; step < 2; ++step) slope[1][step] = slope[0][step] + moved[step];

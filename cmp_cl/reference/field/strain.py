@@ -11,19 +11,16 @@
    weight: errors of filtered neighbours are alike. In a lattice too small to filter, with fewer
    than 5 nodes along both axes, it is the whole sum. What a surface cannot follow shows in how far
    apart the slopes of the displacement are in a cubic and in the quadratic one: five times the
-   square of that is added. The cubic one is that of the valid of the 5 x 5 nodes around. Where they
-   do not determine it, or not to a variance of 10, or the lattice ends, the 5 x 5 are those with
-   the next nearest middle that hold the node. Across a tear both surfaces go as wrong. There the
-   fourth difference along an axis is large: .06 of the square of its mean over the lines of the 5 x
-   5 without a missing node is added too.
+   square of that is added. The cubic one is that of the valid of the 5 x 5 nodes around, moved
+   inwards at a border. Across a tear both surfaces go as wrong. There the fourth difference along
+   an axis is large: .06 of the square of its mean over the lines of the 5 x 5 without a missing
+   node is added too. Where the 5 x 5 do not determine the cubic one, or not to a variance of 10,
+   nothing is added.
 4. To first order dE = sym(F' dG + (F - (2 E + I) Q)' dA), with dG and dA the errors of the slopes
    of the displacement and of the position at rest along Q; on a surface the turn of axis 1 by
    Q2 . dA1 comes on top. The errors of different axes of the lattice are independent; those of the
    coordinates correlate as their covariance says.
 """
-
-import itertools
-import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,10 +60,9 @@ def strain(
         if fit is None:
             continue
         apart, torn = np.zeros((2, 2, size))
-        nearest = _nearest_cubic((r, c), valid)
-        if nearest is not None:
-            around, cubic = nearest
-            apart, torn = (cubic - fit) @ moved, _fourth(around, valid) @ moved
+        cubic = _slopes_of_surface((r, c), wide, valid, 3) if min(shape) >= 5 else None
+        if cubic is not None and np.square(cubic).sum(axis=1).max() <= MOST_VARIANCE:
+            apart, torn = (cubic - fit) @ moved, _fourth(wide, valid) @ moved
             whole_around = min(r, c) >= 2 and valid[r - 2 : r + 3, c - 2 : c + 3].sum() == 25
             fit = cubic if whole_around else fit
         if np.square(fit).sum(axis=1).max() > MOST_VARIANCE:
@@ -104,23 +100,6 @@ def _squares(vectors: Floats) -> Floats:
     """Return the products of the coordinates of each vector, (N, D, D)."""
     products: Floats = vectors[:, :, None] * vectors[:, None]
     return products
-
-
-def _nearest_cubic(
-    node: tuple[int, int], valid: Bools
-) -> tuple[list[NDArray[np.intp]], Floats] | None:
-    """Return the 5 x 5 of the cubic surface of 5 and the weights of `_slopes_of_surface` for it,
-    None if there is none."""
-    steps = sorted(itertools.product(range(-2, 3), repeat=2), key=lambda step: math.hypot(*step))
-    for step in steps:
-        middle = np.add(node, step)
-        if min(middle) < 2 or (middle > np.subtract(valid.shape, 3)).any():
-            continue
-        around = [np.arange(m - 2, m + 3) for m in middle]
-        cubic = _slopes_of_surface(node, around, valid, 3)
-        if cubic is not None and np.square(cubic).sum(axis=1).max() <= MOST_VARIANCE:
-            return around, cubic
-    return None
 
 
 def _fourth(around: list[NDArray[np.intp]], valid: Bools) -> Floats:
