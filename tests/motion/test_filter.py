@@ -215,13 +215,6 @@ def test_a_straight_line_through_an_arc_lies_a_sixth_of_curvature_times_radius_s
     assert np.abs(np.linalg.norm(shift, axis=2) - inwards).max() < 1e-3
 
 
-@pytest.mark.parametrize("shape", [(7, 9), (4, 9), (3, 3)])
-def test_the_fast_form_of_the_shift_equals_the_oracle(shape):
-    xy = arcs(*shape)[0] + np.random.default_rng(0).normal(0, 0.3, (*shape, 2))
-    expected = lattice_filter.bend_shift(xy, RADIUS)
-    np.testing.assert_allclose(bend_shift(xy, RADIUS), expected, atol=1e-9)
-
-
 def test_sigma_holds_for_raw_positions_of_bent_cells():
     cell, middle = 12.0, (200.3, 89.8)
     radius = 149.8 - middle[1]

@@ -36,12 +36,6 @@
    values their mean squared distance from the result does, if it exceeds 9 s2. With v the larger of
    these, the variance before the filter is v, and (sum w H)^2 v is added to that of the result. A
    rejected node has v, but for a rough one where three quarters of the pilot's window vote.
-10. If a refinement assumes straight edges within the radius r, bent edges shift its corner. For
-    each of the corner's two lines, a parabola along it and a straight line across it are fitted to
-    5 x 5 nodes. With the slope t and the second derivative d at the node, by the node's number, and
-    n the unit normal of t, the line is shifted by r^2 (d n) / (6 |t|^2) along n. The corner is
-    where the two shifted lines meet. The shift is 0 if fewer than three quarters of the 25 nodes
-    are there, or if the lines enclose less than 10 degrees.
 """
 
 import dataclasses
@@ -335,25 +329,3 @@ def surface_at(off: NDArray[Any], values: Floats, reach: int) -> Floats:
     by = np.linalg.solve(normal, terms.T @ (weight * (values - values[0])))
     found: Floats = values[0] + by[0]
     return found
-
-
-def bend_shift(xy: Floats, radius: float) -> Floats:
-    """Return the shift of each corner of a lattice without holes by bent edges, (R, C, 2), see
-    10."""
-    rows, columns = xy.shape[:2]
-    shift = np.zeros_like(xy)
-    for r, c in np.ndindex(rows, columns):
-        down, right = window(r, rows, 2), window(c, columns, 2)
-        v, u = (each.ravel() for each in np.meshgrid(down - r, right - c, indexing="ij"))
-        seen = xy[np.ix_(down, right)].reshape(-1, 2)
-        normals, off = [], []
-        for along, across in ((v, u), (u, v)):
-            powers = np.stack([along**p * across**q for p in range(3) for q in range(2)], axis=1)
-            terms = np.linalg.lstsq(powers, seen, rcond=None)[0]
-            slope, second = terms[2], 2 * terms[4]
-            normal = np.array([-slope[1], slope[0]]) / np.linalg.norm(slope)
-            normals.append(normal)
-            off.append(radius**2 / 6 * (second @ normal) / (slope @ slope))
-        if abs(np.linalg.det(normals)) > math.sin(math.radians(10)):
-            shift[r, c] = np.linalg.solve(normals, off)
-    return shift
