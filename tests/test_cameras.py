@@ -97,6 +97,7 @@ def test_views_of_two_sizes_are_told_and_the_others_come(pairs_of):
     assert last.image is not None
     assert other.image is None
     assert "left view is 64 x 48 px of uint8, the right one 64 x 24" in other.why
+    assert "bring them to one size and kind, in the calibration too" in other.why
 
 
 def test_images_of_one_number_that_are_not_paired_are_refused(tmp_path):

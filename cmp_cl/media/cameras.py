@@ -271,6 +271,9 @@ def _of_both(number: int, one: Frame, two: Frame) -> Frame:
         return Frame(number, None, one.time_ms, one.why or two.why)
     left, right = (f"{i.shape[1]} x {i.shape[0]} px of {i.dtype}" for i in (one.image, two.image))
     if left != right:
-        why = f"the left view is {left}, the right one {right}"
+        why = (
+            f"the left view is {left}, the right one {right}; bring them to one size and kind, in "
+            "the calibration too"
+        )
         return Frame(number, None, one.time_ms, why)
     return Frame(number, cast(GreyImage, np.hstack([one.image, two.image])), one.time_ms)
