@@ -239,9 +239,7 @@ def decided(
     """
     octaves = [each for each in layers if not each.fine]
     references = [reference(each.response) for each in octaves]
-    level = greatest = max(references)
-    if not greatest and rule.fine:
-        level = reference(layers[1].response)
+    level = max(references)
     strong = [strong_enough(each, rule, level) for each in layers]
     enough = [
         each.of((256 << weakened(each)) * each.response >= rule.coarse_share * level)
@@ -257,7 +255,7 @@ def decided(
             asked = corner & (weak | (n > 0))
             corner[asked] = ~is_lone(each.of(asked), every[n], enough[n + 1], level, nms_radius)
         kept.append(each.of(corner))
-    return greatest, kept
+    return level, kept
 
 
 def strong_enough(found: Maxima, rule: RingHarmonic, level: int) -> Maxima:
