@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from comparison import assert_same_bytes
 from corner_images import grain
-from gels import GEL, NODES, RIG, SPLIT, VIEW, Shot, numbered_otherwise, pressed
+from gels import NODES, RIG, SPLIT, VIEW, numbered_otherwise, pressed, rendered_gel
 from lattices import drawn
 from videos import write_video
 
@@ -21,7 +21,7 @@ from cmp_cl.measure.views import View
 from cmp_cl.media import read_frames
 from cmp_cl.motion.plan import FieldPlan
 from cmp_cl.opencl import memory
-from cmp_cl.synthetic import boards, render_stereo
+from cmp_cl.synthetic import boards
 
 FILM = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.6, 0.6)  # a press that ends, and one at once
 
@@ -437,7 +437,7 @@ def test_a_camera_of_the_rig_may_be_rolled(degrees):
     """Rows and columns of the pattern are as many, and its colours stay after each turn."""
     roll = cv2.Rodrigues(np.array([0.0, 0.0, np.radians(degrees)]))[0]
     rolled = dataclasses.replace(RIG, R=roll @ RIG.R, T=roll @ RIG.T)
-    rest, now = (Shot(*render_stereo(scene, rolled)) for scene in (GEL.at_rest(), GEL))
+    rest, now = rendered_gel(rolled, severity=0.0), rendered_gel(rolled)
     with measure.TwoViews(rest.frame, rolled, SPLIT, shape=NODES) as against_rest:
         field = against_rest(now.frame).field
         _, tracked = map(against_rest, (rest.frame, rest.frame))
@@ -494,10 +494,9 @@ def test_a_view_that_is_knocked_after_rest_is_told(two_views, severity):
     assert not still[0].arrays["misfit"]
 
 
-def still(rig=RIG, **changes):
+def still(**changes):
     """Return a frame of an unworn gel at rest."""
-    quiet = {"severity": 0.0, "corrosion": 0.0, "noise": 0.0}
-    return Shot(*render_stereo(dataclasses.replace(GEL, **{**quiet, **changes}), rig)).frame
+    return rendered_gel(**{"severity": 0.0, "corrosion": 0.0, "noise": 0.0, **changes}).frame
 
 
 def test_noise_in_few_nodes_or_after_a_perfect_rest_is_no_knock():
@@ -529,8 +528,7 @@ def test_neither_a_press_nor_wear_nor_dim_light_nor_a_gel_that_moves_is_a_knock(
         {"position": (5.0, -7.0), "rotation": 0.05},
     )
     for change in changes:
-        scene = dataclasses.replace(GEL, **{"severity": 0.0, **change})
-        measured = two_views(Shot(*render_stereo(scene, RIG)).frame)
+        measured = two_views(rendered_gel(**{"severity": 0.0, **change}).frame)
         assert measured.nodes > 70
         assert not measured.misfit, change
     with OneView(pressed(0.0).left.image, shape=NODES) as one:

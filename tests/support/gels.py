@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,10 +38,15 @@ class Shot(NamedTuple):
         return binocular_frame(self.left, self.right)
 
 
+def rendered_gel(rig: StereoRig = RIG, **changes: Any) -> Shot:
+    """Return the gel, with some fields changed, as the cameras of a rig see it."""
+    return Shot(*render_stereo(dataclasses.replace(GEL, **changes), rig))
+
+
 @functools.cache
 def pressed(severity: float) -> Shot:
     """Return the gel pressed so strongly; 0 is at rest."""
-    return Shot(*render_stereo(dataclasses.replace(GEL, severity=severity), RIG))
+    return rendered_gel(severity=severity)
 
 
 def board_frame(
