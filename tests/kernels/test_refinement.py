@@ -11,7 +11,7 @@ import pytest
 from cases import some
 from comparison import POSITION, assert_corners_equal, assert_same_bytes
 from configs import ANY_RINGS, rings
-from corner_images import board, corner, grain
+from corner_images import board, corner, from_nearest, grain, to_nearest
 from detectors import FORMS, in_form
 
 from cmp_cl import (
@@ -163,14 +163,12 @@ def test_discs_that_leave_the_image_equal_the_oracle(detector_in_form, cell):
 def test_what_lies_outside_the_image_does_not_bend_the_edges_at_its_border(device, turn):
     view = boards.drawn(boards.plane(cell=17, middle=(130, 100), turn=turn), (200, 260), seed=1)
     corners = detect(view.image, device=device)
-    off = corners.xy[:, None] - view.corners[:, :2]
-    nearest = np.linalg.norm(off, axis=2).argmin(axis=1)
-    truth = view.corners[nearest, :2]
+    off = from_nearest(corners.xy, view.corners[:, :2])
+    truth = corners.xy - off
     inside = np.minimum(truth, [259, 199] - truth).min(axis=1)  # px from the border
     near = (inside > 2) & (inside < 4.5)
-    off = (corners.xy - truth)[near]
     assert near.sum() >= 5
-    assert np.sqrt(np.mean(off**2)) < 0.1  # px
+    assert np.sqrt(np.mean(off[near] ** 2)) < 0.1  # px
     assert np.isfinite(corners.sigma[near]).all()
 
 
@@ -224,8 +222,7 @@ def test_two_sigma_cover_the_error(detector_for, make, amounts, within, count, m
     for amount in amounts:
         image, truth = make(amount)
         found = detector_for(image, DetectorConfig())(image)
-        apart = found.xy[:, None] - truth
-        error = apart[np.arange(len(found)), np.linalg.norm(apart, axis=2).argmin(axis=1)]
+        error = from_nearest(found.xy, truth)
         near = (np.linalg.norm(error, axis=1) < within) & (found.method == Method.EDGE_STEP)
         assert near.sum() > count
         assert (np.abs(error[near]) < 2 * found.sigma[near, None]).mean() > 0.9
@@ -249,7 +246,7 @@ def test_a_small_cell_takes_two_fifths_off_the_errors_by_waves_and_adds_a_quarte
             config = DetectorConfig(refinement=EdgeStep(cell=cell))
             xy = detector_for(view.image, config)(view.image).xy
             inside = xy[(np.abs(xy - (199.5, 149.5)) < (190, 140)).all(axis=1)]
-            error = np.linalg.norm(inside[:, None] - view.corners[:, :2], axis=2).min(axis=1)
+            error = to_nearest(inside, view.corners[:, :2])
             errors[noise, cell] = np.sqrt(np.square(error).mean())
     assert errors[2, 6] < 0.65 * errors[2, 8.6]
     assert errors[8, 6] < 1.35 * errors[8, 8.6]

@@ -53,6 +53,13 @@ def to_nearest(points: NDArray, others: NDArray) -> NDArray[np.float64]:
     return np.linalg.norm(points[:, None] - others, axis=2).min(axis=1, initial=np.inf)
 
 
+def from_nearest(points: NDArray, others: NDArray) -> NDArray[np.float64]:
+    """Return the offset of each point, (N, 2), from the nearest of others, (M, 2)."""
+    apart = points[:, None] - others
+    nearest = np.linalg.norm(apart, axis=2).argmin(axis=1)
+    return apart[np.arange(len(points)), nearest]
+
+
 def grain(
     shape: tuple[int, int], smooth: float, seed: int | np.random.Generator = 0
 ) -> NDArray[np.float64]:

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import corner_images
 import cv2
 import numpy as np
-from lattices import keep as reordered  # noqa: F401
 from numpy.typing import NDArray
 
 from cmp_cl import Corners, DetectorConfig, Grid, detect
