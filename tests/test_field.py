@@ -63,6 +63,12 @@ def green(gradient):
     return tensor[[0, 1, 0], [0, 1, 1]]
 
 
+def strain_of(by_x, by_y):
+    """Return the Green-Lagrange strain (R, C, 3) of a surface with these derivatives."""
+    products = [(one * two).sum(axis=2) for one, two in ((by_x, by_x), (by_y, by_y), (by_x, by_y))]
+    return (np.stack(products, axis=-1) - [1, 1, 0]) / 2
+
+
 def rotated(xyz):
     rotation = cv2.Rodrigues(np.array([0.5, -0.3, 0.8]))[0]
     return xyz @ rotation.T + [3, -2, 70]
@@ -193,8 +199,7 @@ def test_a_strain_is_that_at_its_node_also_at_a_border_and_beside_a_hole(space):
     by_y = np.stack([0.02 * x, 1 + 0.02 * y, flat], axis=-1)
     if not space:
         rest, now, by_x, by_y = (each[..., :2] for each in (rest, now, by_x, by_y))
-    products = [(one * two).sum(axis=2) for one, two in ((by_x, by_x), (by_y, by_y), (by_x, by_y))]
-    truth = (np.stack(products, axis=-1) - [1, 1, 0]) / 2
+    truth = strain_of(by_x, by_y)
     now[6:11, 8:10] = now[3, 4] = np.nan
     if space:  # as a whole the gel turns, which strains nothing
         rest, now = rotated(rest), rotated(rotated(now))
@@ -216,10 +221,8 @@ def test_a_strain_follows_a_cubic_displacement_where_all_nodes_around_stand():
     now = rest + np.stack([1e-3 * x**3 + 2e-3 * x * y * y, 1e-3 * y**3], axis=-1)
     by_x = np.stack([1 + 3e-3 * x * x + 2e-3 * y * y, np.zeros_like(x)], axis=-1)
     by_y = np.stack([4e-3 * x * y, 1 + 3e-3 * y * y], axis=-1)
-    products = [(one * two).sum(axis=2) for one, two in ((by_x, by_x), (by_y, by_y), (by_x, by_y))]
-    truth = (np.stack(products, axis=-1) - [1, 1, 0]) / 2
     now[0, 0] = np.nan
-    off = np.abs(green_lagrange(rest, now) - truth).max(axis=2)
+    off = np.abs(green_lagrange(rest, now) - strain_of(by_x, by_y)).max(axis=2)
     whole = np.zeros((9, 11), bool)
     whole[2:-2, 2:-2] = True
     whole[2, 2] = False
