@@ -1,6 +1,5 @@
 """A series while it is written: a folder with an .npy for each array, which grows."""
 
-import functools
 import io
 import json
 import shutil
@@ -92,29 +91,28 @@ class _Column:
 
     def __init__(self, path: Path, like: NDArray[Any]) -> None:
         self.file = open(path, "w+b", buffering=0)  # noqa: SIM115, closed by Part
-        self._dtype, self._shape, self._size = like.dtype, like.shape, like.nbytes
-        self._write_at(0, _header(self._dtype, self._shape, 0))
+        self._shape, self._size = like.shape, like.nbytes
+        self._dtype = np.lib.format.dtype_to_descr(like.dtype)
+        self._write_at(0, self._header(0))
 
     def write(self, number: int, value: NDArray[Any]) -> None:
         """Write a frame at its offset, even over one that was interrupted."""
-        header = _header(self._dtype, self._shape, number + 1)
+        header = self._header(number + 1)
         self._write_at(len(header) + number * self._size, value.tobytes())
         self._write_at(0, header)
+
+    def _header(self, frames: int) -> bytes:
+        """Return the header of an .npy of that many frames; its length is the same for any."""
+        header = io.BytesIO()
+        about = {"descr": self._dtype, "fortran_order": False, "shape": (frames, *self._shape)}
+        np.lib.format.write_array_header_2_0(header, about)
+        return header.getvalue()
 
     def _write_at(self, offset: int, data: bytes) -> None:
         self.file.seek(offset)
         rest = memoryview(data)
         while rest:  # a nearly full disk may take only some of it
             rest = rest[self.file.write(rest) :]
-
-
-@functools.lru_cache(maxsize=16)  # of the columns of a frame, of which most are alike
-def _header(dtype: np.dtype[Any], shape: tuple[int, ...], frames: int) -> bytes:
-    """Return the header of an .npy of that many frames; its length is the same for any."""
-    header, kind = io.BytesIO(), np.lib.format.dtype_to_descr(dtype)
-    about = {"descr": kind, "fortran_order": False, "shape": (frames, *shape)}
-    np.lib.format.write_array_header_2_0(header, about)
-    return header.getvalue()
 
 
 class Stored(NamedTuple):
