@@ -136,16 +136,6 @@ int weights_of_some(const int i, __global const uchar *valid, const Window windo
   return own[0] < MOST_VARIANCE && own[1] < MOST_VARIANCE;
 }
 
-/* The same of the cubic surface through the valid nodes of a window; `whole`: whether it has all
- * 5 x 5. table: of `weights_of_whole`. */
-int weights_of_cubic(const int i, __global const uchar *valid, const Window window,
-                     const int whole, __global const float *table, float (*weight)[WEIGHTS]) {
-  if (min(window.down, window.along) < CUBIC_SIDE) return 0;
-  if (!whole) return weights_of_some(i, valid, window, CUBIC, weight);
-  weights_of_whole(i, table, window, weight);
-  return 1;
-}
-
 /* The weights of the nodes of a window of 5 x 5 in the mean fourth differences of its rows and of
  * its columns without a missing node; 0 without one. */
 void weights_of_fourth(__global const uchar *valid, const Window window, float (*weight)[WEIGHTS]) {
@@ -220,8 +210,8 @@ void add_square(const float times, const float3 v, float3 *covariance) {
  * and a cubic one in the middle of 5 x 5 valid ones. Return whether the valid nodes determine it.
  * slope: at rest and now, by column and by row. covariance: of the displacement, rest_covariance:
  * of the position at rest; by_step: of the slopes due to these, at rest and now; now it has also
- * how far the slopes of the displacement are between the quadratic surface and that of
- * `weights_of_cubic`, and its fourth differences in the window of that. */
+ * how far the slopes of the displacement are between the quadratic surface and the cubic one of the
+ * 5 x 5 nodes, and its fourth differences there. */
 int fit_surfaces(const int i, __global const float *rest_position,
                  __global const float *displacement, __global const uchar *valid,
                  __global const float *covariance, __global const float *rest_covariance,
@@ -240,7 +230,8 @@ int fit_surfaces(const int i, __global const float *rest_position,
     for (int step = 0; step < 2; ++step)
       for (int k = 0; k < 3; ++k) by_step[moment][step][k] = 0;
   const int wide_is_whole = is_whole(valid, wide, CUBIC_SIDE);
-  if (weights_of_cubic(i, valid, wide, wide_is_whole, cubic, weight_in_cubic)) {
+  if (wide_is_whole) weights_of_whole(i, cubic, wide, weight_in_cubic);
+  if (wide_is_whole || weights_of_some(i, valid, wide, CUBIC, weight_in_cubic)) {
     float3 moved_in_cubic[2], torn[2];
     float weight_of_fourth[2][WEIGHTS];
     slopes_at(i, displacement, valid, wide, weight_in_cubic, moved_in_cubic);

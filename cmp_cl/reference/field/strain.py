@@ -60,7 +60,7 @@ def strain(
         if fit is None:
             continue
         apart, torn = np.zeros((2, 2, size))
-        cubic = _slopes_of_surface((r, c), wide, valid, 3) if min(shape) >= 5 else None
+        cubic = _slopes_of_surface((r, c), wide, valid, 3)
         if cubic is not None and np.square(cubic).sum(axis=1).max() <= MOST_VARIANCE:
             apart, torn = (cubic - fit) @ moved, _fourth(wide, valid) @ moved
             whole_around = min(r, c) >= 2 and valid[r - 2 : r + 3, c - 2 : c + 3].sum() == 25
