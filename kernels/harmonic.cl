@@ -135,7 +135,8 @@ __kernel void coarse_maxima(__global const ushort *restrict fine_plane,
 
 #if FINE
 
-/* List the maxima of the fine response. One work-item per pixel. */
+/* List the maxima of the fine response with which the ring of 2 px is aligned. One work-item per
+ * pixel. */
 __kernel void fine_maxima(__global const ushort *restrict fine_plane,
                           __global const short *restrict response,
                           __global const uint *restrict area, const uint rows,
@@ -146,8 +147,10 @@ __kernel void fine_maxima(__global const ushort *restrict fine_plane,
   const size_t p = get_global_id(2);
   if (x < PAD || x >= PAD + (int)columns || !IN_AREA(x, y, step / 32)) return;
   if (!is_maximum(response, p, x, y, rows, step)) return;
-  const Harmonics ring = harmonics_of(RING_OF(fine_plane, 3, 2), x, 3, 2);
-  append(response, p, x, y, direction_of(ring), rows, step, capacity, &COUNT_OF(1), LIST_OF(1));
+  const Harmonics inner = harmonics_of(RING_OF(fine_plane, 2, 1), x, 2, 1);
+  const Harmonics outer = harmonics_of(RING_OF(fine_plane, 3, 2), x, 3, 2);
+  if (!are_aligned(4, inner, outer)) return;
+  append(response, p, x, y, direction_of(outer), rows, step, capacity, &COUNT_OF(1), LIST_OF(1));
 }
 
 #endif

@@ -26,7 +26,8 @@ LEAST = 80  # a step of two grey levels of 255 may have this response
 COARSE: Ring = (5, 4)  # distance along the axes and along the diagonals, px
 MIDDLE: Ring = (4, 3)
 FINE: Ring = (3, 2)
-ALIGNMENT = 8
+FINEST: Ring = (2, 1)
+ALIGNMENT, FINE_ALIGNMENT = 8, 4
 SUPPORT = 32
 WIDE: Ring = (8, 6)
 CLEAN, DEEP = 1, 2
@@ -182,9 +183,12 @@ def layers_of(
             )
             response = measure(harmonics(plane, rows, columns, ring))
             y, x = np.nonzero(maxima(response, bounds[fine], nms_radius) & allowed)
-            if not fine:
-                passed = looks_alike(once, thrice, y, x, response[y, x])
-                y, x = y[passed], x[passed]
+            passed = (
+                looks_alike_when_squeezed(once, y, x)
+                if fine
+                else looks_alike(once, thrice, y, x, response[y, x])
+            )
+            y, x = y[passed], x[passed]
             seen = harmonics(plane, y, x, ring)
             wide = coarse_measure(harmonics(thrice, y, x, WIDE))
             found = Maxima(
@@ -454,6 +458,12 @@ def looks_alike(
     middle = coarse_measure(harmonics(thrice, y, x, MIDDLE))
     passed &= (SUPPORT * middle >= response) & (middle <= 2 * response)
     return passed
+
+
+def looks_alike_when_squeezed(once: Whole, y: Whole, x: Whole) -> NDArray[np.bool_]:
+    """Return (N,): the maxima of the 3 px ring that the 2 px ring confirms."""
+    small, large = harmonics(once, y, x, FINEST), harmonics(once, y, x, FINE)
+    return FINE_ALIGNMENT * _dot(small, large) >= _dot(large, large)
 
 
 def reference(responses: Whole) -> int:

@@ -382,7 +382,7 @@ ulong search_band(const uint n, __global const PIXEL *frame, __global PIXEL *ima
             y + dy < 0 || y + dy >= height ? nothing : responses + RESPONSE_AT(y + dy);
       const int peaks = peaks_of_row(row[-1], row[0], row[1], column, width);
       if (!peaks) continue;
-      const Ring s1_3 = RING_OF(s1, SMOOTH_AT, y, 3, 2);
+      const Ring s1_2 = RING_OF(s1, SMOOTH_AT, y, 2, 1), s1_3 = RING_OF(s1, SMOOTH_AT, y, 3, 2);
       const Ring s3_4 = RING_OF(s3, COARSE_AT, y, 4, 3), s3_5 = RING_OF(s3, COARSE_AT, y, 5, 4);
       const Ring s3_8 = RING_OF(s3, COARSE_AT, y, 8, 6);
       __global const uint *allowed = area + (uint)TO_FRAME(y, n) * frame_words;
@@ -394,8 +394,12 @@ ulong search_band(const uint n, __global const PIXEL *frame, __global PIXEL *ima
         if (!(allowed[bit / 32] >> bit % 32 & 1) || !is_maximum(row, x, row[0][x])) continue;
         const int r = row[0][x];
         const Harmonics three = harmonics_of(s1_3, x, 3, 2);
-        int marks = direction_of(three);
-        if (!fine) {
+        int marks;
+        if (fine) {
+          const Harmonics two = harmonics_of(s1_2, x, 2, 1);
+          if (!are_aligned(4, two, three)) continue;
+          marks = direction_of(three);
+        } else {
           const Harmonics four = harmonics_of(s3_4, x, 4, 3);
           const Harmonics five = harmonics_of(s3_5, x, 5, 4);
           if (!looks_alike(r, three, four, five)) continue;
