@@ -206,9 +206,14 @@ class Board:
     def ended(self, least: float) -> int:
         """Return on how many sides its border is seen, if it is a full rectangle but for a few
         corners, else 0; 4 if it has every corner, and a further line on any side would be in view.
+        A disc fills four fifths of its rectangle too, but holds none of the places where two sides
+        meet; of a board an object hides some.
 
         least: share, of its places that must hold a corner.
         """
+        down, along = (max(lines - 1, 1) for lines in self.owner.shape)
+        if np.count_nonzero(self.owner[::down, ::along] >= 0) < 2:
+            return 0
         held = np.count_nonzero(self.owner >= 0) / max(self.owner.size, 1)
         if held == 1 and (self.border.room & ~self.border.follows).all():
             return 4

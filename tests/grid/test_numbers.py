@@ -209,6 +209,18 @@ def test_a_board_at_the_edge_of_the_image_is_meant_and_not_the_floor_that_ends_n
     assert grid.others_are == Others.PATTERN
 
 
+def test_what_a_round_hole_shows_is_not_taken_for_the_board_in_silence():
+    """A drop on a pattern without an end: a dark rim parts what is seen through it."""
+    y, x = np.indices((760, 760))
+    away = np.hypot(x - 380, y - 380)
+    floor, drop = (x // 12 + y // 12) % 2, ((x + 3) // 16 + (y + 5) // 16) % 2
+    lit = np.select([away < 165, away < 245], [drop, 0], floor)
+    image = cv2.GaussianBlur((30 + 190 * lit).astype(np.uint8), (0, 0), 0.8)
+    grid = build_grid(detect(image), image)
+    assert grid.shape == (63, 63)
+    assert grid.others_are == Others.PATTERN
+
+
 # shape, cell, turn, margin and floor: squares of the floor go on as those of the board, or have
 # some of its outer corners
 FLOORS = [(BOARD, 20, 15, 1, 2), (BOARD, 20, 15, 1, 8), ((10, 13), 26, 20, 1, 8)]
