@@ -10,9 +10,9 @@
  * Only nodes with a corner are read here. Sides are top, bottom, left, right; line 0 of a side is
  * its last one. */
 #define SIDES 4
-#define PAIRS 16  /* pairs of neighbouring squares of a side that are read */
-#define DEPTHS 10 /* half a cell inside, beyond, and in steps of levels where squares may end */
-#define NEAR_DEPTH 2
+#define PAIRS 16 /* pairs of neighbouring squares of a side that are read */
+#define FIRST_DEPTH 2 /* steps, where the last squares may end */
+#define LAST_DEPTH 9
 #define UNSEEN INT_MIN
 #define WHOLE 4096 /* a share of 1 */
 #define REACH(doubled) (BORDER_STEP_CELLS * (1.5f + (float)(doubled) * (0.5f / WHOLE))) /* cells */
@@ -116,7 +116,6 @@ Square square_at(NODES_OF_BOARD, const int side, const int k) {
   return found;
 }
 #define SQUARE_AT(side, k) square_at(OF_BOARD, side, k)
-#define IS_SQUARE(square) IS_HERE((square).out)
 
 /* The steps of a tilted board grow from line to line: the last one of a side, in cells that lie
  * past it, if they grow on as they do before. */
@@ -130,22 +129,6 @@ float last_over_next(NODES_OF_BOARD, const int side) {
   }
   const float root = inverse_root((float)last);
   return last ? (float)before * (root * root) : 1.0f;
-}
-
-/* Which pairs of squares a side has in sight, as far as some cells beyond it. Returns their
- * number. */
-#define PAIRS_IN_SIGHT(side, sight)                                                 \
-  pairs_in_sight(OF_BOARD, side, own, pairs[side], sight, rows, columns, own_shown)
-int pairs_in_sight(NODES_OF_BOARD, const int side, __local const int *first, const int pairs,
-                   const float sight, const uint rows, const uint columns, __local int *shown) {
-  int seen = 0;
-  for (int n = 0; n < pairs; ++n) {
-    const Square one = SQUARE_AT(side, first[n]), two = SQUARE_AT(side, first[n] + 1);
-    shown[n] = is_in_view(one.middle + sight * one.out, rows, columns) &&
-               is_in_view(two.middle + sight * two.out, rows, columns);
-    seen += shown[n];
-  }
-  return seen;
 }
 
 /* Twice the median of some numbers. */
@@ -163,28 +146,8 @@ int doubled_median(__local const int *values, const int count) {
   return low + high;
 }
 
-/* Squares of a side, in pairs of neighbours; `first` has those of the pairs that are read. Returns
- * their number. */
-int list_pairs(NODES_OF_BOARD, const int side, __local int *first) {
-  int pairs = 0;
-  bool before = false;
-  for (int k = 0; k < LENGTH_OF(side) - 1; ++k) {
-    const bool is_square = IS_SQUARE(SQUARE_AT(side, k));
-    pairs += is_square && before;
-    before = is_square;
-  }
-  const int read = SMALLER(pairs, PAIRS);
-  before = false;
-  for (int k = 0, pair = 0, n = 0; n < read; ++k) {
-    const bool is_square = IS_SQUARE(SQUARE_AT(side, k));
-    if (is_square && before && pair++ == n * pairs / read) first[n++] = k - 1;
-    before = is_square;
-  }
-  return read;
-}
-
-/* Whether most places of a line before the first one lie in the image; one nearer to its edge than
- * half a cell may be missed. */
+/* Whether most places of a line before the first one lie in the image; one near to its edge may
+ * be missed. */
 bool has_room(NODES_OF_BOARD, const int side, const uint rows, const uint columns) {
   int known = 0, inside = 0;
   for (int k = 0; k < LENGTH_OF(side); ++k) {
@@ -194,7 +157,7 @@ bool has_room(NODES_OF_BOARD, const int side, const uint rows, const uint column
     const float2 one = ON(side, line, k), two = ON(side, line + 1, k);
     if (!IS_HERE(two)) continue;
     ++known;
-    inside += is_in_view(one + FAR_CELL * (one - two), rows, columns);
+    inside += is_in_view(one + BEYOND_CELLS * (one - two), rows, columns);
   }
   return 2 * inside > known;
 }
@@ -207,75 +170,70 @@ int common_reach(__local const int *reach, const int count) {
   return MAGNITUDE_OF(apart) <= 2 * WHOLE ? common : UNSEEN;
 }
 
+/* The level of a square so many steps out of the board, summed over three spots. */
+int level_of(LEVELS_OF_IMAGE, const Square square, const float out) {
+  int sum = 0;
+  for (int spot = -1; spot <= 1; ++spot) {
+    const float2 p =
+        (square.middle + out * square.out) + BORDER_STEP_CELLS * (float)spot * square.along;
+    sum += level_at(LEVELS, p.x, p.y);
+  }
+  return sum;
+}
+
+/* What is read of a pair of squares: their differences half a cell inside and beyond, how much both
+ * change from there to there, and the share of the depths at which they differ. */
+int4 read_pair(LEVELS_OF_IMAGE, const Square one, const Square two) {
+  const int a = level_of(LEVELS, one, -0.5f), b = level_of(LEVELS, two, -0.5f);
+  const int c = level_of(LEVELS, one, BEYOND_CELLS), d = level_of(LEVELS, two, BEYOND_CELLS);
+  const int inside = LARGER(MAGNITUDE_OF(a - b), 1);
+  int reach = 0;
+  for (int k = FIRST_DEPTH; k <= LAST_DEPTH; ++k) {
+    const float out = BORDER_STEP_CELLS * (float)k;
+    const int apart = MAGNITUDE_OF(level_of(LEVELS, one, out) - level_of(LEVELS, two, out));
+    reach += SMALLER(apart, inside) * WHOLE / inside;
+  }
+  return (int4)(a - b, c - d, MAGNITUDE_OF(a - c) + MAGNITUDE_OF(b - d), reach);
+}
+
 /* Measure the sides of a board. One work-group. */
 __kernel void measure_border(LEVELS_OF_IMAGE, __global const int *restrict layout,
                              __global const float2 *restrict result,
                              __global const int *restrict owner, __global int *restrict border) {
   const int width = layout[BOARD_COLUMNS];
   const int4 box = vload4(0, border + BOX_OF);
-  __local int first[SIDES * PAIRS], pairs[SIDES], near[SIDES], shown[SIDES * PAIRS];
-  __local int sums[SIDES * PAIRS * DEPTHS * 2], squares[SIDES * PAIRS];
+  __local int4 pair[SIDES * PAIRS];
+  __local int shown[SIDES * PAIRS], reaches[SIDES * PAIRS];
+  FOR_ALL(m, SIDES * PAIRS) { /* as many of the pairs, evenly along their side */
+    const int side = m / PAIRS, n = m % PAIRS;
+    const int pairs = LINES_OF(side) > 1 ? LENGTH_OF(side) - 2 : 0;
+    shown[m] = 0;
+    if (n >= pairs) continue;
+    const int first = n * pairs / SMALLER(pairs, PAIRS), odd = first & 1;
+    const Square one = SQUARE_AT(side, first + odd), two = SQUARE_AT(side, first + !odd);
+    shown[m] = is_in_view(one.middle + BEYOND_CELLS * one.out, rows, columns) &&
+               is_in_view(two.middle + BEYOND_CELLS * two.out, rows, columns);
+    if (shown[m]) pair[m] = read_pair(LEVELS, one, two);
+  }
+  ALL_TOGETHER;
   FOR_ALL(side, SIDES) {
-    const bool has_squares = LINES_OF(side) > 1 && LENGTH_OF(side) > 1;
+    __local int *reach_of = reaches + side * PAIRS;
+    int4 sum = (int4)(0);
+    int some = 0;
+    for (int m = side * PAIRS; m < (side + 1) * PAIRS; ++m) {
+      if (!shown[m]) continue;
+      sum += pair[m];
+      reach_of[some++] = pair[m].w;
+    }
     border[ROOM_OF + side] = has_room(OF_BOARD, side, rows, columns);
-    pairs[side] = has_squares ? list_pairs(OF_BOARD, side, first + side * PAIRS) : 0;
-  }
-  ALL_TOGETHER;
-  FOR_ALL(side, SIDES) { /* the image may end before the cells beyond a whole square */
-    __local const int *own = first + side * PAIRS;
-    __local int *own_shown = shown + side * PAIRS;
-    const int seen = PAIRS_IN_SIGHT(side, FAR_CELL);
-    near[side] = 2 * seen < pairs[side];
-    if (near[side]) PAIRS_IN_SIGHT(side, NEAR_CELL);
-  }
-  ALL_TOGETHER;
-#define LEVEL(n, depth, square) sums[((n) * 2 + (square)) * DEPTHS + (depth)]
-  FOR_ALL(m, SIDES * PAIRS * 2) {
-    const int pair = m / 2, side = pair / PAIRS;
-    if (pair % PAIRS >= pairs[side] || !shown[pair]) continue;
-    const int k = first[pair];
-    const Square square = SQUARE_AT(side, k + ((k + m) & 1)); /* an even one comes first */
-    const float far = near[side] ? NEAR_CELL : FAR_CELL;
-    for (int depth = 0; depth < DEPTHS; ++depth) {
-      const float out = depth == 0 ? -0.5f : depth == 1 ? far : BORDER_STEP_CELLS * (float)depth;
-      int sum = 0;
-      const float2 at = square.middle + out * square.out;
-      for (int spot = -1; spot <= 1; ++spot) {
-        const float2 p = at + BORDER_STEP_CELLS * (float)spot * square.along;
-        sum += level_at(LEVELS, p.x, p.y);
-      }
-      sums[m * DEPTHS + depth] = sum;
-    }
-  }
-  ALL_TOGETHER;
-#define DIFFERENCE(n, depth) (LEVEL(n, depth, 0) - LEVEL(n, depth, 1))
-  FOR_ALL(n, SIDES * PAIRS) {
-    if (n % PAIRS >= pairs[n / PAIRS] || !shown[n]) continue;
-    const int inside = LARGER(MAGNITUDE_OF(DIFFERENCE(n, 0)), 1);
-    int sum = 0;
-    for (int k = NEAR_DEPTH; k < DEPTHS; ++k)
-      sum += SMALLER(MAGNITUDE_OF(DIFFERENCE(n, k)), inside) * WHOLE / inside;
-    squares[n] = sum;
-  }
-  ALL_TOGETHER;
-  FOR_ALL(side, SIDES) {
-    const int start = side * PAIRS;
-    int inside = 0, beyond = 0, change = 0, some = 0;
-    for (int n = start; n < start + pairs[side]; ++n) {
-      if (!shown[n]) continue;
-      inside += DIFFERENCE(n, 0);
-      beyond += DIFFERENCE(n, 1);
-      for (int k = 0; k < 2; ++k) change += MAGNITUDE_OF(LEVEL(n, 0, k) - LEVEL(n, 1, k));
-      squares[start + some++] = squares[n];
-    }
-    const float whole = (float)MAGNITUDE_OF(inside);
-    int reached = some && (float)MAGNITUDE_OF(beyond) < PASSING * whole
-                      ? common_reach(squares + start, some)
+    const float whole = (float)MAGNITUDE_OF(sum.x);
+    int reached = some && (float)MAGNITUDE_OF(sum.y) < PASSING * whole
+                      ? common_reach(reach_of, some)
                       : UNSEEN;
     /* What reaches farther than a square is not the last one. */
     const float reach = REACH(reached) * last_over_next(OF_BOARD, side);
     if (reach > 1 + BORDER_STEP_CELLS) reached = UNSEEN;
-    border[FOLLOWS_OF + side] = some && (float)change < 2.0f * PASSING * whole;
+    border[FOLLOWS_OF + side] = some && (float)sum.z < 2.0f * PASSING * whole;
     border[REACH_OF + side] = reached == UNSEEN ? UNSEEN : floor_of(WHOLE * reach);
   }
 }

@@ -101,7 +101,6 @@ def macros(k: LatticeConstants) -> dict[str, str]:
     values = {name.upper(): value for name, value in dataclasses.asdict(k).items()}
     shares = ("CUBIC_WEIGHT", "MIDDLE_WEIGHT", "CELL_WEIGHT", "BEYOND_WEIGHT")
     values |= zip(shares, values.pop("PREDICTION_WEIGHTS"), strict=True)
-    values |= zip(("FAR_CELL", "NEAR_CELL"), values.pop("BEYOND_CELLS"), strict=True)
     values |= {"PENALTY": 0.5 / k.sd_cells**2, "ROUNDS": ROUNDS}
     return {
         name: f"{value}" if isinstance(value, int) else f"{np.float32(value)}f"

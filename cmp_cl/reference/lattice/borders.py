@@ -95,7 +95,7 @@ class Sides:
 
     def _has_room(self, at: Places) -> bool:
         known = inside = 0
-        far = F(self.k.beyond_cells[0])
+        far = F(self.k.beyond_cells)
         for column in at.T:
             nodes = np.flatnonzero(~np.isnan(column))
             if len(nodes) < 2 or nodes[1] != nodes[0] + 1:
@@ -110,9 +110,10 @@ class Sides:
         middle, before = F(0.5) * (nodes[:2, 1:] + nodes[:2, :-1])
         out, along = middle - before, nodes[0, 1:] - nodes[0, :-1]
         square = ~np.isnan(out)
-        first = np.flatnonzero(square[:-1] & square[1:])
-        asked = min(len(first), PAIRS)
-        first = first[np.arange(asked) * len(first) // max(asked, 1)]
+        pairs = max(len(square) - 1, 0)
+        some = min(pairs, PAIRS)
+        first = np.arange(some) * pairs // max(some, 1)
+        first = first[square[first] & square[first + 1]]
         both = np.stack([first, first + 1], axis=1)
         both = np.where(first[:, None] % 2, both[:, ::-1], both)  # an even square comes first
 
@@ -120,14 +121,11 @@ class Sides:
             places: Places = (middle[both] + depth * out[both]) + spot * along[both]
             return places
 
-        cells = [F(each) for each in self.k.beyond_cells]
-        seen = [self._in_view(at(depth, F(0))).all(axis=1) for depth in cells]
-        near = bool(2 * np.count_nonzero(seen[0]) < asked)
-        both = both[seen[near]]
+        further, step = F(self.k.beyond_cells), F(self.k.border_step_cells)
+        both = both[self._in_view(at(further, F(0))).all(axis=1)]
         if not len(both):
             return False, F(0)
-        step = F(self.k.border_step_cells)
-        depths = [F(-0.5), cells[near], *(step * F(n) for n in DEPTHS)]
+        depths = [F(-0.5), further, *(step * F(n) for n in DEPTHS)]
         spots = [step * F(n) for n in (-1, 0, 1)]
         level = np.array([sum(read(self.plane, at(d, spot)) for spot in spots) for d in depths])
         inside, beyond = (abs(int((level[n, :, 0] - level[n, :, 1]).sum())) for n in (0, 1))
