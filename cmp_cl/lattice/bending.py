@@ -35,22 +35,23 @@ def bending(units: Units, asked: Votes, k: LatticeConstants) -> Float:
 
 def _beside(units: Units, one: Whole, two: Whole, reach: float, most: int) -> tuple[Whole, Whole]:
     """Return nodes of two parts near the tear: less than three lines, which a quadratic needs,
-    farther from the other's rim than the nearest one, from left to right. A corner of both is of
-    the smaller part, `two`."""
+    farther from the other's rim than the nearest one. A corner of both is of the smaller part,
+    `two`."""
     at, rim = units.at, units.rim
     for line in (at.real, at.imag):  # nodes with votes are less than two reaches apart
         low, high = line[two].min() - 3 * reach, line[two].max() + 3 * reach
         one = one[(line[one] > low) & (line[one] < high)]
-    one, two = (part[np.argsort(at[part].real, kind="stable")] for part in (one, two))
-    one = one[_are_near(at[one], at[_some(two[rim[two]], RIM)], reach)]
-    two = two[_are_near(at[two], at[_some(one[rim[one]], RIM)], reach)]
-    return _some(one, most), _some(two, most)
+    one = one[_are_near(at[one], at[_some(two[rim[two]], at, RIM)], reach)]
+    two = two[_are_near(at[two], at[_some(one[rim[one]], at, RIM)], reach)]
+    return _some(one, at, most), _some(two, at, most)
 
 
-def _some(nodes: Whole, most: int) -> Whole:
-    """Return nodes, evenly so many of them if there are more."""
-    left = min(len(nodes), most)
-    return nodes[np.arange(left) * len(nodes) // max(left, 1)]
+def _some(nodes: Whole, at: Numbers, most: int) -> Whole:
+    """Return nodes; if there are more, so many of them, evenly from left to right."""
+    if len(nodes) <= most:
+        return nodes
+    nodes = nodes[np.argsort(at[nodes].real, kind="stable")]
+    return nodes[np.arange(most) * len(nodes) // most]
 
 
 def _are_near(at: Numbers, others: Numbers, reach: float) -> Mask:
@@ -65,7 +66,7 @@ def _are_near(at: Numbers, others: Numbers, reach: float) -> Mask:
 
 def _cell(number: Numbers, at: Numbers) -> float:
     """Return the length of a step of nodes, px, by a linear fit; 0 without one."""
-    number, at = number - number.mean(), at - at.mean()
+    number = number - number.mean()
     square = np.vdot(number, number).real
     return float(np.abs(np.vdot(number, at)) / square) if square > 0 else 0.0
 
