@@ -15,6 +15,7 @@ Float = NDArray[np.float64]
 Numbers = NDArray[np.complex128]  # column + 1j row
 Mask = NDArray[np.bool_]
 T = TypeVar("T")
+ROUND = 7 / 8  # of the places of its rectangle, the most that a round region holds
 
 NONE, LOOKED = -1, -2  # owners of a node: missing, or seen where no corner was found
 UNSEEN, WHOLE = -(2**31), 4096  # a reach that is not seen, and one of a whole cell
@@ -207,13 +208,13 @@ class Board:
         """Return on how many sides its border is seen, if it is a full rectangle but for a few
         corners, else 0; 4 if it has every corner, and a further line on any side would be in view.
         A disc fills four fifths of its rectangle too, but holds none of the places where two sides
-        meet; of a board an object hides some.
+        meet. Where fewer than two are held, as of a board whose corners are taped, more is asked.
 
         least: share, of its places that must hold a corner.
         """
         down, along = (max(lines - 1, 1) for lines in self.owner.shape)
         if np.count_nonzero(self.owner[::down, ::along] >= 0) < 2:
-            return 0
+            least = max(least, ROUND)
         held = np.count_nonzero(self.owner >= 0) / max(self.owner.size, 1)
         if held == 1 and (self.border.room & ~self.border.follows).all():
             return 4

@@ -40,6 +40,7 @@ from stereo_data import photographs
 from cmp_cl import Corners, Detector, Grid, GridError, ImageError, NodeStatus, build_grid, detect
 from cmp_cl.grid import Others, build_grids
 from cmp_cl.synthetic import Indenter, random_scene
+from cmp_cl.synthetic.boards import covered
 from cmp_cl.synthetic.scoring import agreeing
 
 
@@ -219,6 +220,20 @@ def test_what_a_round_hole_shows_is_not_taken_for_the_board_in_silence():
     grid = build_grid(detect(image), image)
     assert grid.shape == (63, 63)
     assert grid.others_are == Others.PATTERN
+
+
+@pytest.mark.parametrize(("shape", "cell", "seed"), [((8, 11), 22, 4), ((7, 10), 24, 3)])
+def test_a_board_held_by_tape_at_all_its_corners_is_meant_and_not_the_floor(shape, cell, seed):
+    """It fills more of its rectangle than what a round hole shows."""
+    size, (rows, columns) = (420, 560), shape
+    camera = plane(cell=cell, middle=(280, 210), about=((columns - 1) / 2, (rows - 1) / 2), turn=8)
+    column, row = camera(*samples(size))
+    away = np.minimum(column, columns - 1 - column) + np.minimum(row, rows - 1 - row)
+    tape = np.where((away < 0.5) & covered(column, row, shape, 1), 150.0, np.nan)
+    view = drawn(camera, size, shape, ground=squares(size, seed), front=tape)
+    grid = grid_of(view)
+    assert not grid.doubts
+    assert scored(grid, view).right == grid.valid.sum() == rows * columns - 4
 
 
 # shape, cell, turn, margin and floor: squares of the floor go on as those of the board, or have
