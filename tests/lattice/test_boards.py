@@ -7,6 +7,7 @@ import pytest
 from lattice_plans import K, gel, started
 
 from cmp_cl import Detector, DetectorConfig, detect
+from cmp_cl.lattice.arrays import Board
 from cmp_cl.lattice.boards import boards
 from cmp_cl.synthetic.boards import drawn, plane
 
@@ -77,3 +78,13 @@ def test_a_frame_with_more_corners_than_expected_is_numbered(device):
             corners, grid = detector.grid(image)
             assert np.count_nonzero(grid.index[:, 0] >= 0) > 0.95 * len(corners) > 1800
         assert detector.regrown > 0
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_a_board_is_turned_until_its_rows_follow_the_x_axis(quarters):
+    owner = np.arange(12).reshape(3, 4)
+    at = (owner % 4 + 1j * (owner // 4)) * 20 * np.exp(0.6j)
+    board = Board(x=at.real, y=at.imag, owner=owner, torn=owner < 0, sign=1)
+    came = board.turned(quarters).upright()
+    np.testing.assert_array_equal(came.owner, owner)
+    assert came.sign == 1
