@@ -15,7 +15,7 @@ Float = NDArray[np.float64]
 Numbers = NDArray[np.complex128]  # column + 1j row
 Mask = NDArray[np.bool_]
 T = TypeVar("T")
-ROUND = 7 / 8  # of the places of its rectangle, the most that a round region holds
+ROUND = 7 / 8  # of the places of its rectangle; a round region holds fewer, but for a small one
 
 NONE, LOOKED = -1, -2  # owners of a node: missing, or seen where no corner was found
 UNSEEN, WHOLE = -(2**31), 4096  # a reach that is not seen, and one of a whole cell
