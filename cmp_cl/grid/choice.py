@@ -110,20 +110,10 @@ class Found:
         may have joined the others by chance."""
         return self.board.hanging if self.board.hanging >= K.least_board else 0
 
-    @functools.cached_property
-    def ended(self) -> int:
-        """Return on how many sides the border of a full rectangle is seen, as `Board.ended`."""
-        return self.board.ended(K.least_line)
-
     @property
     def is_whole(self) -> bool:
         """Return whether it is a full rectangle whose border is seen, but for one side."""
-        return self.ended >= 3
-
-    @property
-    def ends_nowhere(self) -> bool:
-        """Return whether no border of it is seen, as of the ground behind a board."""
-        return self.board.ends_nowhere(K.least_line)
+        return self.board.ended >= 3
 
     def fills(self, shape: tuple[int, int]) -> bool:
         """Return whether it has nearly all nodes of a known size."""
@@ -345,11 +335,11 @@ def _alone(found: list[Found]) -> tuple[Found, int]:
     Raises GridError if another is comparable, and is not the ground.
     """
     chosen = found[0]
-    if chosen.ends_nowhere:
-        chosen = next((each for each in found if each.ended), chosen)
+    if chosen.board.ends_nowhere:
+        chosen = next((each for each in found if each.board.ended), chosen)
     others = [each for each in found if each is not chosen]
     for each in others:
-        if each.is_comparable(chosen) and not (each.ends_nowhere and chosen.ended):
+        if each.is_comparable(chosen) and not (each.board.ends_nowhere and chosen.board.ended):
             raise _two(chosen, each)
     told = [each.size for each in others if each.is_whole or not chosen.is_whole]
     return chosen, told[0] if told else 0

@@ -15,7 +15,7 @@ Float = NDArray[np.float64]
 Numbers = NDArray[np.complex128]  # column + 1j row
 Mask = NDArray[np.bool_]
 T = TypeVar("T")
-ROUND = 7 / 8  # of the places of its rectangle; a round region holds fewer, but for a small one
+FULL = 7 / 8  # of the places of a full rectangle hold a corner, of those of a disc four fifths
 
 NONE, LOOKED = -1, -2  # owners of a node: missing, or seen where no corner was found
 UNSEEN, WHOLE = -(2**31), 4096  # a reach that is not seen, and one of a whole cell
@@ -204,25 +204,20 @@ class Board:
         sides = self.firm[0], self.firm[-1], self.firm[:, 0], self.firm[:, -1]
         return all(2 * np.count_nonzero(side) >= len(side) for side in sides)
 
-    def ended(self, least: float) -> int:
+    @property
+    def ended(self) -> int:
         """Return on how many sides its border is seen, if it is a full rectangle but for a few
         corners, else 0; 4 if it has every corner, and a further line on any side would be in view.
-        A disc fills four fifths of its rectangle too, but holds none of the places where two sides
-        meet. Where fewer than two are held, as of a board whose corners are taped, more is asked.
-
-        least: share, of its places that must hold a corner.
         """
-        down, along = (max(lines - 1, 1) for lines in self.owner.shape)
-        if np.count_nonzero(self.owner[::down, ::along] >= 0) < 2:
-            least = max(least, ROUND)
         held = np.count_nonzero(self.owner >= 0) / max(self.owner.size, 1)
         if held == 1 and (self.border.room & ~self.border.follows).all():
             return 4
-        return int(np.count_nonzero(self.border.ends)) if held >= least else 0
+        return int(np.count_nonzero(self.border.ends)) if held >= FULL else 0
 
-    def ends_nowhere(self, least: float) -> bool:
+    @property
+    def ends_nowhere(self) -> bool:
         """Return whether no border of it is seen, as of the ground behind a board."""
-        return not (self.ended(least) or self.border.ends.any())
+        return not (self.ended or self.border.ends.any())
 
     def layout(self, some: Mask) -> tuple[Whole, Numbers, Whole]:
         """Return some of its corners, (R, C); their numbers; and quarter turns that are odd where

@@ -78,7 +78,7 @@ def _apart(plan: LatticePlan, joint: Board, smaller: list[Units], taken: Mask) -
     nowhere.
     """
     k = plan.constants
-    if joint.ended(k.least_line):
+    if joint.ended:
         return [joint]
     layouts = [(each.corner, each.number, each.rotation) for each in smaller]
     if joint.hanging >= k.least_board:
@@ -86,12 +86,12 @@ def _apart(plan: LatticePlan, joint: Board, smaller: list[Units], taken: Mask) -
     found, others = [], taken.copy()
     for layout in layouts:
         board = plan.settle(_numbers(*layout, others))
-        if board.ended(k.least_line) and board.has_firm_sides:
+        if board.ended and board.has_firm_sides:
             found.append(board)
             others[board.owner[board.owner >= 0]] = True
     if found:
         ground = plan.settle(_numbers(*joint.layout(joint.owner >= 0), others))
-        if np.count_nonzero(ground.there) >= k.least_board and ground.ends_nowhere(k.least_line):
+        if np.count_nonzero(ground.there) >= k.least_board and ground.ends_nowhere:
             return [*found, ground]
     return [joint]
 

@@ -54,11 +54,12 @@ class LatticeConstants:
         faces or more, only lie beside others. Without them 241 477 corners of torn gels lose 333
         right nodes, and a board of 53 125 corners in noise all but 18 493 of 48 462. A single face
         agrees with none: of 734 placed ones 8 are wrong, of 588 larger parts 2.
-    least_line: share, of its places in view that an outer line must hold, and a whole board; and of
-        the corners beside a board that must lie on its lattice. With .7 a line of noise beside one
-        of 75 boards was taken for theirs; .8 loses nothing on 50 005 corners of gels, and .9
-        refuses two of 110 boards in clutter. A line of which half is firm stays: of 125 true ones
-        that an object hid in part 87 do, and none of 7 false ones of boards in clutter.
+    least_line: share, of its places in view that an outer line must hold, and a board of a known
+        size; and of the corners beside a board that must lie on its lattice. With .7 a line of
+        noise beside one of 75 boards was taken for theirs; .8 loses nothing on 50 005 corners of
+        gels, and .9 refuses two of 110 boards in clutter. A line of which half is firm stays: of
+        125 true ones that an object hid in part 87 do, and none of 7 false ones of boards in
+        clutter.
     span: steps, of the longest way across a tear; nodes within half of that and a half cell beside
         it show the surface. Within 4 cells 4 of 45 parts of torn gels were ranked wrong, within 2.5
         one, and none of 24 others.
