@@ -161,7 +161,7 @@ class Board:
         steps = []
         for step in (self.at[:, 1:] - self.at[:, :-1], self.at[1:] - self.at[:-1]):
             known = step[~np.isnan(step)]
-            steps.append(complex(known.mean()) if len(known) else 0j)
+            steps.append(complex(known.sum() / len(known)) if len(known) else 0j)
         along, down = steps
         return along or -1j * down, down or 1j * along
 

@@ -268,15 +268,16 @@ class LatticePlan:
                 ("kind", np.uint8, self._likely),
                 ("spread", np.float32, self._likely),
             )
-            shape = layout[[kernels.BOARD_ROWS, kernels.BOARD_COLUMNS]]
-            count = int(shape.prod())
+            laid = layout.tolist()
+            rows, columns = laid[kernels.BOARD_ROWS], laid[kernels.BOARD_COLUMNS]
+            count = rows * columns
         self._likely = count or self._likely
         top, bottom, left, right = found[: kernels.SIDES].tolist()
-        size = bottom - top, right - left
-        self.gained = int(np.max(size - (shape - 2 * (kernels.ROUNDS + 2)))) if count else 0
+        larger = max(bottom - top - rows, right - left - columns)
+        self.gained = larger + 2 * (kernels.ROUNDS + 2) if count else 0
 
         def held(values: NDArray[Any], *more: int) -> NDArray[Any]:
-            return values.reshape(*shape, *more)[top:bottom, left:right]
+            return values.reshape(rows, columns, *more)[top:bottom, left:right]
 
         kinds, xy = held(kind[:count]), held(at[: 2 * count], 2)
         board = Board(
@@ -286,7 +287,7 @@ class LatticePlan:
             torn=kinds == kernels.ROUGH,
             firm=kinds == kernels.FIRM,
             spread=held(spread[:count]),
-            sign=int(layout[kernels.SIGN]) * (1 - 2 * ((top + left) % 2)),
+            sign=laid[kernels.SIGN] * (1 - 2 * ((top + left) % 2)),
             border=Border.of(found[kernels.SIDES :]),
         )
         return layout, board.upright()
